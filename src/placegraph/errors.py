@@ -1,0 +1,54 @@
+"""Errors: one root, typed children, one stable exit code each.
+
+Every message is a sentence that names the file or the field and says how to mend it.
+"""
+
+from typing import ClassVar
+
+
+class PlacegraphError(Exception):
+    """Root of every error placegraph raises on purpose; `exit_code` is what the command line exits with."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class InputError(PlacegraphError):
+    """An input file is missing, empty, truncated, or not what it claims to be."""
+
+    exit_code = 3
+
+
+class MapError(PlacegraphError):
+    """A map file is foreign, damaged, of a newer version, or of another kind than asked for."""
+
+    exit_code = 4
+
+
+class MapLockedError(MapError):
+    """Another process is writing this map file."""
+
+    exit_code = 5
+
+
+class DescriptionError(PlacegraphError):
+    """A description cannot be read at all: it is empty, too long, or not text."""
+
+    exit_code = 6
+
+
+class OptionError(PlacegraphError, ValueError):
+    """An argument is out of its range, or arguments contradict each other."""
+
+    exit_code = 7
+
+
+class MissingExtraError(PlacegraphError, ImportError):
+    """An optional dependency is not installed; the message says which extra brings it."""
+
+    exit_code = 8
+
+
+class ServiceError(PlacegraphError):
+    """A service (Overpass, a language model) cannot be reached or answered nonsense."""
+
+    exit_code = 9
