@@ -1,0 +1,148 @@
+"""Which tags are worth naming: the rules of objects.tsv, applied to the tags of a thing."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+from placegraph.errors import InputError
+from placegraph.outdoor.vocabulary.tables import find, rows
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+COLUMNS = ("key", "values", "role", "rank", "with")
+OBJECT, DETAIL, SKIP = "object", "detail", "skip"
+
+_VALUE = re.compile(r"[^\W_][\w:.+-]{0,39}")
+"""A tag value that can be a label; free text ("The old mill, now closed") cannot."""
+
+
+class Rule(NamedTuple):
+    """One row of objects.tsv, for one value."""
+
+    role: str
+    rank: int = 0
+    needs: tuple[str, ...] = ()
+    """Tags, ``key`` or ``key=value``, of which a thing must have one."""
+
+
+_Hit: TypeAlias = tuple[int, str, bool, tuple[str, ...]]
+"""Rank, label, whether it makes an object, what a detail needs."""
+
+
+class _Values(dict[str, tuple[_Hit, ...]]):
+    """Labels of every value of one key met so far; a new value is looked up in the rules once."""
+
+    def __init__(self, key: str, rules: Mapping[str, Rule], common: Mapping[str, Rule]) -> None:
+        self.key, self.rules, self.common = key, rules, common
+
+    def __missing__(self, text: str) -> tuple[_Hit, ...]:
+        hits = tuple(dict.fromkeys(hit for part in text.split(";") for hit in self._hit(part)))
+        self[text] = hits
+        return hits
+
+    def _hit(self, text: str) -> tuple[_Hit, ...]:
+        value = "_".join(text.lower().split())
+        rule = self.rules.get(value) or self.common.get(value) or self.rules.get("*")
+        if not value or rule is None or rule.role == SKIP:
+            return ()
+        if not _VALUE.fullmatch(value):
+            if rule.role == DETAIL:
+                return ()
+            value = "yes"  # a shop of a kind told in free text is still a shop
+        return ((rule.rank, f"{self.key}={value}", rule.role == OBJECT, rule.needs),)
+
+
+class ObjectTable:
+    """The rules of objects.tsv.
+
+    Attributes
+    ----------
+    keys
+        Keys that can make an object: what a reader needs to look at.
+    detail_keys
+        Keys that only add labels to an object.
+    """
+
+    def __init__(self, rules: Mapping[str, Mapping[str, Rule]]) -> None:
+        common = rules.get("*", {})
+        own = {key: values for key, values in rules.items() if key != "*"}
+        roles = {key: {rule.role for rule in values.values()} for key, values in own.items()}
+        self.keys = frozenset(key for key in own if OBJECT in roles[key])
+        self.detail_keys = frozenset(key for key in own if DETAIL in roles[key]) - self.keys
+        self._ranks = {
+            key: min(rule.rank for rule in values.values() if rule.role != SKIP)
+            for key, values in own.items()
+            if roles[key] != {SKIP}
+        }
+        self._values = {key: _Values(key, values, common) for key, values in own.items()}
+
+    def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
+        """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
+        known = self._values
+        hits: list[_Hit] = []
+        for key in tags:
+            if key in known:
+                hits += known[key][tags[key]]
+        if len(hits) == 1:
+            return (hits[0][1],) if hits[0][2] else ()
+        if not any(hit[2] for hit in hits):
+            return ()
+        hits.sort()
+        return tuple([label for _, label, _, needs in hits if not needs or _any(needs, tags)])
+
+    def rank(self, label: str) -> int | None:
+        """Rank of a label's key, small for specific ones; None if the key is not worth naming."""
+        return self._ranks.get(label.partition("=")[0])
+
+    def names(self, label: str) -> bool:
+        """Tell whether a label (also ``key=*``) can be one of a thing's labels."""
+        key, _, value = label.partition("=")
+        if key not in self._values or key not in self._ranks:
+            return False
+        return value == "*" or any(hit[1] == label for hit in self._values[key][value])
+
+
+def _any(needs: tuple[str, ...], tags: Mapping[str, str]) -> bool:
+    for need in needs:
+        key, _, value = need.partition("=")
+        if key in tags and (not value or value in tags[key].split(";")):
+            return True
+    return False
+
+
+def read_objects(folder: Path | None = None) -> ObjectTable:
+    """Read objects.tsv from `folder`, or as shipped.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and field of what is wrong.
+    """
+    table = find("objects.tsv", folder)
+    rules: dict[str, dict[str, Rule]] = {}
+    for number, (key, values, role, rank, needs) in rows(table, COLUMNS):
+        where = f"{table}, line {number}"
+        if not key or not values:
+            raise InputError(f"{where}: the fields 'key' and 'values' must not be empty.")
+        if role not in (OBJECT, DETAIL, SKIP):
+            raise InputError(
+                f"{where}: the field 'role' is {role!r}; write object, detail or skip."
+            )
+        if key == "*" and role != SKIP:
+            raise InputError(f"{where}: a row over every key ('key' is *) can only be a skip.")
+        if role != SKIP and not (rank.isascii() and rank.isdigit()):
+            raise InputError(f"{where}: the field 'rank' is {rank!r}; write a whole number.")
+        if needs and role != DETAIL:
+            raise InputError(f"{where}: only a detail can have the field 'with'; it is {needs!r}.")
+        rule = Rule(role) if role == SKIP else Rule(role, int(rank), tuple(needs.split()))
+        known = rules.setdefault(key, {})
+        for value in values.split():
+            if value in known:
+                raise InputError(f"{where}: {key}={value} has a row already; keep one of the two.")
+            known[value] = rule
+    if not any(rule.role == OBJECT for values in rules.values() for rule in values.values()):
+        raise InputError(f"{table}: has no row with the role 'object'; nothing could be named.")
+    return ObjectTable(rules)
