@@ -1,22 +1,36 @@
-"""The city map: objects stored once, cells and cell graphs derived from them."""
+"""The city map: objects stored once; cells, cell graphs and viewpoints derived from them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.errors import MapError
 from placegraph.geometry import LocalPlane
+from placegraph.outdoor.cells import Cells, cell_graph, occupied_cells
+from placegraph.outdoor.raster import Grid
+from placegraph.outdoor.simplify import centers
+from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
+    from os import PathLike
 
     from placegraph.estimate import Estimate
     from placegraph.graph import SceneGraph
+    from placegraph.outdoor.ask import Answer
+    from placegraph.outdoor.description import Description
+    from placegraph.outdoor.index import ViewIndex
+    from placegraph.outdoor.names import NameIndex
+
+KIND = "city"
+VERSION = 1
+GRAIN = 0.5
+"""Coordinates are stored in these steps [m]."""
 
 POINT, LINE, AREA = 0, 1, 2
 """Kinds of geometry."""
@@ -59,6 +73,32 @@ class CityObjects:
     def __len__(self) -> int:
         return len(self.osm_id)
 
+    def check(self) -> None:
+        """Raise `ValueError` where columns contradict each other (a damaged or hand-made map)."""
+        n = len(self)
+        ends = (
+            (self.osm_type, n, "osm_type"),
+            (self.kind, n, "kind"),
+            (self.label_values, self.label_starts[-1], "label_values"),
+            (self.name_values, self.name_starts[-1], "name_values"),
+            (self.point_starts, self.part_starts[-1] + 1, "point_counts"),
+            (self.points, self.point_starts[-1], "points"),
+        )
+        for column, length, name in ends:
+            if len(column) != length:
+                raise ValueError(f"{name} has {len(column)} entries instead of {length}")
+        for starts, name in ((self.label_starts, "labels"), (self.name_starts, "names"), (self.part_starts, "parts")):
+            if len(starts) != n + 1:
+                raise ValueError(f"{name} are of {len(starts) - 1} objects instead of {n}")
+        if n and np.diff(self.label_starts).min() < 1 or np.diff(self.point_starts).min(initial=1) < 1:
+            raise ValueError("an object lacks a label or a point")
+        for values, table, name in (
+            (self.label_values, self.labels, "label_values"),
+            (self.name_values, self.names, "name_values"),
+        ):
+            if len(values) and not 0 <= values.min() <= values.max() < len(table):
+                raise ValueError(f"{name} point outside their table")
+
     def osm(self, i: int) -> str:
         """OpenStreetMap's own id of object i: ``node/1``, ``way/2``, ``relation/3``."""
         return f"{('node', 'way', 'relation')[self.osm_type[i]]}/{self.osm_id[i]}"
@@ -76,3 +116,190 @@ class CityObjects:
         """Lines or rings of object i, each (n, 2) east, north [m]."""
         bounds = self.point_starts[self.part_starts[i] : self.part_starts[i + 1] + 1]
         return [self.points[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class CityMap:
+    """A city: its objects, its cells, and what is derived from them to be searched.
+
+    Made by `build_city`, opened by `open_map`; never changed by localizing in it.
+    """
+
+    plane: LocalPlane
+    """East-north plane of all coordinates."""
+    objects: CityObjects
+    cells: Cells
+    source: str
+    """Name of the file the map was built from."""
+    left_out: dict[str, int]
+    """What of that file could not be used, by reason."""
+
+    @classmethod
+    def create(
+        cls,
+        plane: LocalPlane,
+        objects: CityObjects,
+        *,
+        cell_size: float,
+        stride: float,
+        edge_distance: float,
+        source: str,
+        left_out: dict[str, int],
+    ) -> CityMap:
+        """City map over these objects; cells are laid over their bounding box."""
+        low, high = objects.points.min(axis=0), objects.points.max(axis=0)
+        columns, rows = (int(n) for n in np.ceil((high - low) / stride) + 1)
+        grid = Grid(float(low[0]), float(low[1]), stride, columns, rows)
+        occupied = occupied_cells(objects, grid, cell_size)
+        cells = Cells(plane, grid, cell_size, edge_distance, occupied)
+        return cls(plane, objects, cells, source, left_out)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the map file (atomically, with checksums)."""
+        objects, cells = self.objects, self.cells
+        meta = {
+            "origin": [self.plane.longitude, self.plane.latitude],
+            "grain": GRAIN,
+            "cell_size": cells.size,
+            "edge_distance": cells.edge_distance,
+            "grid": list(cells.grid),
+            "source": self.source,
+            "left_out": self.left_out,
+        }
+        arrays = {
+            "osm_type": objects.osm_type,
+            "osm_id": objects.osm_id,
+            "kind": objects.kind,
+            "label_counts": np.diff(objects.label_starts).astype(np.uint8),
+            "label_values": objects.label_values,
+            "name_counts": np.diff(objects.name_starts).astype(np.uint16),
+            "name_values": objects.name_values,
+            "part_counts": np.diff(objects.part_starts).astype(np.uint16),
+            "point_counts": np.diff(objects.point_starts).astype(np.uint32),
+            "points": np.round(objects.points / GRAIN).astype(np.int32),
+            "labels": pack_strings(objects.labels),
+            "names": pack_strings(objects.names),
+            "cells": cells.points,
+        }
+        write_map(path, KIND, VERSION, meta, arrays)
+
+    @classmethod
+    def open(cls, path: str | PathLike[str]) -> CityMap:
+        """Open a map file; raises `InputError` or `MapError` where it is not a sound city map."""
+        file = read_map(path, KIND, VERSION)
+        try:
+            meta = file.meta
+            plane = LocalPlane(*map(float, meta["origin"]))
+            grain = float(meta["grain"])
+            kind = file.array("kind", "u1")
+            part_starts = _starts(file.array("part_counts", "<u2"))
+            point_starts = _starts(file.array("point_counts", "<u4"))
+            points = (file.array("points", "<i4", 2) * grain).astype(np.float32)
+            objects = CityObjects(
+                osm_type=file.array("osm_type", "u1"),
+                osm_id=file.array("osm_id", "<i8"),
+                kind=kind,
+                label_starts=_starts(file.array("label_counts", "u1")),
+                label_values=file.array("label_values", "<i4"),
+                name_starts=_starts(file.array("name_counts", "<u2")),
+                name_values=file.array("name_values", "<i4"),
+                part_starts=part_starts,
+                point_starts=point_starts,
+                points=points,
+                center=np.zeros((0, 2), np.float32),
+                labels=file.strings("labels"),
+                names=file.strings("names"),
+            )
+            objects.check()
+            center = centers(kind, part_starts, point_starts, points)
+            columns, rows = (int(n) for n in meta["grid"][3:])
+            grid = Grid(*(float(x) for x in meta["grid"][:3]), columns, rows)
+            size, edge = float(meta["cell_size"]), float(meta["edge_distance"])
+            cells = Cells(plane, grid, size, edge, file.array("cells", "<i8"))
+            left_out = {str(k): int(v) for k, v in meta["left_out"].items()}
+            source = str(meta["source"])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise MapError(f"{path}: its columns contradict each other ({error}). Build it again.") from error
+        return cls(plane, replace(objects, center=center), cells, source, left_out)
+
+    def graph(self, cell: str) -> SceneGraph:
+        """Scene graph of a cell (Eq. 1-8); raises `OptionError` where there is no such cell."""
+        return cell_graph(self.objects, self.cells, cell)
+
+    @cached_property
+    def views(self) -> ViewIndex:
+        """What is seen from where; derived on first use."""
+        from placegraph.outdoor.index import ViewIndex
+
+        return ViewIndex.build(self.objects)
+
+    @cached_property
+    def name_index(self) -> NameIndex:
+        """Proper names of the map; derived on first use."""
+        from placegraph.outdoor.names import NameIndex
+
+        return NameIndex.build(self.objects)
+
+    def locate(
+        self,
+        text: str | Description,
+        *,
+        top: int = 5,
+        near: Sequence[float] | None = None,
+        radius: float = 1000.0,
+        heading: float | None = None,
+        listener: Sequence[float] | None = None,
+        answers: Sequence[Answer] = (),
+    ) -> Estimate:
+        """Where a description was spoken.
+
+        Parameters
+        ----------
+        text
+            What stands around the speaker, in words (or an already parsed description).
+        top
+            How many modes at most.
+        near
+            Longitude and latitude [deg] the speaker is known to be near; a third number is the
+            radius [m].
+        radius
+            Radius of `near` [m]: a Gaussian prior of which half lies within.
+        heading
+            Where the speaker looks [rad], clockwise from north: gives "left of me" a meaning.
+        listener
+            Longitude and latitude [deg] of "you", where that is known.
+        answers
+            Answers to earlier questions of `Estimate.next_question`.
+
+        Returns
+        -------
+        Estimate
+            Ranked modes with probability over the whole city, and the evidence.
+
+        Raises
+        ------
+        DescriptionError
+            The text is empty, too long, or not text.
+        OptionError
+            An option is out of range.
+
+        """
+        from placegraph.outdoor.locate import locate
+
+        return locate(
+            self,
+            text,
+            top=top,
+            near=near,
+            radius=radius,
+            heading=heading,
+            listener=listener,
+            answers=answers,
+        )
+
+    def __repr__(self) -> str:
+        return f"CityMap({self.source!r}, {len(self.objects):,} objects, {len(self.cells):,} cells)"
+
+
+def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
+    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64))).astype(np.int32)
