@@ -1,0 +1,55 @@
+"""Where am I? Answered on a map that is a graph of things.
+
+Nothing heavy happens here: every name below is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from placegraph import errors
+
+if TYPE_CHECKING:
+    from placegraph.estimate import Estimate, Status
+    from placegraph.graph import SceneGraph
+    from placegraph.maps import open_map
+    from placegraph.outdoor.build import build_city
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.describe import describe
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "CityMap": "placegraph.outdoor.city",
+    "Estimate": "placegraph.estimate",
+    "SceneGraph": "placegraph.graph",
+    "Status": "placegraph.estimate",
+    "build_city": "placegraph.outdoor.build",
+    "describe": "placegraph.outdoor.describe",
+    "open_map": "placegraph.maps",
+}
+
+__all__ = [
+    "CityMap",
+    "Estimate",
+    "SceneGraph",
+    "Status",
+    "__version__",
+    "build_city",
+    "describe",
+    "errors",
+    "open_map",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,35 @@
+"""Open a map of any kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from placegraph import store
+from placegraph.errors import MapError
+
+if TYPE_CHECKING:
+    import os
+
+    from placegraph.outdoor.city import CityMap
+
+
+def open_map(path: str | os.PathLike[str]) -> CityMap:
+    """Open a map file; what it holds is read from its header.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, a folder, or may not be read.
+    MapError
+        It is foreign, truncated, damaged, of a newer version, or of a kind not known here.
+
+    """
+    kind = store.read_header(path).kind
+    if kind == "city":
+        from placegraph.outdoor.city import CityMap
+
+        return CityMap.open(Path(path))
+    raise MapError(
+        f"{path} is a {kind} map, which this placegraph does not know; update placegraph."
+    )
