@@ -1,0 +1,47 @@
+# Everything runs from a clean clone: Python 3.11 or newer and make, nothing by hand before.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# Where the wheels of torch come from, once an extra needs it:
+# TORCH ?= torch==2.13.0
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test lint bench clean
+
+help: ## show this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+venv: $(STAMP) ## create .venv and install placegraph with its tools
+
+demo: $(STAMP) ## locate three sentences in a small town; page and pictures go to demo-out/
+	$(BIN)/placegraph demo --out demo-out
+
+test: $(STAMP) ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(STAMP) ## check rules, layout and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(STAMP) ## print the benchmark tables (needs ../shared; long)
+	set -e; for table in benchmarks/*.py; do $(BIN)/python $$table; done
+
+clean: ## remove what the targets above left behind, .venv included
+	rm -rf $(VENV) demo-out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmark-cache
+	find src tests benchmarks scripts -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMP): pyproject.toml $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+# Debian ships venv apart from Python: fall back on virtualenv, or say what to install.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "placegraph needs Python 3.11 or newer: make PYTHON=python3.11 ..." >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  $(PYTHON) -m virtualenv --quiet $(VENV) || { \
+	    $(PYTHON) -m pip install --quiet --user virtualenv && \
+	    $(PYTHON) -m virtualenv --quiet $(VENV); }; } || { rm -rf $(VENV); \
+	  echo "No virtual environment could be made: apt install python3-venv" >&2; exit 1; }
