@@ -1,0 +1,1 @@
+"""Worlds drawn in ASCII: examples, demo and test worlds."""
