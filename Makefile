@@ -3,8 +3,6 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# Where the wheels of torch come from, once an extra needs it:
-# TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test lint bench clean

@@ -23,8 +23,9 @@ WGS84_E2 = 6.694_379_990_14e-3
 class LocalPlane:
     """East-north metric plane that touches WGS84 at an origin.
 
-    Metres per degree come from the ellipsoid's radii of curvature at the origin. Over a city of
-    30 km the scale is off by less than 0.3 %, and by nothing at the origin's latitude.
+    Metres per degree come from the ellipsoid's radii of curvature at the origin. The scale is
+    exact at the origin's latitude; 15 km north or south of it, lengths from west to east are off
+    by 0.24 % times the tangent of the latitude (0.24 % at 45 degrees, 0.42 % at 60).
     """
 
     longitude: float
@@ -50,7 +51,7 @@ class LocalPlane:
     def to_lonlat(self, east_north: ArrayLike) -> Floats:
         """East and north (..., 2) [m] to longitude and latitude (..., 2) [deg]."""
         degrees = np.asarray(east_north, np.float64) / self.metres_per_degree
-        degrees = degrees + (self.longitude, self.latitude)
+        degrees += (self.longitude, self.latitude)
         degrees[..., 0] = (degrees[..., 0] + 180.0) % 360.0 - 180.0
         return degrees
 
@@ -58,7 +59,8 @@ class LocalPlane:
 def bearing(delta: ArrayLike) -> Floats:
     """Bearing (...) [rad, 0 to 2 pi, clockwise from north] of vectors (..., 2) east, north."""
     delta = np.asarray(delta, np.float64)
-    return np.arctan2(delta[..., 0], delta[..., 1]) % (2.0 * np.pi)
+    turn = np.arctan2(delta[..., 0], delta[..., 1]) % (2.0 * np.pi)
+    return turn * (turn < 2.0 * np.pi)  # a hair west of north rounds to a full turn
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:
