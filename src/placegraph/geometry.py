@@ -59,8 +59,9 @@ class LocalPlane:
 def bearing(delta: ArrayLike) -> Floats:
     """Bearing (...) [rad, 0 to 2 pi, clockwise from north] of vectors (..., 2) east, north."""
     delta = np.asarray(delta, np.float64)
-    turn = np.arctan2(delta[..., 0], delta[..., 1]) % (2.0 * np.pi)
-    return turn * (turn < 2.0 * np.pi)  # a hair west of north rounds to a full turn
+    turn: Floats = np.arctan2(delta[..., 0], delta[..., 1]) % (2.0 * np.pi)
+    turn *= turn < 2.0 * np.pi  # a hair west of north rounds to a full turn
+    return turn
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:

@@ -302,10 +302,12 @@ def _read_header(file: BinaryIO, path: Path) -> Header:
 def _parse_header(content: dict[str, Any], path: Path, size: int) -> Header:
     """Raise any of KeyError, TypeError, ValueError where the header is not what it should be."""
     kind, version, meta = content["kind"], content["version"], content["meta"]
-    if not (isinstance(kind, str) and isinstance(version, int) and isinstance(meta, dict)):
-        raise TypeError("kind, version, meta")
+    table = content["arrays"]
+    types = [type(value) for value in (kind, version, meta, table)]
+    if types != [str, int, dict, list]:
+        raise TypeError("kind, version, meta, arrays")
     blocks, offset = [], 0
-    for entry in content["arrays"]:
+    for entry in table:
         block = Block(**{**entry, "shape": tuple(entry["shape"])})
         numbers = (*block.shape, block.offset, block.length, block.crc32)
         if not (

@@ -1,0 +1,533 @@
+"""Map files: what was written comes back; anything else is refused with a sentence."""
+
+import errno
+import json
+import os
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from hashlib import sha256
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as stnp
+
+from placegraph import columns, open_map, store
+from placegraph.errors import InputError, MapError, MapLockedError, OptionError
+from placegraph.store import read_header, read_map, write_map, writing
+
+REFUSALS = (InputError, MapError)
+
+dtypes = st.sampled_from(sorted(columns.DTYPES)).map(np.dtype)
+arrays = dtypes.flatmap(
+    lambda d: stnp.arrays(d, stnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=9))
+)
+texts = st.lists(st.text(st.characters(exclude_categories=["Cs"])), max_size=20)
+
+
+def sample(rng, n=2000):
+    steps = rng.integers(-300, 300, (n, 2))
+    return {
+        "points": np.cumsum(steps, axis=0).astype(np.int32),
+        "ids": np.sort(rng.integers(0, 1 << 40, n)),
+        "weights": rng.normal(size=n),
+        "flags": rng.random(n) < 0.5,
+        "names": store.pack_strings([f"Straße {i}" for i in range(n // 4)]),
+        "none": np.zeros((0, 3), np.float32),
+    }
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "a.city"
+
+
+@pytest.fixture
+def written(path, rng):
+    write_map(path, "city", 1, {"cells": 7}, sample(rng))
+    return path
+
+
+def identical(a, b):
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def alone(path):
+    """No temporary file and no lock was left behind."""
+    return list(path.parent.iterdir()) == [path]
+
+
+def forged(path, *, container=1, tail=b"", **changes):
+    """A map file with every checksum right, and a header of our making."""
+    header = {"kind": "city", "version": 1, "meta": {}, "arrays": []} | changes
+    text = json.dumps(header).encode()
+    body = struct.pack("<8sIII", store.MAGIC, container, len(text), zlib.crc32(text)) + text + tail
+    path.write_bytes(body + sha256(body).digest())
+    return path
+
+
+def entry(tail, **changes):
+    base = {"name": "a", "dtype": "<i4", "shape": [2], "codec": "raw", "filter": "none"}
+    return base | {"offset": 0, "length": len(tail), "crc32": zlib.crc32(tail)} | changes
+
+
+# --- what is written comes back ---
+
+
+def test_a_map_comes_back_bit_by_bit(written, rng):
+    found = read_map(written, "city", 1)
+    assert found.meta == {"cells": 7}
+    assert list(found.arrays) == list(sample(rng))
+    for name, array in sample(np.random.default_rng(20261121)).items():
+        assert identical(found.arrays[name], array), name
+
+
+@given(array=arrays)
+def test_every_array_comes_back_through_every_filter(array):
+    codec, filter_, block = columns.pack(columns.plain("a", array))
+    back = columns.unpack(codec, filter_, memoryview(block), array.dtype.str, array.shape)
+    assert identical(back, array)
+
+
+@settings(max_examples=25)
+@given(st.dictionaries(st.text(st.characters(exclude_categories=["Cs"])), arrays, max_size=4))
+def test_any_set_of_columns_comes_back(tmp_path_factory, found):
+    path = tmp_path_factory.mktemp("maps") / "x"
+    write_map(path, "scene", 3, {}, found)
+    back = read_map(path, "scene", 3).arrays
+    assert list(back) == list(found)
+    assert all(identical(back[name], array) for name, array in found.items())
+
+
+@given(texts)
+def test_strings_come_back(strings):
+    assert store.unpack_strings(store.pack_strings(strings)) == tuple(strings)
+
+
+def test_strings_may_hold_every_control_character():
+    strings = [*map(chr, range(300)), ""]
+    assert store.unpack_strings(store.pack_strings(strings)) == tuple(strings)
+
+
+def test_foreign_byte_order_and_gaps_in_memory_are_put_right(path):
+    big = np.arange(12, dtype=">i4").reshape(3, 4)[:, ::2]
+    write_map(path, "city", 1, {}, {"a": big})
+    back = read_map(path, "city", 1).arrays["a"]
+    assert back.dtype == np.dtype("<i4")
+    assert np.array_equal(back, big)
+
+
+def test_arrays_are_read_only(written):
+    for array in read_map(written, "city", 1).arrays.values():
+        assert not array.flags.writeable
+
+
+def test_same_input_same_bytes(tmp_path, rng):
+    content = sample(rng)
+    for name in ("a", "b"):
+        write_map(tmp_path / name, "city", 1, {"b": 1, "a": [2]}, content)
+        time.sleep(0.01)
+    write_map(tmp_path / "c", "city", 1, {"a": [2], "b": 1}, content)
+    first, second, third = ((tmp_path / n).read_bytes() for n in "abc")
+    assert first == second == third
+
+
+def test_coordinates_and_sorted_ids_become_small(written):
+    sizes = {b.name: b for b in read_header(written).blocks}
+    assert sizes["points"].filter == "delta"
+    assert sizes["points"].length < 0.4 * sizes["points"].nbytes
+    assert sizes["flags"].length <= sizes["flags"].nbytes
+    assert sizes["none"].length == 0
+
+
+def test_header_alone_tells_what_is_there(written):
+    header = read_header(written)
+    assert (header.kind, header.version, header.meta) == ("city", 1, {"cells": 7})
+    assert header.file_size == written.stat().st_size
+
+
+def test_three_megabytes_open_quickly(path, rng):
+    n = 600_000
+    steps = rng.laplace(0, 250, (n, 2)).round()
+    points = np.cumsum(steps, axis=0).astype(np.int32)
+    write_map(path, "city", 1, {}, {"points": points, "ids": np.arange(n) * 3})
+    assert path.stat().st_size > 1_200_000
+    best = min(timed(read_map, path, "city", 1) for _ in range(3))
+    # 30 ms on the machine this was written on; the promise is 150 ms for 3 MB
+    assert best < 0.15 * max(1.0, path.stat().st_size / 3e6) * 2
+
+
+def timed(call, *args):
+    start = time.perf_counter()
+    call(*args)
+    return time.perf_counter() - start
+
+
+def test_columns_are_asked_for_by_type(written):
+    found = read_map(written, "city", 1)
+    assert found.array("points", "<i4", 2) is found.arrays["points"]
+    assert found.strings("names")[3] == "Straße 3"
+    for name, dtype, ndim in (("points", "<i8", 2), ("points", "<i4", 1), ("gone", "<i4", 1)):
+        with pytest.raises(MapError, match=f"{name}.*[Bb]uild the map again"):
+            found.array(name, dtype, ndim)
+    with pytest.raises(MapError, match="ids"):
+        found.strings("ids")
+
+
+def test_text_that_is_not_utf8_is_refused(path):
+    write_map(path, "city", 1, {}, {"names": np.array([0, 0xFF, 0xFE], np.uint8)})
+    with pytest.raises(MapError, match=r"names.*UTF-8"):
+        read_map(path, "city", 1).strings("names")
+
+
+# --- what cannot be written ---
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.array(["text"]),
+        np.array([object()], dtype=object),
+        np.array([1j]),
+        np.array(5),
+        np.array(["2026-11-21"], "datetime64[D]"),
+        np.zeros(2, [("x", "f4"), ("y", "f4")]),
+    ],
+    ids=lambda a: str(a.dtype),
+)
+def test_only_arrays_of_plain_numbers(path, array):
+    with pytest.raises(OptionError, match=r"Column 'a' is .*plain numbers"):
+        write_map(path, "city", 1, {}, {"a": array})
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("meta", [{"a": float("nan")}, {"a": {1, 2}}, {"a": b"x"}])
+def test_only_plain_metadata(path, meta):
+    with pytest.raises(OptionError, match="plain finite JSON"):
+        write_map(path, "city", 1, meta, {})
+
+
+def test_lone_surrogates_are_refused():
+    with pytest.raises(OptionError, match="not Unicode text"):
+        store.pack_strings(["\ud800"])
+
+
+def test_folders_that_are_not_there(tmp_path):
+    with pytest.raises(MapError, match=r"cannot be written: No such file or directory"):
+        write_map(tmp_path / "gone" / "a.city", "city", 1, {}, {})
+
+
+@pytest.mark.parametrize("name", [".", "/dev/null", "a\0b"])
+def test_targets_that_are_not_plain_files(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MapError, match="file"):
+        write_map(name, "city", 1, {}, {})
+
+
+def test_a_failed_write_leaves_the_old_map_and_nothing_else(written, monkeypatch):
+    before = written.read_bytes()
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(MapError, match="No space left on device"):
+        write_map(written, "city", 1, {}, {"a": np.arange(9)})
+    assert written.read_bytes() == before
+    assert alone(written)
+
+
+def test_an_interrupt_leaves_the_old_map_and_nothing_else(written, monkeypatch):
+    before = written.read_bytes()
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_map(written, "city", 1, {}, {"a": np.arange(9)})
+    assert written.read_bytes() == before
+    assert alone(written)
+
+
+def test_whoever_has_the_old_map_open_keeps_it(written):
+    with written.open("rb") as old:
+        write_map(written, "city", 2, {}, {})
+        assert b'"version":1' in old.read()
+    assert read_header(written).version == 2
+
+
+def test_a_link_to_a_map_stays_a_link(written):
+    link = written.with_name("link.city")
+    link.symlink_to(written)
+    write_map(link, "city", 2, {}, {})
+    assert link.is_symlink()
+    assert read_header(written).version == 2
+
+
+# --- one writer at a time ---
+
+
+def test_a_second_writer_is_refused_at_once(written):
+    with writing(written) as write:
+        start = time.perf_counter()
+        with pytest.raises(MapLockedError, match="being written by someone else"):
+            write_map(written, "city", 1, {}, {})
+        assert time.perf_counter() - start < 1
+        assert read_header(written).version == 1, "reading goes on"
+        write("city", 2, {}, {})
+    assert read_header(written).version == 2
+    write_map(written, "city", 3, {}, {})
+    assert alone(written)
+
+
+def test_a_lock_dies_with_its_process(path):
+    holder = (
+        "import sys; from placegraph.store import writing\n"
+        f"with writing({str(path)!r}): print('held', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", holder], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(MapLockedError):
+            write_map(path, "city", 1, {}, {})
+        process.kill()
+        process.wait()
+    lock = path.with_name(".a.city.lock")
+    assert lock.exists(), "the killed writer could not tidy up"
+    write_map(path, "city", 1, {}, {})
+    assert alone(path)
+
+
+def test_what_a_killed_writer_left_is_no_obstacle(path):
+    path.with_name(".a.city.tmp").write_bytes(b"half a map")
+    path.with_name(".a.city.lock").touch()
+    write_map(path, "city", 1, {}, {})
+    assert alone(path)
+
+
+# --- what is refused ---
+
+
+def test_a_missing_file(path):
+    for call in (open_map, read_header):
+        with pytest.raises(InputError, match=r"a\.city does not exist; build it with"):
+            call(path)
+
+
+def test_an_empty_file(path):
+    path.touch()
+    with pytest.raises(InputError, match="is empty; build the map again"):
+        open_map(path)
+
+
+def test_things_that_are_not_files(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for name in (tmp_path, tmp_path / "pipe", "/dev/zero"):
+        with pytest.raises(InputError, match="not a plain file"):
+            open_map(name)
+    with pytest.raises(InputError, match="cannot be read"):
+        open_map("a\0b")
+
+
+def test_a_file_one_may_not_read(written, monkeypatch):
+    def denied(*_):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(os, "open", denied)  # file modes would not stop root
+    with pytest.raises(InputError, match="Permission denied"):
+        open_map(written)
+
+
+@pytest.mark.parametrize(
+    "content", [b"PK\x03\x04" * 99, b"\x80\x04\x95pickle", b"x", b"\x00" * 500, b"<osm></osm>"]
+)
+def test_foreign_files(path, content):
+    path.write_bytes(content)
+    with pytest.raises(MapError, match=r"not a placegraph map; `placegraph city build`"):
+        open_map(path)
+
+
+def test_a_file_that_went_through_a_text_transfer(written):
+    written.write_bytes(written.read_bytes().replace(b"\r\n", b"\n"))
+    with pytest.raises(MapError, match="not a placegraph map"):
+        open_map(written)
+
+
+def test_another_kind(path):
+    write_map(path, "scene", 1, {}, {})
+    with pytest.raises(MapError, match="is a scene map, not a city map"):
+        read_map(path, "city", 1)
+    with pytest.raises(MapError, match="scene map, which this placegraph does not know"):
+        open_map(path)
+
+
+def test_a_newer_version_of_the_columns(path):
+    write_map(path, "city", 99, {}, {})
+    with pytest.raises(MapError, match=r"version 99.*reads up to 1; update placegraph"):
+        read_map(path, "city", 1)
+    with pytest.raises(MapError, match="version 99"):
+        open_map(path)
+
+
+def test_a_newer_layout(path):
+    with pytest.raises(MapError, match=r"file layout 2.*update placegraph"):
+        read_header(forged(path, container=2))
+
+
+def test_an_older_version_is_still_read(path):
+    write_map(path, "city", 1, {}, {})
+    assert read_map(path, "city", 5).header.version == 1
+
+
+def lies(tail):
+    """Headers whose checksums are right and whose contents are not."""
+    huge = 1 << 40
+    bomb = zlib.compress(bytes(1 << 20), 9)
+    return {
+        "more data than so short a file can hold": (tail, [entry(tail, shape=[huge])]),
+        "as long as its header says": (tail, [entry(tail, shape=[3])]),
+        "bytes, which is not what": (tail, [entry(tail, length=7)]),
+        "is not understood.*": (tail, [entry(tail, offset=4)]),
+        "is not understood.*shape": (tail, [entry(tail, shape=[-2])]),
+        "is not understood.*'2'": (tail, [entry(tail, shape=["2"])]),
+        "is not understood.*dtype": (tail, [entry(tail, dtype="|O")]),
+        "is not understood.*codec": (tail, [entry(tail, codec="pickle")]),
+        "is not understood.*filter": (tail, [entry(tail, filter="xor")]),
+        "is not understood.*one name": (tail * 2, [entry(tail), entry(tail, offset=len(tail))]),
+        "is not understood.*extra": (tail, [entry(tail, extra=1)]),
+        "as long as its header": (bomb, [entry(bomb, codec="zlib")]),
+        "header says": (tail, [entry(tail, codec="lzma")]),
+        "neither true nor false": (tail, [entry(tail, dtype="|b1", shape=[8])]),
+        "checksum": (tail, [entry(tail, crc32=1)]),
+    }
+
+
+TAIL = struct.pack("<ii", 2, 3)
+
+
+@pytest.mark.parametrize("sentence", lies(TAIL))
+def test_headers_that_lie(path, sentence):
+    tail, table = lies(TAIL)[sentence]
+    with pytest.raises(MapError, match=f"is damaged: .*{sentence}.*[Bb]uild the map again"):
+        read_map(forged(path, tail=tail, arrays=table), "city", 1)
+
+
+def test_an_honest_forgery_is_read(path):
+    """So that the test above fails for the reasons it names."""
+    found = read_map(forged(path, tail=TAIL, arrays=[entry(TAIL)]), "city", 1)
+    assert found.arrays["a"].tolist() == [2, 3]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"kind": 1}, {"version": "1"}, {"meta": []}, {"arrays": 3}, {"arrays": [3]}, {"arrays": [{}]}],
+    ids=str,
+)
+def test_headers_of_another_shape(path, changes):
+    with pytest.raises(MapError, match="is damaged: its header is not understood"):
+        read_header(forged(path, **changes))
+
+
+@pytest.mark.parametrize("text", [b"[" * 200_000, b"{", b"[]", b"\xff", b"1" * 9999])
+def test_headers_that_are_no_header(path, text):
+    body = struct.pack("<8sIII", store.MAGIC, 1, len(text), zlib.crc32(text)) + text
+    path.write_bytes(body + sha256(body).digest())
+    with pytest.raises(MapError, match="is damaged"):
+        read_header(path)
+
+
+def test_a_bomb_is_not_unpacked(path):
+    """A gigabyte of zeros in 1 MB: refused before it is allocated."""
+    bomb = zlib.compress(bytes(1 << 20), 9)
+    table = [entry(bomb, codec="zlib", dtype="|u1", shape=[1 << 34])]
+    with pytest.raises(MapError, match="more data than"):
+        read_map(forged(path, tail=bomb, arrays=table), "city", 1)
+
+
+# --- fuzz: always a typed error, never another one, never a hang ---
+
+
+def test_truncated_anywhere(written):
+    whole = written.read_bytes()
+    spots = {*range(200), *range(len(whole) - 50, len(whole)), *range(0, len(whole), 501)}
+    for spot in sorted(spots):
+        written.write_bytes(whole[:spot])
+        with pytest.raises(REFUSALS):
+            read_map(written, "city", 1)
+
+
+def test_bytes_flipped_anywhere(written, rng):
+    whole = bytearray(written.read_bytes())
+    spots = {*range(64), *rng.integers(0, len(whole), 400).tolist(), len(whole) - 1}
+    for spot in sorted(spots):
+        flip = int(rng.integers(1, 256))
+        whole[spot] ^= flip
+        written.write_bytes(whole)
+        with pytest.raises(MapError):
+            read_map(written, "city", 1)
+        whole[spot] ^= flip
+    written.write_bytes(whole)
+    assert read_map(written, "city", 1).meta == {"cells": 7}
+
+
+def test_bytes_appended(written):
+    written.write_bytes(written.read_bytes() + b"\0")
+    with pytest.raises(MapError, match="is damaged"):
+        read_map(written, "city", 1)
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_behind_the_magic(tmp_path_factory, junk):
+    path = tmp_path_factory.mktemp("junk") / "x"
+    path.write_bytes(store.MAGIC + junk)
+    with pytest.raises(MapError):
+        read_map(path, "city", 1)
+
+
+@given(
+    st.sampled_from(sorted(columns.CODECS)),
+    st.sampled_from(sorted(columns.FILTERS)),
+    st.binary(max_size=200),
+    st.sampled_from(sorted(columns.DTYPES)),
+    st.lists(st.integers(0, 9), min_size=1, max_size=3).map(tuple),
+)
+def test_any_block_is_an_array_or_refused(codec, filter_, block, dtype, shape):
+    try:
+        array = columns.unpack(codec, filter_, memoryview(block), dtype, shape)
+    except ValueError:
+        return
+    assert array.shape == shape
+    assert array.dtype == np.dtype(dtype)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=5,
+)
+
+
+@given(st.sampled_from(["kind", "version", "meta", "arrays"]), json_values)
+def test_any_json_as_header(tmp_path_factory, key, value):
+    path = tmp_path_factory.mktemp("json") / "x"
+    try:
+        read_map(forged(path, **{key: value}), "city", 1)
+    except REFUSALS:
+        return
+    assert isinstance({"kind": "city", "version": 1, "meta": {}}.get(key, []), type(value))
+
+
+@given(st.sampled_from(sorted(entry(TAIL))), json_values)
+def test_any_json_in_the_table(tmp_path_factory, key, value):
+    path = tmp_path_factory.mktemp("json") / "x"
+    try:
+        found = read_map(forged(path, tail=TAIL, arrays=[entry(TAIL, **{key: value})]), "city", 1)
+    except REFUSALS:
+        return
+    assert found.arrays[value if key == "name" else "a"].nbytes == len(TAIL)
