@@ -1,0 +1,245 @@
+"""What an extract holds, read without the package's own reader, vocabulary or cells.
+
+The evaluation must not share the map's mistakes: this reader goes from osmium straight to arrays,
+with its own choice of keys (`KEYS`) and its own rule for what is a line and what an area.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.errors import InputError
+from placegraph.geometry import Floats, LocalPlane
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+Ints = NDArray[np.int64]
+
+POINT, LINE, AREA = 0, 1, 2
+
+KEYS = (
+    "amenity",
+    "shop",
+    "tourism",
+    "leisure",
+    "historic",
+    "office",
+    "craft",
+    "healthcare",
+    "emergency",
+    "man_made",
+    "railway",
+    "aeroway",
+    "natural",
+    "waterway",
+    "barrier",
+    "highway",
+    "public_transport",
+    "power",
+    "building",
+    "landuse",
+)
+"""Keys that make an element an object. The first one it carries gives its label."""
+
+_LINEAR = {
+    "barrier": frozenset[str](),
+    "highway": frozenset({"rest_area", "services", "platform", "pedestrian_area"}),
+    "railway": frozenset({"station", "platform", "roundhouse", "turntable"}),
+    "waterway": frozenset({"riverbank", "dock", "boatyard", "dam"}),
+    "aeroway": frozenset({"aerodrome", "apron", "helipad", "terminal", "hangar"}),
+    "power": frozenset({"substation", "plant", "generator", "station"}),
+}
+"""Keys whose closed ways are lines, with the values that are areas all the same."""
+
+_LINEAR_VALUES = {
+    "natural": frozenset({"coastline", "cliff", "tree_row", "ridge"}),
+    "man_made": frozenset({"embankment", "pipeline", "cutline", "breakwater"}),
+}
+
+
+@dataclass(frozen=True)
+class RawCity:
+    """Tagged objects of an extract; row i of every column is one object."""
+
+    plane: LocalPlane
+    osm: tuple[str, ...]
+    """OpenStreetMap's own ids: ``node/1``, ``way/2``, ``relation/3``."""
+    kind: NDArray[np.uint8]
+    """(N,) POINT, LINE or AREA."""
+    key: NDArray[np.int16]
+    """(N,) index into `KEYS`."""
+    label: NDArray[np.int32]
+    """(N,) index into `labels`: tag values."""
+    named: NDArray[np.int32]
+    """(N,) index into `labels`: the name where there is one, else the tag value."""
+    labels: tuple[str, ...]
+    """Tag values and names, sorted."""
+    center: Floats
+    """(N, 2) east, north [m]: the point, the middle of the line, the centroid of the area."""
+    segment_starts: Ints
+    """(N + 1,) segments of an object; a point is one segment without length."""
+    segments: Floats
+    """(S, 4) east, north of both ends [m]."""
+
+    def __len__(self) -> int:
+        return len(self.osm)
+
+    @cached_property
+    def rows(self) -> dict[str, int]:
+        """Row of every OpenStreetMap id."""
+        return {osm: i for i, osm in enumerate(self.osm)}
+
+
+def tag_label(tags: Mapping[str, str]) -> tuple[int, str] | None:
+    """Index into `KEYS` and label of an element, or None where it has none of the keys.
+
+    The label is the value of the first key, its first part where it lists several
+    (``cafe;bar``), and the key itself where the value says no more than ``yes``.
+    """
+    for index, key in enumerate(KEYS):
+        value = tags.get(key, "").split(";")[0].strip().replace(" ", "_")
+        if value and value != "no":
+            return index, key if value == "yes" else value
+    return None
+
+
+def is_area(tags: Mapping[str, str]) -> bool:
+    """Whether a closed way with these tags is an area (else it is a ring-shaped line)."""
+    if "area" in tags:
+        return tags["area"] != "no"
+    found = tag_label(tags)
+    if found is None:
+        return False
+    key, value = KEYS[found[0]], found[1]
+    if key in _LINEAR:
+        return value in _LINEAR[key]
+    return value not in _LINEAR_VALUES.get(key, ())
+
+
+class _Columns:
+    """Grows the columns of a `RawCity`."""
+
+    def __init__(self) -> None:
+        self.osm: list[str] = []
+        self.kind: list[int] = []
+        self.key: list[int] = []
+        self.label: list[str] = []
+        self.named: list[str] = []
+        self.parts: list[list[Floats]] = []
+
+    def add(self, osm: str, kind: int, tags: Mapping[str, str], parts: list[Floats]) -> None:
+        found = tag_label(tags)
+        if found is None or not parts:
+            return
+        key, label = found
+        name = " ".join(tags.get("name", "").split()).replace(" ", "_")
+        self.osm.append(osm)
+        self.kind.append(kind)
+        self.key.append(key)
+        self.label.append(label)
+        self.named.append(name or label)
+        self.parts.append(parts)
+
+    def to_city(self, origin: str) -> RawCity:
+        if not self.osm:
+            raise InputError(f"{origin} holds no tagged object; give an extract with some.")
+        points = np.concatenate([p for parts in self.parts for p in parts])
+        low, high = points.min(0), points.max(0)
+        plane = LocalPlane(*(0.5 * (low + high)).tolist())
+        segments, counts, centers = [], [], []
+        for kind, lonlat in zip(self.kind, self.parts, strict=True):
+            parts = [plane.to_plane(p) for p in lonlat]
+            pieces = [_segments(p) for p in parts]
+            segments.extend(pieces)
+            counts.append(sum(map(len, pieces)))
+            centers.append(_center(kind, np.concatenate(pieces)))
+        labels = sorted({*self.label, *self.named})
+        number = {label: i for i, label in enumerate(labels)}
+        return RawCity(
+            plane=plane,
+            osm=tuple(self.osm),
+            kind=np.array(self.kind, np.uint8),
+            key=np.array(self.key, np.int16),
+            label=np.array([number[x] for x in self.label], np.int32),
+            named=np.array([number[x] for x in self.named], np.int32),
+            labels=tuple(labels),
+            center=np.array(centers),
+            segment_starts=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            segments=np.concatenate(segments),
+        )
+
+
+def _segments(points: Floats) -> Floats:
+    """Segments (max(n - 1, 1), 4) of a line of points (n, 2)."""
+    if len(points) == 1:
+        return np.hstack([points, points])
+    return np.hstack([points[:-1], points[1:]])
+
+
+def _center(kind: int, segments: Floats) -> Floats:
+    """Middle of a line by length, centroid of an area (holes taken out), or the point itself."""
+    a, b = segments[:, :2], segments[:, 2:]
+    if kind == AREA:
+        origin = a[0]
+        p, q = a - origin, b - origin
+        cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+        if abs(cross.sum()) > 1e-6:
+            # osmium winds outer rings one way and inner rings the other: holes are subtracted
+            return np.asarray(origin + ((p + q) * cross[:, None]).sum(0) / (3.0 * cross.sum()))
+    length = np.hypot(*(b - a).T)
+    total = length.sum()
+    if total == 0.0:
+        return np.asarray(a[0])
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    i = int(np.searchsorted(along, 0.5 * total, side="right")) - 1
+    i = min(i, len(length) - 1)
+    return np.asarray(a[i] + (b[i] - a[i]) * (0.5 * total - along[i]) / max(length[i], 1e-9))
+
+
+def _lonlat(nodes: Iterable[Any]) -> Floats:
+    """Coordinates (n, 2) [deg] of the nodes whose location the extract holds."""
+    found = [(n.lon, n.lat) for n in nodes if n.location.valid()]
+    return np.array(found, np.float64).reshape(-1, 2)
+
+
+def read_raw(path: str | Path) -> RawCity:
+    """Read the tagged objects of an OpenStreetMap extract.
+
+    Closed ways become areas by `is_area`, multipolygon relations by osmium's assembler; nodes
+    that a clipped extract lacks are left out of their lines.
+
+    Raises
+    ------
+    InputError
+        Where osmium cannot read the file, or it holds no tagged object.
+    """
+    import osmium
+
+    columns = _Columns()
+    objects = osmium.FileProcessor(str(path)).with_locations().with_areas()
+    objects = objects.with_filter(osmium.filter.KeyFilter(*KEYS))
+    try:
+        for o in objects:
+            tags = {t.k: t.v for t in o.tags}
+            if isinstance(o, osmium.osm.Node):
+                if o.location.valid():
+                    columns.add(f"node/{o.id}", POINT, tags, [np.array([[o.lon, o.lat]])])
+            elif isinstance(o, osmium.osm.Way):
+                line = _lonlat(o.nodes)
+                if len(line) > 1 and not (o.is_closed() and is_area(tags)):
+                    columns.add(f"way/{o.id}", LINE, tags, [line])
+            elif isinstance(o, osmium.osm.Area) and (not o.from_way() or is_area(tags)):
+                rings = [_lonlat(r) for r in o.outer_rings()]
+                rings += [_lonlat(r) for outer in o.outer_rings() for r in o.inner_rings(outer)]
+                kind = "way" if o.from_way() else "relation"
+                columns.add(f"{kind}/{o.orig_id()}", AREA, tags, [r for r in rings if len(r) > 3])
+    except RuntimeError as error:
+        raise InputError(f"{path} cannot be read as OpenStreetMap data: {error}") from error
+    return columns.to_city(str(path))
