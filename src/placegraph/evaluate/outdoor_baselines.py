@@ -76,7 +76,7 @@ class Bag:
         around = bins.around(centers, reach, position)
         kept = np.flatnonzero(np.diff(around.starts))
         label = city.named if names else city.label
-        cell, word = _words(kind, centers, around, label, len(city.labels), longest)
+        cell, word = words_around(kind, centers, around, label, len(city.labels), longest)
         number = np.full(len(centers), -1)
         number[kept] = np.arange(len(kept))
         pairs = np.unique(np.stack([word, number[cell]]), axis=1)
@@ -97,7 +97,7 @@ class Bag:
     def scores(self, query: Query) -> Floats:
         """Sum (C,) of the idf of the query's words that a cell holds."""
         total = self.tie_breaks.copy()
-        words = self._spoken(query)
+        words = spoken(query, self.kind, self.label_number)
         at = np.minimum(np.searchsorted(self.words, words), len(self.words) - 1)
         for i in at[self.words[at] == words]:
             total[self.cells[self.starts[i] : self.starts[i + 1]]] += self.idf[i]
@@ -109,25 +109,27 @@ class Bag:
         best = np.argpartition(-scores, min(top, len(scores) - 1))[:top]
         return self.plane.to_lonlat(self.centers[best[np.argsort(-scores[best])]])
 
-    def _spoken(self, query: Query) -> Ints:
-        number, labels = self.label_number, len(self.label_number)
-        if self.kind == "labels":
-            ends = {end for s in query.said for end in (s.source, s.target) if end}
-            return np.unique([number[end] for end in ends])
-        return np.unique(
-            [
-                encode(
-                    number[s.source],
-                    DIRECTIONS.index(s.direction),
-                    number[s.target] if s.target else labels,
-                    labels + 1,
-                )
-                for s in query.said
-            ]
-        )
+
+def spoken(query: Query, kind: Words, number: dict[str, int]) -> Ints:
+    """Distinct words of a query, rising; `number` counts the labels."""
+    if kind == "labels":
+        ends = {end for s in query.said for end in (s.source, s.target) if end}
+        return np.unique([number[end] for end in ends])
+    speaker = labels = len(number)
+    return np.unique(
+        [
+            encode(
+                number[s.source],
+                DIRECTIONS.index(s.direction),
+                number[s.target] if s.target else speaker,
+                labels + 1,
+            )
+            for s in query.said
+        ]
+    )
 
 
-def _words(
+def words_around(
     kind: Words,
     centers: Floats,
     around: Around,
@@ -135,7 +137,10 @@ def _words(
     labels: int,
     longest: float,
 ) -> tuple[Ints, Ints]:
-    """Cell and word of everything that the bags hold."""
+    """Row of `centers` (C, 2) and word of everything around them.
+
+    `longest` is how far apart the objects of a triple may be [m].
+    """
     cell = np.repeat(np.arange(len(centers)), np.diff(around.starts))
     if kind == "labels":
         return cell, label[around.objects].astype(np.int64)

@@ -90,6 +90,7 @@ def make_queries(
     seed: int = 0,
     position: Position = "nearest",
     same_label: bool = False,
+    anywhere: bool = False,
 ) -> list[Query]:
     """Make `n` queries of `statements` sentences each from an OpenStreetMap extract.
 
@@ -103,6 +104,9 @@ def make_queries(
         centre, and only objects whose centre is within 25 m are spoken of.
     same_label
         Also say "The building is on the north of the building."
+    anywhere
+        Draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid of
+        cells is then no longer told where to look.
 
     Raises
     ------
@@ -122,7 +126,8 @@ def make_queries(
     generator = _Speaker(bins, setting, statements, position, same_label=same_label)
     queries: list[Query] = []
     for _ in range(100):
-        viewpoints = centers[place.choice(np.flatnonzero(full), n)] + _jitter(place, n)
+        viewpoints = centers[place.choice(np.flatnonzero(full), n)]
+        viewpoints += _offsets(place, n, anywhere=anywhere)
         for viewpoint, stream in zip(viewpoints, speech.spawn(n), strict=True):
             query = generator.describe(viewpoint, stream)
             if query is not None:
@@ -134,8 +139,10 @@ def make_queries(
     )
 
 
-def _jitter(rng: Generator, n: int) -> Floats:
-    """Offsets (n, 2) uniform over a disk of radius `JITTER` [m]."""
+def _offsets(rng: Generator, n: int, *, anywhere: bool) -> Floats:
+    """Offsets (n, 2) from cell centres, uniform over a disk of radius `JITTER`, or a cell [m]."""
+    if anywhere:
+        return CELL * (rng.random((n, 2)) - 0.5)
     radius, angle = JITTER * np.sqrt(rng.random(n)), 2.0 * np.pi * rng.random(n)
     return np.asarray(np.stack([radius * np.sin(angle), radius * np.cos(angle)], 1))
 
