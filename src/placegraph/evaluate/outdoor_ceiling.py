@@ -47,69 +47,109 @@ class Ceiling:
         return float(np.minimum(room / (self.tied + 1), 1.0).mean())
 
 
-def ceiling(
-    bins: Bins,
-    queries: Sequence[Query],
-    *,
-    apart: float | None = 50.0,
-    position: Position = "nearest",
-    names: bool = False,
-    step: float = STEP,
-) -> Ceiling:
-    """Rank the true place of every query among all places of a city.
+@dataclass(frozen=True)
+class Contest:
+    """Which viewpoints of a city serve which statements of a set of queries."""
 
-    Parameters
-    ----------
-    apart
-        A place is whatever lies within this distance of one viewpoint [m], and competitors are
-        counted so that no two are nearer. None: a place is a 50 m cell.
-    position, names
-        As the queries were made (`make_queries`).
-    step
-        Edge of the grid of viewpoints [m]; the true viewpoint itself is looked at too.
-    """
-    city = bins.city
-    label = city.named if names else city.label
-    number = {name: i for i, name in enumerate(city.labels)}
-    kind: Words = "triples" if all(s.target for q in queries for s in q.said) else "speaker"
-    wanted = [spoken(q, kind, number) for q in queries]
-    known = np.unique(np.concatenate(wanted))
-    truth = city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
+    asked: Ints
+    """(A,) statements (words) of all queries, one query after the other."""
+    asked_starts: Ints
+    """(Q + 1,)"""
+    served_starts: Ints
+    """(W + 1,) viewpoints that serve a statement."""
+    served: NDArray[np.int32]
+    own: Ints
+    """(Q,) statements that hold at the true viewpoint itself."""
+    truth: Floats
+    """(Q, 2) true viewpoints, in steps of the grid."""
+    column: NDArray[np.int32]
+    """(V, 2) viewpoints, in steps of the grid."""
+    square: NDArray[np.int32]
+    """Viewpoint of every square of the grid, -1 where there is none."""
+    step: float
 
-    def holding(viewpoints: Floats) -> tuple[Ints, Ints]:
-        """Viewpoint and word of everything a query asks for."""
-        around = bins.around(viewpoints, SIGHT, position)
-        at, word = words_around(kind, viewpoints, around, label, len(city.labels), SIGHT)
-        asked = np.minimum(np.searchsorted(known, word), len(known) - 1)
-        hit = known[asked] == word
-        pairs = np.unique(np.stack([asked[hit], at[hit]]), axis=1)
-        return pairs[1], pairs[0]
+    @classmethod
+    def of(
+        cls,
+        bins: Bins,
+        queries: Sequence[Query],
+        *,
+        position: Position = "nearest",
+        names: bool = False,
+        step: float = STEP,
+    ) -> Contest:
+        """Look at all viewpoints of a grid over the city.
 
-    grid = bins.centers(step)
-    found = [holding(grid[i : i + CHUNK]) for i in range(0, len(grid), CHUNK)]
-    at = np.concatenate([v + i * CHUNK for i, (v, _) in enumerate(found)])
-    word = np.concatenate([w for _, w in found])
-    order = np.argsort(word, kind="stable")
-    starts = np.searchsorted(word[order], np.arange(len(known) + 1))
-    at = at[order].astype(np.int32)
+        Parameters
+        ----------
+        queries
+            All about pairs of objects, or all about the speaker.
+        position, names
+            As the queries were made (`make_queries`).
+        step
+            Edge of the grid [m]: 50 / step is a whole number.
+        """
+        city = bins.city
+        label = city.named if names else city.label
+        number = {name: i for i, name in enumerate(city.labels)}
+        kind: Words = "triples" if queries[0].said[0].target else "speaker"
+        wanted = [spoken(q, kind, number) for q in queries]
+        known = np.unique(np.concatenate(wanted))
+        truth = city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
 
-    own_at, own_word = holding(truth)
-    column = np.round((grid - bins.low) / step - 0.5).astype(np.int32)
-    square = np.full(column.max(0) + 1, -1, np.int32)  # viewpoint of every square of the grid
-    square[column[:, 0], column[:, 1]] = np.arange(len(grid))
-    counts = _rank(
-        asked=np.concatenate([np.searchsorted(known, w) for w in wanted]),
-        asked_starts=np.concatenate([[0], np.cumsum([len(w) for w in wanted])]),
-        postings=(starts, at),
-        own=np.array(
-            [np.isin(known[own_word[own_at == q]], w).sum() for q, w in enumerate(wanted)]
-        ),
-        truth=(truth - bins.low) / step - 0.5,
-        squares=(column, square),
-        apart=(CELL if apart is None else apart) / step,
-        by_cell=apart is None,
-    )
-    return Ceiling(better=counts[:, 0], tied=counts[:, 1])
+        def holding(viewpoints: Floats) -> tuple[Ints, Ints]:
+            """Viewpoint and word of everything that a query asks for."""
+            around = bins.around(viewpoints, SIGHT, position)
+            at, word = words_around(kind, viewpoints, around, label, len(city.labels), SIGHT)
+            asked = np.minimum(np.searchsorted(known, word), len(known) - 1)
+            hit = known[asked] == word
+            pairs = np.unique(np.stack([asked[hit], at[hit]]), axis=1)
+            return pairs[1], pairs[0]
+
+        grid = bins.centers(step)
+        found = [holding(grid[i : i + CHUNK]) for i in range(0, len(grid), CHUNK)]
+        at = np.concatenate([v + i * CHUNK for i, (v, _) in enumerate(found)])
+        word = np.concatenate([w for _, w in found])
+        order = np.argsort(word, kind="stable")
+        own_at, own_word = holding(truth)
+        own_at, own_word = own_at[np.argsort(own_at)], own_word[np.argsort(own_at)]
+        own_starts = np.searchsorted(own_at, np.arange(len(queries) + 1))
+        column = np.round((grid - bins.low) / step - 0.5).astype(np.int32)
+        square = np.full(column.max(0) + 1, -1, np.int32)
+        square[column[:, 0], column[:, 1]] = np.arange(len(grid))
+        return cls(
+            asked=np.concatenate([np.searchsorted(known, w) for w in wanted]),
+            asked_starts=np.concatenate([[0], np.cumsum([len(w) for w in wanted])]),
+            served_starts=np.searchsorted(word[order], np.arange(len(known) + 1)),
+            served=at[order].astype(np.int32),
+            own=np.array(
+                [
+                    np.isin(known[own_word[own_starts[q] : own_starts[q + 1]]], w).sum()
+                    for q, w in enumerate(wanted)
+                ]
+            ),
+            truth=(truth - bins.low) / step - 0.5,
+            column=column,
+            square=square,
+            step=step,
+        )
+
+    def ceiling(self, apart: float | None = 50.0) -> Ceiling:
+        """Rank the true place of every query among all places of the city.
+
+        `apart`: a place is whatever lies within this distance of one viewpoint [m], and no two
+        competitors are nearer to each other. None: a place is a 50 m cell.
+        """
+        counts = _rank(
+            (self.asked, self.asked_starts),
+            (self.served_starts, self.served),
+            (self.column, self.square),
+            self.own,
+            self.truth,
+            (CELL if apart is None else apart) / self.step,
+            apart is None,
+        )
+        return Ceiling(better=counts[:, 0], tied=counts[:, 1])
 
 
 @njit(cache=True)
@@ -123,16 +163,16 @@ def _same_place(a: Floats, b: Floats, apart: float, by_cell: bool) -> bool:
 
 @njit(cache=True)
 def _rank(
-    asked: Ints,
-    asked_starts: Ints,
+    statements: tuple[Ints, Ints],
     postings: tuple[Ints, NDArray[np.int32]],
+    squares: tuple[NDArray[np.int32], NDArray[np.int32]],
     own: Ints,
     truth: Floats,
-    squares: tuple[NDArray[np.int32], NDArray[np.int32]],
     apart: float,
     by_cell: bool,
 ) -> Ints:
     """Places (Q, 2) with a better and with the same score as the true one, best first, greedily."""
+    asked, asked_starts = statements
     starts, at = postings
     column = squares[0]
     counts = np.zeros((len(own), 2), np.int64)
