@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.ask import Answer
     from placegraph.outdoor.description import Description
     from placegraph.outdoor.index import ViewIndex
+    from placegraph.outdoor.match import Scene
     from placegraph.outdoor.names import NameIndex
 
 KIND = "city"
@@ -239,6 +240,37 @@ class CityMap:
         from placegraph.outdoor.names import NameIndex
 
         return NameIndex.build(self.objects)
+
+    @cached_property
+    def label_index(self) -> dict[str, list[int]]:
+        """Rows of `objects.labels` by label and by ``key=*``."""
+        index: dict[str, list[int]] = {}
+        for row, label in enumerate(self.objects.labels):
+            index.setdefault(label, []).append(row)
+            wildcard = label.partition("=")[0] + "=*"
+            if wildcard != label:
+                index.setdefault(wildcard, []).append(row)
+        return index
+
+    @cached_property
+    def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Objects by token (label, then name), as CSR: starts and rows, ascending within a token."""
+        views = self.views
+        owner = np.repeat(np.arange(len(self.objects)), np.diff(views.token_starts))
+        order = np.argsort(views.token_values, kind="stable")
+        counts = np.bincount(views.token_values, minlength=len(views.posting_starts) - 1)
+        return np.concatenate(([0], np.cumsum(counts))), owner[order]
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Columns that the matching kernels read."""
+        from placegraph.outdoor.match import Scene
+
+        o, v = self.objects, self.views
+        return Scene(
+            o.kind, o.part_starts, o.point_starts, o.points, o.center,
+            v.token_starts, v.token_values, v.token_weights,
+        )  # fmt: skip
 
     def locate(
         self,

@@ -1,0 +1,169 @@
+"""Viewpoints of a city and what stands around each: what candidates are found by.
+
+A sentence is spoken somewhere, not "in a tile". Every 20 m where anything is in sight there is a
+viewpoint; for each the objects in sight are listed with their nearest points, and for each *token*
+(a label or a name) the viewpoints that have it in sight, as in an inverted index.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from placegraph.outdoor.raster import Grid, Sightings, sightings
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.city import CityObjects
+
+POINT, AREA = 0, 2
+STRIDE = 20.0
+"""Distance of neighbouring viewpoints [m]."""
+SIGHT = 27.0
+"""Distance at which half the things are still spoken of [m]."""
+FADE = 4.5
+"""Width of the fall around `SIGHT` [m]."""
+REACH = 45.0
+"""Beyond this distance a thing is not listed at a viewpoint [m]."""
+ENOUGH = 1.5
+"""A viewpoint needs this much in sight (sum of `sight`), or a point object close by."""
+SECOND_LABEL = (1.0, 0.35, 0.2)
+"""How readily a thing is called by its first, second, third ... label."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewIndex:
+    """Viewpoints (W), objects in sight of each (CSR), and viewpoints by token (CSR)."""
+
+    positions: NDArray[np.float32]
+    """(W, 2) east, north [m]."""
+    starts: NDArray[np.int64]
+    """(W + 1,) entries of a viewpoint."""
+    objects: NDArray[np.int32]
+    """(E,) row of the object in sight."""
+    offsets: NDArray[np.float32]
+    """(E, 2) its nearest point seen from the viewpoint [m]."""
+    sight: NDArray[np.float32]
+    """(E,) how readily a thing at this distance is spoken of, 0 to 1."""
+    total: NDArray[np.float32]
+    """(W,) sum of `sight` over a viewpoint's entries."""
+    pairs: NDArray[np.float32]
+    """(W,) sum of products of `sight` over ordered pairs of entries that one does not stand in."""
+    token_starts: NDArray[np.int32]
+    """(N + 1,) tokens of an object: its labels, then its names (shifted by the number of labels)."""
+    token_values: NDArray[np.int32]
+    token_weights: NDArray[np.float32]
+    """How readily the object is called so."""
+    posting_starts: NDArray[np.int64]
+    """(T + 1,) viewpoints of a token."""
+    posting_views: NDArray[np.int32]
+    """Viewpoint, ascending within a token."""
+    posting_mass: NDArray[np.float32]
+    """Sum of `sight` times token weight over the viewpoint's objects of this token."""
+
+    @classmethod
+    def build(cls, objects: CityObjects) -> ViewIndex:
+        """Viewpoints of a city; about 1 s for 50,000 objects."""
+        low, high = objects.points.min(axis=0) - REACH, objects.points.max(axis=0) + REACH
+        columns, rows = (int(n) for n in np.ceil((high - low) / STRIDE) + 1)
+        grid = Grid(float(low[0]), float(low[1]), STRIDE, columns, rows)
+        seen = sightings(
+            objects.kind, objects.part_starts, objects.point_starts, objects.points, grid=grid, radius=REACH
+        )
+        sight = fade(np.hypot(seen.offsets[:, 0], seen.offsets[:, 1]))
+        seen, sight = _worth_standing(seen, sight, objects.kind)
+        row, column = np.divmod(seen.points, columns)
+        positions = np.stack([low[0] + STRIDE * column, low[1] + STRIDE * row], axis=1)
+        total = np.add.reduceat(sight, seen.starts[:-1])
+        inside = (objects.kind[seen.objects] == AREA) & ~seen.offsets.any(axis=1)
+        apart = np.where(inside, np.float32(0.0), sight)  # what one stands in lies in no direction
+        pairs = np.add.reduceat(apart, seen.starts[:-1]) ** 2 - np.add.reduceat(apart * apart, seen.starts[:-1])
+        tokens = _tokens(objects)
+        n_tokens = len(objects.labels) + len(objects.names)
+        postings = _postings(seen.starts, seen.objects, sight, *tokens, n_tokens)
+        return cls(
+            positions.astype(np.float32),
+            seen.starts,
+            seen.objects,
+            seen.offsets,
+            sight,
+            total,
+            np.maximum(pairs, 0.0),
+            *tokens,
+            *postings,
+        )
+
+    def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
+        """Share of all things in sight, over all viewpoints, that these tokens stand for."""
+        mass = sum(
+            float(w) * float(self.posting_mass[self.posting_starts[t] : self.posting_starts[t + 1]].sum())
+            for t, w in zip(tokens, weights, strict=True)
+        )
+        return mass / float(self.total.sum())
+
+
+def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
+    """How readily a thing at `distance` [m] is spoken of, 0 to 1."""
+    return (1.0 / (1.0 + np.exp((distance - SIGHT) / FADE))).astype(np.float32)
+
+
+def _worth_standing(
+    seen: Sightings, sight: NDArray[np.float32], kind: NDArray[np.uint8]
+) -> tuple[Sightings, NDArray[np.float32]]:
+    """Drop viewpoints from which too little is seen to be told from their neighbours."""
+    total = np.add.reduceat(sight, seen.starts[:-1])
+    lone = (kind[seen.objects] == POINT) & (np.hypot(*seen.offsets.T) < STRIDE)
+    keep = (total >= ENOUGH) | np.logical_or.reduceat(lone, seen.starts[:-1])
+    entries = np.repeat(keep, np.diff(seen.starts))
+    starts = np.concatenate(([0], np.cumsum(np.diff(seen.starts)[keep])))
+    kept = Sightings(seen.points[keep], starts, seen.objects[entries], seen.offsets[entries])
+    return kept, sight[entries]
+
+
+def _tokens(
+    objects: CityObjects,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    n_labels, n_names = np.diff(objects.label_starts), np.diff(objects.name_starts)
+    starts = np.concatenate(([0], np.cumsum(n_labels + n_names))).astype(np.int32)
+    owner_label = np.repeat(np.arange(len(objects)), n_labels)
+    owner_name = np.repeat(np.arange(len(objects)), n_names)
+    rank = np.arange(len(owner_label)) - objects.label_starts[owner_label]
+    values = np.empty(starts[-1], np.int32)
+    weights = np.ones(starts[-1], np.float32)
+    at_label = starts[owner_label] + rank
+    values[at_label] = objects.label_values
+    weights[at_label] = np.array(SECOND_LABEL, np.float32)[np.minimum(rank, len(SECOND_LABEL) - 1)]
+    rank = np.arange(len(owner_name)) - objects.name_starts[owner_name]
+    values[starts[owner_name] + n_labels[owner_name] + rank] = objects.name_values + len(objects.labels)
+    return starts, values, weights
+
+
+@njit(cache=True, nogil=True)
+def _postings(starts, objects, sight, token_starts, token_values, token_weights, n_tokens):
+    sizes = np.zeros(n_tokens + 1, np.int64)
+    last = np.full(n_tokens, -1, np.int64)
+    for view in range(len(starts) - 1):
+        for e in range(starts[view], starts[view + 1]):
+            for t in range(token_starts[objects[e]], token_starts[objects[e] + 1]):
+                token = token_values[t]
+                if last[token] != view:
+                    last[token] = view
+                    sizes[token + 1] += 1
+    bounds = np.cumsum(sizes)
+    fill = bounds[:-1].copy()
+    views = np.empty(bounds[-1], np.int32)
+    mass = np.zeros(bounds[-1], np.float32)
+    last[:] = -1
+    for view in range(len(starts) - 1):
+        for e in range(starts[view], starts[view + 1]):
+            for t in range(token_starts[objects[e]], token_starts[objects[e] + 1]):
+                token = token_values[t]
+                if last[token] != view:
+                    last[token] = view
+                    views[fill[token]] = view
+                    fill[token] += 1
+                mass[fill[token] - 1] += sight[e] * token_weights[t]
+    return bounds, views, mass

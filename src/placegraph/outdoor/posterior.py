@@ -1,0 +1,112 @@
+"""From scored viewpoints to modes: probabilities over the whole city, and an honest status."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.estimate import Status
+
+TEMPER = 0.8
+"""Exponent of the likelihood: statements about one place are not independent."""
+ELSEWHERE = 0.01
+"""Prior probability that the place is not on the map."""
+WITHIN = 50.0
+"""A mode's probability is that of the true place lying within this distance [m]."""
+APART = 40.0
+"""Modes are at least this far apart [m]."""
+SURE = 0.7
+"""Probability of the best mode from which an estimate is OK."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probability of viewpoints; what is missing to 1 lies elsewhere or at viewpoints not scored."""
+
+    positions: NDArray[np.float64]
+    """(K, 2) east, north [m]."""
+    probabilities: NDArray[np.float64]
+    """(K,)"""
+    elsewhere: float
+    """Probability that the place is not on this map, or that the text is not about one."""
+
+
+def posterior(
+    positions: NDArray[np.float64],
+    scores: NDArray[np.float64],
+    log_prior: NDArray[np.float64],
+    floor: float,
+    rest: float,
+) -> Posterior:
+    """Bayes over viewpoints.
+
+    `scores` (K,) are log-likelihood ratios against anywhere, `log_prior` (K,) log shares of the
+    viewpoints, `floor` the ratio of a viewpoint that was not scored, `rest` their prior share.
+    """
+    weight = TEMPER * scores + log_prior + np.log1p(-ELSEWHERE)
+    unscored = TEMPER * floor + np.log(max(rest, 1e-12)) + np.log1p(-ELSEWHERE)
+    everything = np.concatenate((weight, [np.log(ELSEWHERE), unscored]))
+    log_total = np.logaddexp.reduce(everything)
+    return Posterior(positions, np.exp(weight - log_total), float(np.exp(np.log(ELSEWHERE) - log_total)))
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A peak of the posterior."""
+
+    position: NDArray[np.float64]
+    """(2,) east, north [m]."""
+    covariance: NDArray[np.float64]
+    """(2, 2) [m^2]."""
+    probability: float
+
+
+def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
+    """Peaks of the posterior, heaviest first; `spacing` [m] is the grid's, for the covariance's floor."""
+    left = found.probabilities.copy()
+    peaks: list[Mode] = []
+    smooth = _smoothed(found.positions, left)
+    while len(peaks) < top and len(left):
+        at = int(np.argmax(smooth))
+        if smooth[at] <= 1e-9:  # noqa: PLR2004 - nothing left
+            break
+        distance = np.hypot(*(found.positions - found.positions[at]).T)
+        near = distance <= APART
+        weights = np.where(near, left, 0.0)
+        if weights.sum() <= 0.0:
+            smooth[near] = 0.0
+            continue
+        position = weights @ found.positions / weights.sum()
+        delta = found.positions - position
+        covariance = (weights[:, None] * delta).T @ delta / weights.sum()
+        covariance += np.eye(2) * (spacing**2 / 12.0 + 1.0)
+        mass = np.where(np.hypot(*delta.T) <= WITHIN, left, 0.0)
+        peaks.append(Mode(position, covariance, float(mass.sum())))
+        left = left - mass
+        smooth[np.hypot(*delta.T) <= WITHIN] = 0.0
+        smooth[near] = 0.0
+    return sorted(peaks, key=lambda m: -m.probability)
+
+
+def _smoothed(positions: NDArray[np.float64], probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability within `APART` of the heaviest points (0 for light ones): peaks are broad, not sharp."""
+    smooth = np.zeros(len(positions))
+    heavy = np.argsort(-probabilities)[:64]
+    for i in heavy:
+        near = np.hypot(*(positions - positions[i]).T) <= APART
+        smooth[i] = probabilities[near].sum() + 1e-3 * probabilities[i]
+    return smooth
+
+
+def status_of(found: Posterior, peaks: list[Mode]) -> tuple[Status, str]:
+    """Status and the sentence that says why."""
+    if not peaks:
+        return Status.LOST, "Nothing on the map shares anything with the description."
+    best = peaks[0].probability
+    if found.elsewhere > 0.5:  # noqa: PLR2004 - more likely not here than here
+        return Status.LOST, "No place on the map fits the description better than chance."
+    if best >= SURE:
+        return Status.OK, f"One place holds {best:.0%} of the probability."
+    return Status.AMBIGUOUS, f"The best place holds only {best:.0%} of the probability; others fit as well."

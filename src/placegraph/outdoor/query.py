@@ -1,0 +1,217 @@
+"""A description compiled against a map: words become tokens, statements become columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Mention, Relation, Statement
+from placegraph.outdoor.match import ME, TABLE, Statements, direction_table
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.city import CityMap
+
+SLIP = 0.03
+"""Share of stated directions that are simply wrong."""
+NOISE = 0.05
+"""Share of statements about things that are not there, or that the map does not know."""
+KIND_ONLY = 0.03
+"""Weight of things of the right kind where a name was said: the map may lack the name."""
+FLOOR = 1e-7
+"""Things cannot be rarer than this share of all things in sight."""
+CROWD = 30.0
+"""Added to the number of pairs in sight, so that lonely places are not preferred."""
+MOST_FAR = 400
+"""Mentions of more objects than this are only looked for in sight."""
+RARE = 30
+"""Mentions of no more objects than this give candidates around them, out of sight."""
+NEARBY, FAR = 100.0, 350.0
+"""Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
+SALIENT = 30.0
+"""About so many things out of sight come to mind."""
+GEOMETRY = {
+    Relation.DIRECTION: 0.25,
+    Relation.NEAR: 0.4,
+    Relation.INSIDE: 0.2,
+    Relation.ALONG: 0.2,
+    Relation.ACROSS: 0.3,
+    Relation.BETWEEN: 0.1,
+    Relation.VISIBLE: 1.0,
+    Relation.SAME: 0.3,
+}
+"""P(the relation holds | two things in sight, anywhere)."""
+OPERATION = {relation: i for i, relation in enumerate(Relation)}
+
+
+@dataclass(frozen=True)
+class Far:
+    """Things rare enough to be spoken of from out of sight."""
+
+    starts: NDArray[np.int64]
+    """(M + 1,) objects of a mention; none where it is too common."""
+    objects: NDArray[np.int64]
+    fits: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    """(S,) how far a statement reaches [m]."""
+    share: NDArray[np.float32]
+    """(S,) how often it is said of one particular thing out of sight."""
+    anchors: NDArray[np.int64]
+    """Objects around which candidates are sought, the rarest mention's first."""
+
+
+@dataclass(frozen=True)
+class Query:
+    """A description, ready to be scored on one map."""
+
+    description: Description
+    used: tuple[Statement, ...]
+    """Statements that take part, in the order of the columns."""
+    unused: tuple[tuple[Statement, str], ...]
+    """Statements that cannot take part, and why."""
+    statements: Statements
+    mention_starts: NDArray[np.int64]
+    """(M + 1,) tokens of a mention; row m of the columns is `mentions[m + 2]` of the description."""
+    mention_tokens: NDArray[np.int32]
+    mention_weights: NDArray[np.float32]
+    far: Far | None
+    """None where everything is said of things in sight."""
+
+    def words(self, n_tokens: int) -> NDArray[np.float32]:
+        """How well a token fits a mention, (n_tokens, M) float32."""
+        table = np.zeros((n_tokens, len(self.mention_starts) - 1), np.float32)
+        owner = np.repeat(np.arange(len(self.mention_starts) - 1), np.diff(self.mention_starts))
+        table[self.mention_tokens, owner] = self.mention_weights
+        return table
+
+
+def compile_query(description: Description, city: CityMap) -> Query:
+    """Compile a description against a map (Eq. 3-4 meet Eq. 7-8)."""
+    mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
+    views = city.views
+    share = [views.frequency(tokens, weights) for tokens, weights in mentions]
+    used, unused = [], []
+    for statement in description.statements:
+        reason = _unusable(statement, description, mentions)
+        if reason:
+            unused.append((statement, reason))
+        else:
+            used.append(statement)
+    return Query(
+        description,
+        tuple(used),
+        tuple(unused),
+        _columns(used, description, share),
+        np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
+        np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
+        np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
+        _far(used, mentions, city),
+    )
+
+
+def _far(
+    used: list[Statement], mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]], city: CityMap
+) -> Far | None:
+    """Objects of rare mentions, where a statement may be about things out of sight."""
+    reaches = [s.far or s.distance is not None or SPEAKER in (s.source, s.target) for s in used]
+    if not any(reaches):
+        return None
+    members = [_members(tokens, weights, city) for tokens, weights in mentions]
+    spoken = {n - 2 for s, r in zip(used, reaches, strict=True) if r for n in (s.source, s.target) if n >= 2}  # noqa: PLR2004
+    rare = sorted((m for m in spoken if 0 < len(members[m][0]) <= RARE), key=lambda m: len(members[m][0]))
+    return Far(
+        starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
+        objects=np.concatenate([o for o, _ in members]),
+        fits=np.concatenate([f for _, f in members]),
+        scale=np.array([max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32),
+        share=np.array([(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)], np.float32),
+        anchors=np.concatenate([members[m][0] for m in rare] or [np.zeros(0, np.int64)]),
+    )
+
+
+def _members(
+    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Objects of a mention and how well it fits them; none where there are too many to be rare."""
+    starts, objects = city.token_objects
+    tokens, weights = tokens[weights > KIND_ONLY], weights[weights > KIND_ONLY]
+    sizes = starts[tokens + 1] - starts[tokens]
+    if not 0 < sizes.sum() <= MOST_FAR:
+        return np.zeros(0, np.int64), np.zeros(0, np.float32)
+    found = np.concatenate([objects[starts[t] : starts[t + 1]] for t in tokens])
+    fits = np.repeat(weights, sizes).astype(np.float32)
+    order = np.lexsort((-fits, found))
+    first = np.diff(found[order], prepend=-1) > 0
+    return found[order][first], fits[order][first]
+
+
+def _tokens(mention: Mention, city: CityMap) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Tokens that a mention may stand for on this map, and how well they fit."""
+    weights: dict[int, float] = {}
+    by_kind = KIND_ONLY if mention.name else 1.0
+    for sense in mention.senses:
+        for label in city.label_index.get(sense.label, ()):
+            weights[label] = max(weights.get(label, 0.0), by_kind * sense.weight)
+    shift = len(city.objects.labels)
+    for name, weight in city.name_index.named(mention.name or mention.words).items():
+        weights[name + shift] = weight
+    return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
+
+
+def _unusable(
+    statement: Statement,
+    description: Description,
+    mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+) -> str:
+    """Why a statement cannot be scored, or an empty string."""
+    ends = [n for n in (statement.source, statement.target, statement.target2) if n is not None]
+    if statement.relation is Relation.ACROSS:
+        ends = ends[:2]  # what lies between may be any road
+    if LISTENER in ends:
+        return "where you are is not known"
+    if all(node == SPEAKER for node in ends):
+        return "it says nothing about the place"
+    for node in ends:
+        if node != SPEAKER and not len(mentions[node - 2][0]):
+            words = description.mentions[node].name or description.mentions[node].words
+            return f"the map knows no {words!r}"
+    return ""
+
+
+def _columns(used: list[Statement], description: Description, share: list[float]) -> Statements:
+    n = len(used)
+
+    def mention(node: int | None) -> int:
+        return ME if node is None or node == SPEAKER else node - 2
+
+    bearing, table = np.zeros((n, 2), np.float32), np.zeros((n, TABLE), np.float32)
+    background = np.empty(n, np.float32)
+    for i, statement in enumerate(used):
+        angle = statement.bearing or 0.0
+        bearing[i] = sin(angle), cos(angle)
+        table[i] = direction_table(statement.bearing_sigma, SLIP)
+        ends = (statement.source, statement.target)
+        if statement.relation is Relation.BETWEEN:
+            ends = (*ends, statement.target2 or SPEAKER)
+        chance = GEOMETRY[statement.relation]
+        for node in ends:
+            chance *= 1.0 if node == SPEAKER else share[node - 2]
+        background[i] = max(chance, FLOOR)
+    counts = [description.mentions[s.source].count or 0 for s in used]
+    return Statements(
+        op=np.array([OPERATION[s.relation] for s in used], np.int64),
+        source=np.array([mention(s.source) for s in used], np.int64),
+        target=np.array([mention(s.target) for s in used], np.int64),
+        target2=np.array([mention(s.target2) for s in used], np.int64),
+        bearing=bearing,
+        table=table,
+        distance=np.array([s.distance or 0.0 for s in used], np.float32),
+        negated=np.array([s.negated for s in used], np.bool_),
+        count=np.array(counts, np.float32),
+        noise=np.array([1.0 - (1.0 - NOISE) * s.certainty for s in used], np.float32),
+        background=background,
+        crowd=CROWD,
+    )
