@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 POINT, AREA = 0, 2
 STRIDE = 20.0
 """Distance of neighbouring viewpoints [m]."""
-SIGHT = 27.0
+SIGHT = 25.0
 """Distance at which half the things are still spoken of [m]."""
-FADE = 4.5
+FADE = 3.5
 """Width of the fall around `SIGHT` [m]."""
 REACH = 45.0
 """Beyond this distance a thing is not listed at a viewpoint [m]."""

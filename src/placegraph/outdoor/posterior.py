@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from placegraph.estimate import Status
 
-TEMPER = 0.8
+TEMPER = 1.0
 """Exponent of the likelihood: statements about one place are not independent."""
 ELSEWHERE = 0.01
 """Prior probability that the place is not on the map."""

@@ -15,9 +15,9 @@ from placegraph.outdoor.match import ME, TABLE, Statements, direction_table
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
-SLIP = 0.03
+SLIP = 0.08
 """Share of stated directions that are simply wrong."""
-NOISE = 0.05
+NOISE = 0.12
 """Share of statements about things that are not there, or that the map does not know."""
 KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""

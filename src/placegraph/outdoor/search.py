@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.geometry import angle_between, bearing
-from placegraph.outdoor import match
-from placegraph.outdoor.index import FADE, REACH, SIGHT, STRIDE
+from placegraph.outdoor import scan
+from placegraph.outdoor.index import SIGHT, STRIDE
 from placegraph.outdoor.posterior import Posterior, posterior
 
 if TYPE_CHECKING:
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 MOST_CANDIDATES = 1500
 """At most this many viewpoints are scored."""
-SIGHT2, FADE2 = 25.0, 2.0
+SHARP = 2.0
+"""Width of the fall around `SIGHT` where positions are exact [m]."""
+TOGETHER = 0.3
+"""Prior probability that a mention means one and the same thing in all statements."""
 MARGIN = 7.0
 """Viewpoints that must lie this far behind the best are not scored [nat]."""
 CLOSER = 10
@@ -34,15 +37,6 @@ WALK = 600.0
 """Scale of the distance from a listener to the place they are told of [m]."""
 FINE = np.array([(x, y) for x in (-6.67, 0.0, 6.67) for y in (-6.67, 0.0, 6.67)])
 """... at these positions around them, east and north [m]."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """A posterior, and the log-likelihood ratios it came from."""
-
-    posterior: Posterior
-    scores: NDArray[np.float32]
-    """(K, S) of every position and statement."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +75,13 @@ def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.exp(-distance / WALK) * 1e6 / (2.0 * np.pi * WALK**2)
 
 
-def search(query: Query, city: CityMap, prior: Prior) -> Found:
+def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     """Score the viewpoints of a city."""
     views, scene = city.views, city.scene
     statements = query.statements
     words = query.words(len(views.posting_starts) - 1)
     most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
-    chosen, bounds = match.candidates(
+    chosen, bounds = scan.candidates(
         statements,
         query.mention_starts, query.mention_tokens, query.mention_weights,
         views.posting_starts, views.posting_views, views.posting_mass,
@@ -96,21 +90,20 @@ def search(query: Query, city: CityMap, prior: Prior) -> Found:
     far = np.zeros((len(chosen), len(statements.op)), np.float32)
     if query.far:
         chosen, bounds, far = _with_far(query, city, prior, chosen, bounds)
-    scores = match.score_views(
+    scores = scan.score_views(
         statements, scene, words, chosen, bounds,
         views.starts, views.objects, views.offsets, views.sight,
-        views.total, views.pairs, views.positions, far, MARGIN,
+        views.total, views.pairs, views.positions, far, TOGETHER, MARGIN,
     )  # fmt: skip
-    reached = np.isfinite(scores).all(axis=1)
+    reached = np.isfinite(scores)
     chosen, scores, far = chosen[reached], scores[reached], far[reached]
     positions = views.positions[chosen].astype(np.float64)
     log_prior = prior.log(positions, len(views.positions))
-    best = np.argsort(-(scores.sum(axis=1) + log_prior), kind="stable")[:CLOSER]
+    best = np.argsort(-(scores + log_prior), kind="stable")[:CLOSER]
     rest = 1.0 - len(chosen) / len(views.positions)
     positions, scores, log_prior = _closer(query, city, words, chosen, far, scores, log_prior, best)
     floor = float(np.log(statements.noise[~statements.negated]).sum())
-    total = scores.sum(axis=1).astype(np.float64)
-    return Found(posterior(positions, total, log_prior, floor, rest), scores)
+    return posterior(positions, scores.astype(np.float64), log_prior, floor, rest)
 
 
 def _with_far(
@@ -131,7 +124,7 @@ def _with_far(
         extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
         chosen = np.concatenate([chosen, extra])
         bounds = np.concatenate([bounds, np.ones(len(extra), np.float32)])
-    added = match.distant(
+    added = scan.distant(
         statements, far.scale, far.share, city.scene, far.starts, far.objects, far.fits,
         views.positions[chosen],
     )  # fmt: skip
@@ -161,9 +154,10 @@ def _closer(
         v = chosen[k]
         nearby = views.objects[views.starts[v] : views.starts[v + 1]]
         at = positions[k] + FINE
-        again, _ = match.look_again(
-            query.statements, scene, words, at, nearby, SIGHT2, FADE2, np.tile(far[k], (len(at), 1))
-        )
+        again, _, _ = scan.look_again(
+            query.statements, scene, words, at, nearby, SIGHT, SHARP,
+            np.tile(far[k], (len(at), 1)), TOGETHER, False,
+        )  # fmt: skip
         fine_at.append(at)
         fine_scores.append(again)
         fine_prior.append(np.full(len(at), log_prior[k] - np.log(len(at))))

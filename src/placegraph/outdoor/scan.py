@@ -1,0 +1,189 @@
+"""Which viewpoints are worth a look, and how they score: compiled loops over the view index."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from placegraph.outdoor.match import AREA, BETWEEN, DIRECTION, ME, _direction, _distance, likelihoods
+from placegraph.outdoor.raster import nearest_on_parts
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def candidates(statements, mention_starts, mention_tokens, mention_weights, posting_starts, posting_views, posting_mass, total, pairs, most):  # fmt: skip
+    """Viewpoints (K,) worth scoring, the most promising first, and their bounds.
+
+    Only viewpoints that have all things of at least one statement in sight are touched. The bound
+    is the likelihood ratio that the statements would have if every direction were right.
+    """
+    n_views, n_mentions = len(total), len(mention_starts) - 1
+    mass = np.zeros((n_mentions, n_views), np.float32)
+    length = np.zeros(n_mentions, np.int64)
+    for m in range(n_mentions):
+        for k in range(mention_starts[m], mention_starts[m + 1]):
+            token, weight = mention_tokens[k], mention_weights[k]
+            for p in range(posting_starts[token], posting_starts[token + 1]):
+                mass[m, posting_views[p]] += weight * posting_mass[p]
+            length[m] += posting_starts[token + 1] - posting_starts[token]
+    bound = np.zeros(n_views, np.float32)
+    touched = np.empty(n_views, np.int32)
+    n_touched = 0
+    for s in range(len(statements.op)):
+        if statements.negated[s]:
+            continue
+        a, b = statements.source[s], statements.target[s]
+        if statements.op[s] == BETWEEN and a == ME:
+            a = statements.target2[s]
+        if a == ME and b == ME:
+            continue
+        if a == ME or (b != ME and length[b] < length[a]):
+            a, b = b, a
+        gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
+        for k in range(mention_starts[a], mention_starts[a + 1]):
+            token = mention_tokens[k]
+            for p in range(posting_starts[token], posting_starts[token + 1]):
+                view = posting_views[p]
+                part = mention_weights[k] * posting_mass[p]
+                if b == ME:
+                    part /= total[view]
+                elif mass[b, view] > 0.0:
+                    part *= mass[b, view] / (pairs[view] + statements.crowd)
+                else:
+                    continue
+                if bound[view] == 0.0:
+                    bound[view] = 1.0
+                    touched[n_touched] = view
+                    n_touched += 1
+                bound[view] *= 1.0 + gain * min(part, np.float32(1.0))
+    return _heaviest(bound, touched[:n_touched], most)
+
+
+@njit(cache=True, nogil=True)
+def _heaviest(bound, touched, most):
+    """The `most` touched views of largest bound, largest first (buckets by the exponent's bits)."""
+    bits = bound.view(np.int32)
+    histogram = np.zeros(1 << 12, np.int64)
+    for view in touched:
+        histogram[bits[view] >> 19] += 1
+    floor, kept = len(histogram) - 1, histogram[-1]
+    while floor > 0 and kept + histogram[floor - 1] <= most:
+        floor -= 1
+        kept += histogram[floor]
+    if kept == 0 and floor > 0:  # one bucket holds more than may be kept: keep the first of it
+        floor -= 1
+        kept = min(histogram[floor], most)
+    chosen = np.empty(kept, np.int32)
+    n = 0
+    for view in touched:
+        if n < kept and bits[view] >> 19 >= floor:
+            chosen[n] = view
+            n += 1
+    order = np.argsort(-bound[chosen[:n]])
+    return chosen[:n][order], bound[chosen[:n]][order]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def score_views(statements, scene, words, views, bounds, starts, objects, offsets, sight, total, pairs, positions, far, together, margin):  # fmt: skip
+    """Log-likelihood ratios (K,) of candidates, best bounds first.
+
+    Stops where a bound lies more than `margin` [nat] below the best score so far: nothing behind it
+    can matter. Rows not reached are -inf.
+    """
+    n_statements = len(statements.op)
+    scores = np.full(len(views), -np.inf, np.float32)
+    each = np.empty(n_statements, np.float32)
+    nothing = np.empty((0, 2), np.int64)
+    best = -np.inf
+    for k in range(len(views)):
+        ceiling = np.log(bounds[k])
+        for s in range(n_statements):
+            ceiling += np.log(statements.noise[s]) if not statements.negated[s] else 0.0
+        if ceiling + 3.0 < best - margin:
+            break
+        v = views[k]
+        a, b = starts[v], starts[v + 1]
+        scores[k] = likelihoods(
+            statements, scene, words, objects[a:b], offsets[a:b], sight[a:b],
+            total[v], pairs[v], positions[v], far[k], together, each, nothing,
+        )  # fmt: skip
+        best = max(best, scores[k])
+    return scores
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def look_again(statements, scene, words, at, nearby, sight_at, fade, far, together, assign):
+    """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
+
+    Nearest points are computed anew from the geometry, so that a position between viewpoints sees
+    roads and walls where they are. Also returns the ratios of each statement (K, S) and, if
+    `assign`, the objects that serve it (K, S, 2).
+    """
+    n_statements = len(statements.op)
+    scores = np.empty(len(at), np.float32)
+    each = np.empty((len(at), n_statements), np.float32)
+    served = np.empty((len(at), n_statements if assign else 0, 2), np.int64)
+    where = np.empty((len(nearby), 2), np.float32)
+    sight = np.empty(len(nearby), np.float32)
+    for k in range(len(at)):
+        total = apart = squares = np.float32(0.0)
+        for i in range(len(nearby)):
+            o = nearby[i]
+            e, n, d2 = nearest_on_parts(
+                scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o, at[k, 0], at[k, 1]
+            )
+            where[i, 0], where[i, 1] = e, n
+            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - sight_at) / fade))
+            total += sight[i]
+            if scene.kind[o] != AREA or d2 > 0.0:
+                apart += sight[i]
+                squares += sight[i] * sight[i]
+        pairs = max(apart * apart - squares, np.float32(0.0))
+        scores[k] = likelihoods(
+            statements, scene, words, nearby, where, sight, total, pairs,
+            at[k], far[k], together, each[k], served[k],
+        )  # fmt: skip
+    return scores, each, served
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def distant(statements, scale, share, scene, mention_starts, mention_objects, mention_fits, positions):  # fmt: skip
+    """What things out of sight add to P(statement | position), (K, S) float32.
+
+    `mention_objects` (CSR by mention) lists all objects of mentions rare enough to be spoken of from
+    afar; `scale` (S,) is how far that reaches [m], `share` (S,) how often it happens. In a relation
+    of two things the one that is not listed stands where the speaker stands, nearly enough.
+    """
+    out = np.zeros((len(positions), len(statements.op)), np.float32)
+    for s in range(len(statements.op)):
+        a, b = statements.source[s], statements.target[s]
+        n_a = mention_starts[a + 1] - mention_starts[a] if a != ME else 0
+        n_b = mention_starts[b + 1] - mention_starts[b] if b != ME else 0
+        if statements.op[s] == BETWEEN or statements.negated[s] or n_a + n_b == 0:
+            continue
+        forward = n_b == 0 or (0 < n_a <= n_b)
+        m = a if forward else b
+        ux, uy = statements.bearing[s]
+        for i in range(mention_starts[m], mention_starts[m + 1]):
+            o = mention_objects[i]
+            for k in range(len(positions)):
+                cx = scene.center[o, 0] - positions[k, 0]
+                cy = scene.center[o, 1] - positions[k, 1]
+                # extents beyond 1 km are walked in sight, not from afar
+                if max(abs(cx), abs(cy)) > 4.0 * scale[s] + 1000.0:
+                    continue
+                x, y, d2 = cx, cy, cx * cx + cy * cy
+                if scene.kind[o] != 0:
+                    x, y, d2 = nearest_on_parts(
+                        scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o,
+                        positions[k, 0], positions[k, 1],
+                    )  # fmt: skip
+                d = np.sqrt(d2)
+                if d > 4.0 * scale[s]:
+                    continue
+                p = np.exp(-d / scale[s])
+                if statements.op[s] == DIRECTION:
+                    wx, wy = (ux, uy) if forward else (-ux, -uy)
+                    p *= _direction(statements.table[s], wx, wy, x, y)
+                p *= _distance(statements.distance[s], d)
+                out[k, s] += share[s] * mention_fits[i] * p
+    return out
