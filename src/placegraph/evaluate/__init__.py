@@ -1,0 +1,1 @@
+"""Protocols, metrics and tables; never imported by the wings."""

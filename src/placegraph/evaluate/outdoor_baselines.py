@@ -136,10 +136,13 @@ def words_around(
     label: NDArray[np.int32],
     labels: int,
     longest: float,
+    *,
+    same_label: bool = True,
 ) -> tuple[Ints, Ints]:
     """Row of `centers` (C, 2) and word of everything around them.
 
-    `longest` is how far apart the objects of a triple may be [m].
+    `longest` is how far apart the objects of a triple may be [m]; without `same_label` those of
+    one label make none.
     """
     cell = np.repeat(np.arange(len(centers)), np.diff(around.starts))
     if kind == "labels":
@@ -151,6 +154,10 @@ def words_around(
             label[around.objects[seen]], relations(delta[seen]), labels, labels + 1
         )
     triples = Triples.of(around, longest)
-    return np.repeat(np.arange(len(centers)), np.diff(triples.starts)), triples.codes(
-        around, label, labels + 1
-    )
+    cell = np.repeat(np.arange(len(centers)), np.diff(triples.starts))
+    word = triples.codes(around, label, labels + 1)
+    if same_label:
+        return cell, word
+    ends = label[around.objects]
+    told = ends[triples.source] != ends[triples.target]
+    return cell[told], word[told]

@@ -1,7 +1,8 @@
-"""The ceiling: how often the true place fits a query best, ties broken at random.
+"""How well a query can be answered at all, by someone who knows the generator's own objects.
 
-It knows the generator's own objects and reads no text. A place's fit is the number of statements
-for which some pair of objects in sight of a viewpoint there is as the statement says.
+Two bounds, neither of which reads text. The ceiling counts, at every viewpoint, the statements for
+which some pair of objects in sight is as said, and breaks ties at random. The oracle also knows
+how the generator draws: where little could be said, what was said is more likely to be said.
 """
 
 from __future__ import annotations
@@ -12,34 +13,32 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from placegraph.evaluate.outdoor_baselines import spoken, words_around
-from placegraph.evaluate.outdoor_queries import CELL, SIGHT
+from placegraph.evaluate.outdoor_queries import CELL, NOISE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
-    from placegraph.evaluate.outdoor_baselines import Words
-    from placegraph.evaluate.outdoor_nearby import Bins, Position
-    from placegraph.evaluate.outdoor_queries import Query
+    from placegraph.evaluate.outdoor_contest import Contest
     from placegraph.evaluate.outdoor_raw import Ints
     from placegraph.geometry import Floats
 
-STEP = 12.5
-"""Edge of the grid of viewpoints that compete with the truth [m]."""
-CHUNK = 50_000
-"""Viewpoints looked at in one go: keeps memory small."""
+MODE = 45.0
+"""The oracle sums the probability of viewpoints within this distance of a place's middle [m]."""
+UNSAID = 5e-5
+"""Probability of a statement that the generator would not make at a viewpoint."""
+SLIP = 0.05
+"""Share of wrong directions that the oracle expects of noise-free texts: its viewpoints stand on
+a grid, a few metres from the true one."""
 
 
 @dataclass(frozen=True)
 class Ceiling:
-    """Places that fit better than the true one, and those that fit as well, for each query."""
+    """Places that fit better than the true one, and others that fit as well, for each query."""
 
     better: Ints
     """(Q,)"""
     tied: Ints
-    """(Q,) the true place not counted."""
+    """(Q,)"""
 
     def recall(self, k: int) -> float:
         """Share of queries whose true place is among the first k, ties broken at random."""
@@ -47,109 +46,39 @@ class Ceiling:
         return float(np.minimum(room / (self.tied + 1), 1.0).mean())
 
 
-@dataclass(frozen=True)
-class Contest:
-    """Which viewpoints of a city serve which statements of a set of queries."""
+def ceiling(contest: Contest, apart: float | None = 50.0) -> Ceiling:
+    """Rank the true place of every query among all places of the city.
 
-    asked: Ints
-    """(A,) statements (words) of all queries, one query after the other."""
-    asked_starts: Ints
-    """(Q + 1,)"""
-    served_starts: Ints
-    """(W + 1,) viewpoints that serve a statement."""
-    served: NDArray[np.int32]
-    own: Ints
-    """(Q,) statements that hold at the true viewpoint itself."""
-    truth: Floats
-    """(Q, 2) true viewpoints, in steps of the grid."""
-    column: NDArray[np.int32]
-    """(V, 2) viewpoints, in steps of the grid."""
-    square: NDArray[np.int32]
-    """Viewpoint of every square of the grid, -1 where there is none."""
-    step: float
+    `apart`: a place is whatever lies within this distance of one viewpoint [m], and no two
+    competitors are nearer to each other. None: a place is a 50 m cell.
+    """
+    counts = _rank(
+        (contest.asked[:, 0], contest.asked_starts),
+        (contest.served_starts, contest.served),
+        (contest.column, contest.square),
+        contest.own,
+        contest.truth,
+        (CELL if apart is None else apart) / contest.step,
+        apart is None,
+    )
+    return Ceiling(better=counts[:, 0], tied=counts[:, 1])
 
-    @classmethod
-    def of(
-        cls,
-        bins: Bins,
-        queries: Sequence[Query],
-        *,
-        position: Position = "nearest",
-        names: bool = False,
-        step: float = STEP,
-    ) -> Contest:
-        """Look at all viewpoints of a grid over the city.
 
-        Parameters
-        ----------
-        queries
-            All about pairs of objects, or all about the speaker.
-        position, names
-            As the queries were made (`make_queries`).
-        step
-            Edge of the grid [m]: 50 / step is a whole number.
-        """
-        city = bins.city
-        label = city.named if names else city.label
-        number = {name: i for i, name in enumerate(city.labels)}
-        kind: Words = "triples" if queries[0].said[0].target else "speaker"
-        wanted = [spoken(q, kind, number) for q in queries]
-        known = np.unique(np.concatenate(wanted))
-        truth = city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
+def oracle(contest: Contest, *, replaced: bool = False, top: int = 5) -> Floats:
+    """Distances (Q, top) [m] from the truth to the places that the generator most likely meant.
 
-        def holding(viewpoints: Floats) -> tuple[Ints, Ints]:
-            """Viewpoint and word of everything that a query asks for."""
-            around = bins.around(viewpoints, SIGHT, position)
-            at, word = words_around(kind, viewpoints, around, label, len(city.labels), SIGHT)
-            asked = np.minimum(np.searchsorted(known, word), len(known) - 1)
-            hit = known[asked] == word
-            pairs = np.unique(np.stack([asked[hit], at[hit]]), axis=1)
-            return pairs[1], pairs[0]
-
-        grid = bins.centers(step)
-        found = [holding(grid[i : i + CHUNK]) for i in range(0, len(grid), CHUNK)]
-        at = np.concatenate([v + i * CHUNK for i, (v, _) in enumerate(found)])
-        word = np.concatenate([w for _, w in found])
-        order = np.argsort(word, kind="stable")
-        own_at, own_word = holding(truth)
-        own_at, own_word = own_at[np.argsort(own_at)], own_word[np.argsort(own_at)]
-        own_starts = np.searchsorted(own_at, np.arange(len(queries) + 1))
-        column = np.round((grid - bins.low) / step - 0.5).astype(np.int32)
-        square = np.full(column.max(0) + 1, -1, np.int32)
-        square[column[:, 0], column[:, 1]] = np.arange(len(grid))
-        return cls(
-            asked=np.concatenate([np.searchsorted(known, w) for w in wanted]),
-            asked_starts=np.concatenate([[0], np.cumsum([len(w) for w in wanted])]),
-            served_starts=np.searchsorted(word[order], np.arange(len(known) + 1)),
-            served=at[order].astype(np.int32),
-            own=np.array(
-                [
-                    np.isin(known[own_word[own_starts[q] : own_starts[q + 1]]], w).sum()
-                    for q, w in enumerate(wanted)
-                ]
-            ),
-            truth=(truth - bins.low) / step - 0.5,
-            column=column,
-            square=square,
-            step=step,
-        )
-
-    def ceiling(self, apart: float | None = 50.0) -> Ceiling:
-        """Rank the true place of every query among all places of the city.
-
-        `apart`: a place is whatever lies within this distance of one viewpoint [m], and no two
-        competitors are nearer to each other. None: a place is a 50 m cell.
-        """
-        counts = _rank(
-            (self.asked, self.asked_starts),
-            (self.served_starts, self.served),
-            (self.column, self.square),
-            self.own,
-            self.truth,
-            (CELL if apart is None else apart) / self.step,
-            apart is None,
-        )
-        return Ceiling(better=counts[:, 0], tied=counts[:, 1])
+    The likelihood of a statement at a viewpoint where U different ones can be made is 1 / U if it
+    is one of them. Of wrong directions it expects `NOISE` where relations were replaced.
+    """
+    return contest.step * _likeliest(
+        (contest.asked, contest.asked_starts),
+        (contest.served_starts, contest.served),
+        (contest.column, contest.square),
+        contest.sayable,
+        contest.truth,
+        (NOISE if replaced else SLIP, MODE / contest.step, CELL / contest.step),
+        top,
+    )
 
 
 @njit(cache=True)
@@ -221,3 +150,80 @@ def _take_places(
                 if other >= 0 and _same_place(here, there, apart, by_cell):
                     score[other] = 0
     return places
+
+
+@njit(cache=True)
+def _likeliest(
+    statements: tuple[Ints, Ints],
+    postings: tuple[Ints, NDArray[np.int32]],
+    squares: tuple[NDArray[np.int32], NDArray[np.int32]],
+    sayable: NDArray[np.int32],
+    truth: Floats,
+    scale: tuple[float, float, float],
+    top: int,
+) -> Floats:
+    asked, asked_starts = statements
+    column = squares[0]
+    wrong, reach, apart = scale
+    distance = np.full((len(truth), top), np.inf)
+    once, gain = np.zeros(len(column)), np.zeros(len(column))
+    for q in range(len(truth)):
+        for words in asked[asked_starts[q] : asked_starts[q + 1]]:
+            _hear(words, postings, sayable, wrong, once, gain)
+        best = gain.max()
+        likely = np.flatnonzero(gain > max(best - 12.0, 0.0))  # the rest has no weight to speak of
+        likely = likely[np.argsort(-gain[likely])[:2000]]
+        weight = np.exp(gain - best) * (gain > 0.0)
+        for k in range(top):
+            mass = np.array([_mass(v, weight, squares, reach, False) for v in likely])
+            if not len(mass) or mass.max() == 0.0:
+                break
+            middle = likely[np.argmax(mass)]
+            delta = column[middle] - truth[q]
+            distance[q, k] = np.hypot(delta[0], delta[1])
+            _mass(middle, weight, squares, apart, True)
+        gain[:] = 0.0
+    return distance
+
+
+@njit(cache=True)
+def _hear(
+    words: Ints,
+    postings: tuple[Ints, NDArray[np.int32]],
+    sayable: NDArray[np.int32],
+    wrong: float,
+    once: Floats,
+    gain: Floats,
+) -> None:
+    """Add a statement's log-likelihood, above `UNSAID`, to the viewpoints that could mean it."""
+    starts, at = postings
+    for d in range(len(words)):
+        share = 1.0 - wrong if d == 0 else wrong / (len(words) - 1)
+        for v in at[starts[words[d]] : starts[words[d] + 1]]:
+            once[v] += share / sayable[v]
+    for word in words:
+        for v in at[starts[word] : starts[word + 1]]:
+            gain[v] += np.log1p(once[v] / UNSAID)
+            once[v] = 0.0
+
+
+@njit(cache=True)
+def _mass(
+    v: np.int64,
+    weight: Floats,
+    squares: tuple[NDArray[np.int32], NDArray[np.int32]],
+    apart: float,
+    clear: bool,
+) -> float:
+    """Sum of the weights within `apart` steps of a viewpoint; set them to 0 with `clear`."""
+    column, square = squares
+    reach, total = int(apart), 0.0
+    x, y = column[v]
+    for i in range(max(x - reach, 0), min(x + reach + 1, square.shape[0])):
+        for j in range(max(y - reach, 0), min(y + reach + 1, square.shape[1])):
+            other = square[i, j]
+            if other >= 0 and (i - x) ** 2 + (j - y) ** 2 <= apart * apart:
+                total += weight[other]
+                if clear:
+                    weight[other] = 0.0
+    return total

@@ -1,0 +1,260 @@
+"""Does a sentence find its place? Recall, calibration and time on real OpenStreetMap extracts.
+
+    python benchmarks/outdoor_recall.py --split dev
+    python benchmarks/outdoor_recall.py --cities monaco --quick
+
+Prints Markdown tables, writes every row as JSON. `docs/benchmarks.md` explains the protocol.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from placegraph.evaluate.machine import machine
+from placegraph.evaluate.outdoor_baselines import Bag
+from placegraph.evaluate.outdoor_ceiling import ceiling, oracle
+from placegraph.evaluate.outdoor_contest import Contest
+from placegraph.evaluate.outdoor_metrics import RADII, RANKS, Answer, distances, measure
+from placegraph.evaluate.outdoor_queries import (
+    CELL,
+    SETTINGS,
+    Query,
+    load,
+    make_queries,
+)
+from placegraph.evaluate.outdoor_report import (
+    BAGS,
+    CEILING,
+    ORACLE,
+    OURS,
+    Protocol,
+    Row,
+    of_answers,
+    report,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.evaluate.outdoor_baselines import Words
+    from placegraph.evaluate.outdoor_nearby import Bins
+    from placegraph.outdoor.city import CityMap
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared/data/osm"
+DEV = {
+    "vancouver": "vancouver_2015.osm.pbf",
+    "ankara": "ankara_2019.osm.pbf",
+    "liechtenstein": "liechtenstein_2021.osm.pbf",
+    "andorra": "andorra_2026.osm.pbf",
+}
+TEST = {"monaco": "monaco_2025.osm.pbf", "toronto": "toronto_downtown_2020.osm.bz2"}
+
+
+class Split(StrEnum):
+    """Which cities: those that were tuned on, or those that are reported once."""
+
+    dev = "dev"
+    test = "test"
+    all = "all"
+
+
+def protocols(statements: Sequence[int], settings: Sequence[str]) -> list[Protocol]:
+    """All settings at all lengths; the speaker and the other readings of the paper at 6."""
+    chosen = [s for s in SETTINGS if s in settings]
+    table = [Protocol(n, s) for n in statements for s in chosen if s != "speaker" or n == 6]
+    if 6 in statements and "variants" in settings:
+        table += [
+            Protocol(position="centroid"),
+            Protocol(same_label=True),
+            Protocol(anywhere=True),
+        ]
+    return table
+
+
+def bounds(
+    city: str, bins: Bins, group: Sequence[Protocol], asked: dict[Protocol, list[Query]]
+) -> list[Row]:
+    """Rows of the ceiling and of the oracle; the protocols look at the city in the same way."""
+    together = [q for p in group for q in asked[p]]
+    first = group[0]
+    contest = Contest.of(
+        bins,
+        together,
+        position=first.position,
+        names=first.setting == "names",
+        same_label=first.same_label,
+    )
+    ceilings = {"exact": ceiling(contest, None)}
+    ceilings |= {f"{r:.0f} m": ceiling(contest, r) for r in RADII}
+    loud = [p.setting == "replaced" for p in group for _ in asked[p]]
+    quiet_guess, loud_guess = oracle(contest), oracle(contest, replaced=True)
+    guess = np.where(np.array(loud)[:, None], loud_guess, quiet_guess)
+    rows, end = [], 0
+    for p in group:
+        part = slice(end, end := end + len(asked[p]))
+        recall = {
+            name: [type(c)(c.better[part], c.tied[part]).recall(k) for k in RANKS]
+            for name, c in ceilings.items()
+        }
+        rows.append(Row(city, p, CEILING, recall, None))
+        recall = {
+            f"{r:.0f} m": [float((guess[part, :k] <= r).any(1).mean()) for k in RANKS]
+            for r in RADII
+        }
+        rows.append(Row(city, p, ORACLE, recall, None))
+    return rows
+
+
+def ask_map(city: CityMap, queries: Sequence[Query]) -> list[Answer]:
+    """Give every text, and only the text, to a city map."""
+    answers = []
+    for query in queries:
+        start = time.perf_counter()
+        estimate = city.locate(query.text, top=max(RANKS))
+        seconds = time.perf_counter() - start
+        cell = city.cells.at(query.longitude, query.latitude)
+        answers.append(measure(estimate, query.longitude, query.latitude, cell, seconds))
+    return answers
+
+
+def ask_bag(bag: Bag, bins: Bins, queries: Sequence[Query]) -> list[Answer]:
+    """Give every query's triples to a baseline."""
+    answers = []
+    for query in queries:
+        start = time.perf_counter()
+        places = bag.locate(query, top=max(RANKS))
+        seconds = time.perf_counter() - start
+        truth = bins.city.plane.to_plane((query.longitude, query.latitude))
+        off = np.abs(bins.city.plane.to_plane(places) - truth).max(1)
+        exact = tuple((off <= CELL / 2).tolist())
+        answers.append(Answer(distances(places, query.longitude, query.latitude), exact, seconds))
+    return answers
+
+
+def run_city(
+    name: str,
+    path: Path,
+    table: Sequence[Protocol],
+    *,
+    n: int,
+    seed: int,
+    city: CityMap | None,
+    tick: Progress,
+) -> list[Row]:
+    """All rows of a city; without a map those of the baselines and the ceiling."""
+    bins = load(path)
+    task = tick.add_task(name, total=len(table) + len({p.group for p in table}))
+    queries = {
+        p: make_queries(
+            path,
+            statements=p.statements,
+            setting=p.setting,
+            n=n,
+            seed=seed,
+            position=p.position,
+            same_label=p.same_label,
+            anywhere=p.anywhere,
+        )
+        for p in table
+    }
+    if city is not None:
+        ask_map(city, make_queries(path, n=20, seed=seed + 1))  # warm
+    bags: dict[tuple[object, ...], Bag] = {}
+    rows = []
+    for p, asked in queries.items():
+        for method, (reach, longest) in BAGS.items():
+            pairs: Words = "speaker" if p.setting == "speaker" else "triples"
+            words: Words = "labels" if method == "label bag" else pairs
+            key = (words, method, p.position, p.setting == "names")
+            if key not in bags:
+                bags[key] = Bag.of(
+                    bins,
+                    words,
+                    reach=reach,
+                    longest=longest,
+                    position=p.position,
+                    names=p.setting == "names",
+                    seed=seed,
+                )
+            rows.append(of_answers(name, p, method, ask_bag(bags[key], bins, asked)))
+        if city is not None:
+            rows.append(of_answers(name, p, OURS, ask_map(city, asked)))
+        tick.advance(task)
+    del bags
+    for group in {p.group: None for p in table}:
+        rows += bounds(name, bins, [p for p in table if p.group == group], queries)
+        tick.advance(task)
+    return rows
+
+
+def main(
+    split: Annotated[Split, typer.Option(help="Cities: dev (tuned on), test, all.")] = Split.dev,
+    cities: Annotated[str, typer.Option(help="Names with commas, instead of a split.")] = "",
+    queries: Annotated[int, typer.Option(help="Queries a city and setting.")] = 500,
+    statements: Annotated[str, typer.Option(help="Lengths with commas.")] = "4,6,10",
+    settings: Annotated[str, typer.Option(help="Settings with commas.")] = "",
+    seed: Annotated[int, typer.Option(help="Seed of the queries.")] = 0,
+    *,
+    quick: Annotated[bool, typer.Option(help="100 queries, 6 statements, 2 settings.")] = False,
+    baselines: Annotated[bool, typer.Option(help="Leave the map out.")] = False,
+    data: Annotated[Path, typer.Option(help="Folder with the extracts.")] = DATA,
+    cache: Annotated[Path, typer.Option(help="Folder for maps.")] = ROOT / ".benchmark-cache",
+    out: Annotated[Path, typer.Option(help="JSON file.")] = (
+        ROOT / "benchmarks/results/outdoor_recall.json"
+    ),
+) -> None:
+    """Measure outdoor recall and print Markdown."""
+    if quick:
+        queries, statements, settings = 100, "6", settings or "none,replaced"
+    table = protocols(
+        [int(n) for n in statements.split(",")],
+        settings.split(",") if settings else [*SETTINGS, "variants"],
+    )
+    files = DEV | TEST
+    names = (
+        [c.strip() for c in cities.split(",")]
+        if cities
+        else list({Split.dev: DEV, Split.test: TEST, Split.all: files}[split])
+    )
+    rows: list[Row] = []
+    maps: dict[str, CityMap | None] = dict.fromkeys(names)
+    if not baselines:
+        import placegraph as pg
+
+        cache.mkdir(exist_ok=True)
+        for name in names:  # always anew: the map's making is part of what is measured
+            pg.build_city(data / files[name], cache / f"{name}.city")
+            maps[name] = pg.open_map(cache / f"{name}.city")
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # from here on: one core
+    with Progress(console=Console(stderr=True), transient=True) as tick:
+        for name in names:
+            path = data / files[name]
+            rows += run_city(name, path, table, n=queries, seed=seed, city=maps[name], tick=tick)
+    for title, group in (("Tuned on", DEV), ("Reported once", TEST)):
+        chosen = [c for c in names if c in group]
+        if chosen:
+            print(f"### {title}\n\n{report([r for r in rows if r.city in chosen], chosen)}\n")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    record = {
+        "machine": machine(),
+        "queries": queries,
+        "seed": seed,
+        "cells": {name: len(m.cells) for name, m in maps.items() if m is not None},
+        "rows": [r.to_dict() for r in rows],
+    }
+    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
