@@ -7,7 +7,10 @@ from typing import ClassVar
 
 
 class PlacegraphError(Exception):
-    """Root of every error placegraph raises on purpose; `exit_code` is what the command line exits with."""
+    """Root of every error placegraph raises on purpose.
+
+    `exit_code` is what the command line exits with; the table stands in `docs/conventions.md`.
+    """
 
     exit_code: ClassVar[int] = 1
 
@@ -19,7 +22,7 @@ class InputError(PlacegraphError):
 
 
 class MapError(PlacegraphError):
-    """A map file is foreign, damaged, of a newer version, or of another kind than asked for."""
+    """A map file is foreign, truncated, damaged, newer, of another kind, or cannot be written."""
 
     exit_code = 4
 

@@ -1,0 +1,43 @@
+"""The public surface: light to import, complete when used."""
+
+import subprocess
+import sys
+
+import pytest
+
+import placegraph as pg
+
+
+@pytest.mark.parametrize("name", pg.__all__)
+def test_every_public_name_is_there(name):
+    assert getattr(pg, name) is not None
+    assert name in dir(pg)
+
+
+def test_lazy_names_are_what_their_modules_hold():
+    from placegraph.graph import SceneGraph
+    from placegraph.maps import open_map
+
+    assert pg.SceneGraph is SceneGraph
+    assert pg.open_map is open_map
+
+
+def test_other_names_are_not():
+    with pytest.raises(AttributeError, match="has no attribute 'teleport'"):
+        pg.teleport  # noqa: B018
+
+
+def test_import_is_light():
+    code = (
+        "import sys, time; start = time.perf_counter(); import placegraph;"
+        "print(time.perf_counter() - start, *sys.modules)"
+    )
+    runs = [
+        subprocess.run(  # noqa: S603  # our own interpreter and code
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(3)
+    ]
+    assert min(float(seconds) for seconds, *_ in runs) < 0.05
+    heavy = {"numpy", "numba", "osmium", "PIL", "lark", "rapidfuzz", "typer", "rich", "networkx"}
+    assert not heavy & set(runs[0][1:])
