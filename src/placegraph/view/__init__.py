@@ -1,0 +1,1 @@
+"""Pictures and pages of a map and of an estimate on it."""
