@@ -1,0 +1,149 @@
+"""Does time grow slower than the map? Copies of one city side by side, labels shuffled.
+
+    python benchmarks/outdoor_scale.py --copies 1,10,100
+
+The queries come from the first copy, which keeps its labels, and are the same on every map.
+Every build and every round of queries runs in a fresh process. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from placegraph.evaluate.machine import machine
+from placegraph.evaluate.outdoor_metrics import measure, score
+from placegraph.evaluate.outdoor_queries import make_queries
+from placegraph.evaluate.tables import markdown, number, share
+from placegraph.evaluate.tiling import tile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from placegraph.evaluate.outdoor_queries import Query
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared/data/osm/monaco_2025.osm.pbf"
+
+
+def peak() -> int:
+    """Largest memory of this process so far [bytes]."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def build(osm: Path, city: Path, small: Path) -> dict[str, float]:
+    """Build a map, after a small one has loaded and compiled what is needed."""
+    import placegraph as pg
+
+    pg.build_city(small, city)
+    start = time.perf_counter()
+    made = pg.build_city(osm, city)
+    seconds = time.perf_counter() - start
+    return {
+        "build_s": seconds,
+        "cells": len(made.cells),
+        "objects": len(made.objects),
+        "bytes": city.stat().st_size,
+        "build_peak_bytes": peak(),
+    }
+
+
+def ask(city: Path, queries: Sequence[Query]) -> dict[str, Any]:
+    """Open a map and give it all texts, twice; the second round counts."""
+    import placegraph as pg
+
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    pg.open_map(city)  # what is imported once does not count
+    start = time.perf_counter()
+    opened = pg.open_map(city)
+    open_s = time.perf_counter() - start
+    start = time.perf_counter()
+    opened.locate(queries[0].text)
+    first_s = time.perf_counter() - start
+    answers = []
+    for round_ in range(2):
+        for q in queries[:: 10 if round_ == 0 else 1]:
+            start = time.perf_counter()
+            estimate = opened.locate(q.text)
+            seconds = time.perf_counter() - start
+            cell = opened.cells.at(q.longitude, q.latitude)
+            if round_:
+                answers.append(measure(estimate, q.longitude, q.latitude, cell, seconds))
+    result = score(answers)
+    return {
+        "open_s": open_s,
+        "first_query_s": first_s,
+        "p50_s": result.p50,
+        "p95_s": result.p95,
+        "recall_at_1_within_50_m": result.within[50.0][1],
+        "query_peak_bytes": peak(),
+    }
+
+
+def apart(work: Callable[..., dict[str, Any]], *arguments: object) -> dict[str, Any]:
+    """Run a function in a fresh process."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
+
+
+def main(
+    osm: Annotated[Path, typer.Option(help="Extract that is copied.")] = DATA,
+    copies: Annotated[str, typer.Option(help="Numbers of copies with commas.")] = "1,10,100",
+    queries: Annotated[int, typer.Option(help="Queries.")] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the labels and the queries.")] = 0,
+    cache: Annotated[Path, typer.Option(help="Folder for maps.")] = ROOT / ".benchmark-cache",
+    out: Annotated[Path, typer.Option(help="JSON file.")] = (
+        ROOT / "benchmarks/results/outdoor_scale.json"
+    ),
+) -> None:
+    """Measure building, opening and asking at several sizes."""
+    cache.mkdir(exist_ok=True)
+    asked = make_queries(osm, n=queries, seed=seed)
+    rows: list[dict[str, Any]] = []
+    for n in (int(c) for c in copies.split(",")):
+        print(f"{n} x: writing, building, asking", file=sys.stderr)
+        tiled, city = cache / f"tiled_{n}.osm.pbf", cache / f"tiled_{n}.city"
+        tile(osm, tiled, n, np.random.default_rng(seed))
+        row = {"copies": n} | apart(build, tiled, city, osm) | apart(ask, city, asked)
+        rows.append(row)
+    header = ["copies", "objects", "cells", "build", "cells/s", "build peak", "file"]
+    header += ["bytes/cell", "open", "first query", "p50", "p95", "query peak", "@1 50 m"]
+    mega = 1e-6
+    lines = [
+        [
+            f"{row['copies']} x",
+            number(row["objects"]),
+            number(row["cells"]),
+            number(row["build_s"], 1, "s"),
+            number(row["cells"] / row["build_s"]),
+            number(row["build_peak_bytes"] * mega, 0, "MB"),
+            number(row["bytes"] * mega, 2, "MB"),
+            number(row["bytes"] / row["cells"]),
+            number(1e3 * row["open_s"], 0, "ms"),
+            number(1e3 * row["first_query_s"], 0, "ms"),
+            number(1e3 * row["p50_s"], 1, "ms"),
+            number(1e3 * row["p95_s"], 1, "ms"),
+            number(row["query_peak_bytes"] * mega, 0, "MB"),
+            share(row["recall_at_1_within_50_m"]),
+        ]
+        for row in rows
+    ]
+    print(markdown(header, lines))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    record = {"machine": machine(), "extract": osm.name, "seed": seed, "rows": rows}
+    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
