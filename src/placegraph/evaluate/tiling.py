@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.evaluate.outdoor_raw import read_raw, tag_label
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -62,10 +64,10 @@ class _Extract:
 
 
 def _shuffled(tags: list[Tags], groups: list[object], rng: Generator) -> list[Tags]:
-    """Exchange tags among the elements of a group; untagged elements stay untagged."""
+    """Exchange tags among the objects of a group; what is no object keeps its tags."""
     rows: dict[object, list[int]] = {}
     for i, (own, group) in enumerate(zip(tags, groups, strict=True)):
-        if own:
+        if tag_label(own):
             rows.setdefault(group, []).append(i)
     result = list(tags)
     for members in rows.values():
@@ -85,7 +87,8 @@ def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
 
     extract = _Extract.read(path)
     lonlat = np.array(extract.lonlat)
-    shifts = _shifts(lonlat, copies)
+    city = read_raw(path)
+    shifts = _shifts(city.plane.to_lonlat(city.center), copies)
     closed: list[object] = [refs[0] == refs[-1] for refs in extract.ways]
     types: list[object] = [tags.get("type") for tags in extract.relation_tags]
     tags = [
@@ -118,9 +121,8 @@ def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
 
 
 def _shifts(lonlat: Floats, copies: int) -> Floats:
-    """Where the copies (copies, 2) stand, relative to the first [deg]."""
-    low, high = np.percentile(lonlat, (0.5, 99.5), axis=0)  # ferry lines may lead far away
-    size = high - low + GAP
+    """Where the copies (copies, 2) stand, relative to the first, whose objects are at `lonlat`."""
+    size = lonlat.max(0) - lonlat.min(0) + GAP
     side = int(np.ceil(np.sqrt(copies)))
     k = np.arange(copies)
     return np.asarray(np.stack([k % side, k // side], 1) * size)
