@@ -81,6 +81,7 @@ def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
 
     The first copy stands where the extract does and keeps its tags. In every other one, tags are
     exchanged among nodes, among open ways, among closed ways and among relations of one type.
+    Ways longer than the city are left out: they would run through the other copies.
     """
     import osmium
     from osmium.osm.mutable import Node, Relation, Way
@@ -88,7 +89,9 @@ def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
     extract = _Extract.read(path)
     lonlat = np.array(extract.lonlat)
     city = read_raw(path)
-    shifts = _shifts(city.plane.to_lonlat(city.center), copies)
+    size = np.ptp(city.plane.to_lonlat(city.center), axis=0) + GAP
+    shifts = _shifts(size, copies)
+    short = [bool((np.ptp(lonlat[refs], axis=0) < size).all()) for refs in extract.ways]
     closed: list[object] = [refs[0] == refs[-1] for refs in extract.ways]
     types: list[object] = [tags.get("type") for tags in extract.relation_tags]
     tags = [
@@ -110,6 +113,8 @@ def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
                 writer.add_node(Node(id=k * nodes + i + 1, location=at, tags=tags[k][0][i]))
         for k in range(copies):
             for i, refs in enumerate(extract.ways):
+                if not short[i]:
+                    continue
                 own = [k * nodes + n + 1 for n in refs]
                 writer.add_way(Way(id=k * ways + i + 1, nodes=own, tags=tags[k][1][i]))
         for k in range(copies):
@@ -120,9 +125,8 @@ def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
                 )
 
 
-def _shifts(lonlat: Floats, copies: int) -> Floats:
-    """Where the copies (copies, 2) stand, relative to the first, whose objects are at `lonlat`."""
-    size = lonlat.max(0) - lonlat.min(0) + GAP
+def _shifts(size: Floats, copies: int) -> Floats:
+    """Where the copies (copies, 2) of a city of `size` stand, relative to the first [deg]."""
     side = int(np.ceil(np.sqrt(copies)))
     k = np.arange(copies)
     return np.asarray(np.stack([k % side, k // side], 1) * size)
