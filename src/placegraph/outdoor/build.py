@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.osm import LeftOut, OsmElement, read_osm
@@ -20,6 +19,8 @@ from placegraph.outdoor.simplify import centers, simplify
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from os import PathLike
+
+    from numpy.typing import NDArray
 
     from placegraph.outdoor.vocabulary import Vocabulary
 
@@ -32,7 +33,9 @@ GRAIN = 0.5
 """Coordinates are stored in these steps [m]."""
 UNKNOWN = "name=*"
 """Label of things that have a name and no tag the vocabulary knows."""
-NAME_KEY = re.compile(r"(name|alt_name|official_name|short_name|loc_name|old_name|brand|name:[a-z]{2,3})$")
+NAME_KEY = re.compile(
+    r"(name|alt_name|official_name|short_name|loc_name|old_name|brand|name:[a-z]{2,3})$"
+)
 
 
 @dataclass
@@ -86,7 +89,11 @@ def build_city(
     """
     stride = cell_size if stride is None else stride
     edge_distance = cell_size if edge_distance is None else edge_distance
-    for name, value in (("cell_size", cell_size), ("stride", stride), ("edge_distance", edge_distance)):
+    for name, value in (
+        ("cell_size", cell_size),
+        ("stride", stride),
+        ("edge_distance", edge_distance),
+    ):
         if not 1.0 <= value <= 10_000.0:
             raise OptionError(f"{name} is {value} m; choose between 1 and 10,000 m.")
     if vocabulary is None:
@@ -143,7 +150,9 @@ def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]
     if "name" not in tags or "boundary" in tags or "route" in tags or "type" in tags:
         return ()
     senses = vocabulary.senses(tags["name"]) if hasattr(vocabulary, "senses") else ()
-    best = [sense.label for sense in senses if sense.weight >= 0.9 and not sense.label.endswith("*")]  # noqa: PLR2004
+    best = [
+        sense.label for sense in senses if sense.weight >= 0.9 and not sense.label.endswith("*")
+    ]
     return tuple(best[:3]) or (UNKNOWN,)
 
 
@@ -153,7 +162,9 @@ def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
     lonlat = np.concatenate(flat)
     low, high = lonlat.min(axis=0), lonlat.max(axis=0)
     plane = LocalPlane(*(round(float(x), 4) for x in (low + high) / 2))
-    points, point_starts = simplify(plane.to_plane(lonlat), _starts([len(p) for p in flat]), TOLERANCE)
+    points, point_starts = simplify(
+        plane.to_plane(lonlat), _starts([len(p) for p in flat]), TOLERANCE
+    )
     steps = np.round(points / GRAIN).astype(np.int64)
     osm_type, osm_id, kind = np.array(columns.elements, np.int64).T
     part_starts = _starts(n_parts)
@@ -161,7 +172,9 @@ def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
     order = np.lexsort((osm_id, osm_type, _hilbert(first)))
 
     part_order = np.concatenate([np.arange(part_starts[i], part_starts[i + 1]) for i in order])
-    point_order = np.concatenate([np.arange(point_starts[p], point_starts[p + 1]) for p in part_order])
+    point_order = np.concatenate(
+        [np.arange(point_starts[p], point_starts[p + 1]) for p in part_order]
+    )
     part_starts = _starts(n_parts[order]).astype(np.int32)
     point_starts = _starts(np.diff(point_starts)[part_order]).astype(np.int32)
     points = (steps[point_order] * GRAIN).astype(np.float32)

@@ -8,13 +8,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.geometry import LocalPlane
 from placegraph.outdoor.raster import Grid, Sightings, nearest_on_parts, sightings
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import LocalPlane
     from placegraph.graph import SceneGraph
     from placegraph.outdoor.city import CityObjects
 
@@ -72,15 +73,31 @@ class Cells(Mapping[str, Cell]):
         step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
         column, row = (int(x) for x in np.floor(step + 0.5))
         reach = np.abs(step - (column, row)).max() * self.grid.stride
-        if not (0 <= column < self.grid.columns and 0 <= row < self.grid.rows) or reach > self.size / 2:
+        if (
+            not (0 <= column < self.grid.columns and 0 <= row < self.grid.rows)
+            or reach > self.size / 2
+        ):
             return None
         point = row * self.grid.columns + column
         return self._id(point) if point in self._known else None
 
+    def nearest(self, east_north: NDArray[np.float64]) -> str:
+        """Id of the cell that covers a position, else of the cell whose centre is nearest."""
+        covering = self.at_plane(east_north)
+        if covering is not None:
+            return covering
+        if not len(self.points):  # one lone object makes no cell
+            return self._id(0)
+        row, column = np.divmod(self.points, self.grid.columns)
+        centers = self.grid.stride * np.stack([column, row], 1) + (self.grid.east, self.grid.north)
+        return self._id(int(self.points[np.argmin(((centers - east_north) ** 2).sum(axis=1))]))
+
     def center(self, cell: str) -> NDArray[np.float64]:
         """Centre (2,) of a cell, east and north [m]; raises `OptionError` where there is none."""
         row, column = divmod(self.point(cell), self.grid.columns)
-        return np.array([self.grid.east, self.grid.north]) + self.grid.stride * np.array([column, row])
+        return np.array([self.grid.east, self.grid.north]) + self.grid.stride * np.array(
+            [column, row]
+        )
 
     def bounds(self, cell: str) -> tuple[float, float, float, float]:
         """West, south, east and north edge of a cell [m]."""
@@ -95,7 +112,9 @@ class Cells(Mapping[str, Cell]):
             point = int(row) * self.grid.columns + int(column)
             if point in self._known and self._id(point) == cell:
                 return point
-        raise OptionError(f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}.")
+        raise OptionError(
+            f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
+        )
 
     def _id(self, point: int) -> str:
         row, column = divmod(point, self.grid.columns)
@@ -122,7 +141,7 @@ def cell_sightings(objects: CityObjects, grid: Grid, size: float) -> Sightings:
 def occupied_cells(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.int64]:
     """Grid points (C,) whose square holds at least two objects, so that an edge can exist."""
     seen = cell_sightings(objects, grid, size)
-    return seen.points[np.diff(seen.starts) >= 2]  # noqa: PLR2004 - an edge needs two
+    return seen.points[np.diff(seen.starts) >= 2]
 
 
 def compass(delta: NDArray[np.float64]) -> str:
@@ -185,7 +204,12 @@ def _relations(
     kind = objects.kind[rows[target]]
     if kind in (LINE, AREA):
         _, _, d2 = nearest_on_parts(
-            objects.part_starts, objects.point_starts, objects.points, kind, rows[target], *at[source]
+            objects.part_starts,
+            objects.point_starts,
+            objects.points,
+            kind,
+            rows[target],
+            *at[source],
         )
         if kind == AREA and d2 == 0.0 and not _holds(objects, rows[source], rows[target]):
             yield "inside"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.errors import MapError
 from placegraph.geometry import LocalPlane
@@ -19,6 +19,8 @@ from placegraph.store import pack_strings, read_map, write_map
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
+
+    from numpy.typing import NDArray
 
     from placegraph.estimate import Estimate
     from placegraph.graph import SceneGraph
@@ -88,10 +90,16 @@ class CityObjects:
         for column, length, name in ends:
             if len(column) != length:
                 raise ValueError(f"{name} has {len(column)} entries instead of {length}")
-        for starts, name in ((self.label_starts, "labels"), (self.name_starts, "names"), (self.part_starts, "parts")):
+        for starts, name in (
+            (self.label_starts, "labels"),
+            (self.name_starts, "names"),
+            (self.part_starts, "parts"),
+        ):
             if len(starts) != n + 1:
                 raise ValueError(f"{name} are of {len(starts) - 1} objects instead of {n}")
-        if n and np.diff(self.label_starts).min() < 1 or np.diff(self.point_starts).min(initial=1) < 1:
+        if (n and np.diff(self.label_starts).min() < 1) or np.diff(self.point_starts).min(
+            initial=1
+        ) < 1:
             raise ValueError("an object lacks a label or a point")
         for values, table, name in (
             (self.label_values, self.labels, "label_values"),
@@ -116,7 +124,7 @@ class CityObjects:
     def parts(self, i: int) -> list[NDArray[np.float32]]:
         """Lines or rings of object i, each (n, 2) east, north [m]."""
         bounds = self.point_starts[self.part_starts[i] : self.part_starts[i + 1] + 1]
-        return [self.points[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        return [self.points[a:b] for a, b in itertools.pairwise(bounds)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +228,9 @@ class CityMap:
             left_out = {str(k): int(v) for k, v in meta["left_out"].items()}
             source = str(meta["source"])
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise MapError(f"{path}: its columns contradict each other ({error}). Build it again.") from error
+            raise MapError(
+                f"{path}: its columns contradict each other ({error}). Build it again."
+            ) from error
         return cls(plane, replace(objects, center=center), cells, source, left_out)
 
     def graph(self, cell: str) -> SceneGraph:

@@ -8,15 +8,17 @@ viewpoint; for each the objects in sight are listed with their nearest points, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from placegraph.outdoor.raster import Grid, Sightings, sightings
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from placegraph.outdoor.city import CityObjects
 
 POINT, AREA = 0, 2
@@ -32,6 +34,21 @@ ENOUGH = 1.5
 """A viewpoint needs this much in sight (sum of `sight`), or a point object close by."""
 SECOND_LABEL = (1.0, 0.35, 0.2)
 """How readily a thing is called by its first, second, third ... label."""
+
+
+class ViewColumns(NamedTuple):
+    """Columns of `ViewIndex` under the same names, for compiled code."""
+
+    positions: NDArray[np.float32]
+    starts: NDArray[np.int64]
+    objects: NDArray[np.int32]
+    offsets: NDArray[np.float32]
+    sight: NDArray[np.float32]
+    total: NDArray[np.float32]
+    pairs: NDArray[np.float32]
+    posting_starts: NDArray[np.int64]
+    posting_views: NDArray[np.int32]
+    posting_mass: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +88,12 @@ class ViewIndex:
         columns, rows = (int(n) for n in np.ceil((high - low) / STRIDE) + 1)
         grid = Grid(float(low[0]), float(low[1]), STRIDE, columns, rows)
         seen = sightings(
-            objects.kind, objects.part_starts, objects.point_starts, objects.points, grid=grid, radius=REACH
+            objects.kind,
+            objects.part_starts,
+            objects.point_starts,
+            objects.points,
+            grid=grid,
+            radius=REACH,
         )
         sight = fade(np.hypot(seen.offsets[:, 0], seen.offsets[:, 1]))
         seen, sight = _worth_standing(seen, sight, objects.kind)
@@ -80,7 +102,9 @@ class ViewIndex:
         total = np.add.reduceat(sight, seen.starts[:-1])
         inside = (objects.kind[seen.objects] == AREA) & ~seen.offsets.any(axis=1)
         apart = np.where(inside, np.float32(0.0), sight)  # what one stands in lies in no direction
-        pairs = np.add.reduceat(apart, seen.starts[:-1]) ** 2 - np.add.reduceat(apart * apart, seen.starts[:-1])
+        pairs = np.add.reduceat(apart, seen.starts[:-1]) ** 2 - np.add.reduceat(
+            apart * apart, seen.starts[:-1]
+        )
         tokens = _tokens(objects)
         n_tokens = len(objects.labels) + len(objects.names)
         postings = _postings(seen.starts, seen.objects, sight, *tokens, n_tokens)
@@ -96,18 +120,26 @@ class ViewIndex:
             *postings,
         )
 
+    @cached_property
+    def columns(self) -> ViewColumns:
+        """Columns that the scanning kernels read."""
+        return ViewColumns(*(getattr(self, name) for name in ViewColumns._fields))
+
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Share of all things in sight, over all viewpoints, that these tokens stand for."""
-        mass = sum(
-            float(w) * float(self.posting_mass[self.posting_starts[t] : self.posting_starts[t + 1]].sum())
-            for t, w in zip(tokens, weights, strict=True)
-        )
-        return mass / float(self.total.sum())
+        return float(weights @ self._token_share[tokens])
+
+    @cached_property
+    def _token_share(self) -> NDArray[np.float64]:
+        mass = np.concatenate(([0.0], np.cumsum(self.posting_mass, dtype=np.float64)))
+        return np.diff(mass[self.posting_starts]) / float(self.total.sum())
 
 
 def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
     """How readily a thing at `distance` [m] is spoken of, 0 to 1."""
-    return (1.0 / (1.0 + np.exp((distance - SIGHT) / FADE))).astype(np.float32)
+    return np.float32(1.0) / (
+        np.float32(1.0) + np.exp((distance - np.float32(SIGHT)) / np.float32(FADE))
+    )
 
 
 def _worth_standing(
@@ -117,6 +149,8 @@ def _worth_standing(
     total = np.add.reduceat(sight, seen.starts[:-1])
     lone = (kind[seen.objects] == POINT) & (np.hypot(*seen.offsets.T) < STRIDE)
     keep = (total >= ENOUGH) | np.logical_or.reduceat(lone, seen.starts[:-1])
+    if not keep.any():  # a map of one thing
+        keep[:] = True
     entries = np.repeat(keep, np.diff(seen.starts))
     starts = np.concatenate(([0], np.cumsum(np.diff(seen.starts)[keep])))
     kept = Sightings(seen.points[keep], starts, seen.objects[entries], seen.offsets[entries])
@@ -137,7 +171,9 @@ def _tokens(
     values[at_label] = objects.label_values
     weights[at_label] = np.array(SECOND_LABEL, np.float32)[np.minimum(rank, len(SECOND_LABEL) - 1)]
     rank = np.arange(len(owner_name)) - objects.name_starts[owner_name]
-    values[starts[owner_name] + n_labels[owner_name] + rank] = objects.name_values + len(objects.labels)
+    values[starts[owner_name] + n_labels[owner_name] + rank] = objects.name_values + len(
+        objects.labels
+    )
     return starts, values, weights
 
 

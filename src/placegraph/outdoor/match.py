@@ -12,13 +12,13 @@ sight serves may still be served from afar, if the thing is rare enough to be sp
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from placegraph.outdoor.raster import nearest_on_parts
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""
@@ -56,7 +56,7 @@ class Statements(NamedTuple):
     distance: NDArray[np.float32]
     """Stated distance [m], 0 where unsaid."""
     negated: NDArray[np.bool_]
-    count: NDArray[np.float32]
+    number: NDArray[np.float32]
     """Stated number of sources, 0 where unsaid."""
     noise: NDArray[np.float32]
     """Share of statements of this kind that are wrong or about something else."""
@@ -122,7 +122,7 @@ def _close(said, d):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def serve_pair(op, table, ux, uy, said, ax, ay, kind_a, bx, by, kind_b):
+def serve_pair(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     """P(geometry | source at a, target at b), seen from the viewpoint [m]."""
     dx, dy = ax - bx, ay - by
     d = np.sqrt(dx * dx + dy * dy)
@@ -154,7 +154,11 @@ def serve_me(op, table, ux, uy, said, x, y, kind, forward):
     if op == SAME:
         return _close(0.0, 2.0 * d)
     if op == INSIDE:
-        return (1.0 if d < 1.0 else 0.3 * _close(0.0, 2.0 * d)) if kind == AREA else 0.2 * _close(0.0, d)
+        return (
+            (1.0 if d < 1.0 else 0.3 * _close(0.0, 2.0 * d))
+            if kind == AREA
+            else 0.2 * _close(0.0, d)
+        )
     if op == ALONG:
         return _close(0.0, 1.5 * d) if kind != 0 else 0.3 * _close(0.0, d)
     return _close(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)  # ACROSS
@@ -211,12 +215,25 @@ def likelihoods(statements, scene, words, objects, at, sight, total, pairs, view
         op, a, b = statements.op[s], statements.source[s], statements.target[s]
         expected = 0.0
         if op == BETWEEN:
-            p = _between(statements, s, who, fit, many, at, objects) / (pairs * total + statements.crowd)
-        elif a == ME or b == ME:
-            p, expected = _of_me(statements, s, scene, who, fit, many, objects, stands if op == DIRECTION else at, lies, sight, view, given)  # fmt: skip
+            p = _between(statements, s, who, fit, many, at, objects) / (
+                pairs * total + statements.crowd
+            )
+        elif ME in (a, b):
+            p, expected = _of_me(statements, s, scene, who, fit, many, objects, stands if op == DIRECTION else at, lies, given)
             p /= total + LONELY
         else:
-            p = _of_pair(statements, s, scene, who, fit, many, objects, stands if op == DIRECTION else at, lies, given)
+            p = _of_pair(
+                statements,
+                s,
+                scene,
+                who,
+                fit,
+                many,
+                objects,
+                stands if op == DIRECTION else at,
+                lies,
+                given,
+            )
             p /= pairs + statements.crowd
         p = min(1.0, p + far[s])
         noise, background = statements.noise[s], statements.background[s]
@@ -224,20 +241,20 @@ def likelihoods(statements, scene, words, objects, at, sight, total, pairs, view
             absent = np.exp(-2.0 * expected) if b == ME else 1.0 - p
             out[s] = np.log((1.0 - noise) * absent + noise)
         else:
-            if statements.count[s] > 0.0 and expected > 0.0:
-                k = statements.count[s]
+            if statements.number[s] > 0.0 and expected > 0.0:
+                k = statements.number[s]
                 z = (expected - k) / (0.4 * k + 0.6)
                 p *= 0.3 + 1.2 * np.exp(-0.5 * z * z)
             out[s] = np.log((1.0 - noise) * p / background + noise)
         log_sum += out[s]
     log_sum += _coherence(statements, fit, many, given, together)
     if len(served):
-        _assign(statements, scene, who, fit, many, objects, stands, at, lies, given, view, served)
+        _assign(statements, scene, who, fit, many, objects, stands, at, lies, given, served)
     return log_sum
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _of_me(statements, s, scene, who, fit, many, objects, where, lies, sight, view, given):
+def _of_me(statements, s, scene, who, fit, many, objects, where, lies, given):
     """Mass of a statement about a thing and the speaker, and how many such things are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
     m = statements.source[s] if forward else statements.target[s]
@@ -271,14 +288,13 @@ def _of_pair(statements, s, scene, who, fit, many, objects, where, lies, given):
         ea = who[a, i]
         if op == DIRECTION and not lies[ea]:
             continue
-        kind_a = scene.kind[objects[ea]]
         for j in range(many[b]):
             eb = who[b, j]
             if objects[ea] == objects[eb] or (op == DIRECTION and not lies[eb]):
                 continue
             p = serve_pair(
                 op, table, ux, uy, said,
-                where[ea, 0], where[ea, 1], kind_a, where[eb, 0], where[eb, 1], scene.kind[objects[eb]],
+                where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1], scene.kind[objects[eb]],
             )  # fmt: skip
             given[s, 0, i] += fit[b, j] * p
             given[s, 1, j] += fit[a, i] * p
@@ -291,7 +307,7 @@ def _between(statements, s, who, fit, many, at, objects):
     """Mass of "the source lies between two targets"; the source may be the viewpoint."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]
     mass = 0.0
-    if b == ME or c == ME:
+    if ME in (b, c):
         return mass
     for k in range(1 if a == ME else many[a]):
         ax = ay = np.float32(0.0)
@@ -340,7 +356,9 @@ def _posterior(statements, m, fit, many, given, posterior):
                 continue
             n_about += 1
             for i in range(many[m]):
-                posterior[i] *= (given[s, row, i] + np.float32(0.1) * mean) / (np.float32(1.1) * mean)
+                posterior[i] *= (given[s, row, i] + np.float32(0.1) * mean) / (
+                    np.float32(1.1) * mean
+                )
     gain = np.float32(0.0)
     for i in range(many[m]):
         gain += posterior[i]
@@ -360,7 +378,7 @@ def _coherence(statements, fit, many, given, together):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _assign(statements, scene, who, fit, many, objects, stands, at, lies, given, view, served):
+def _assign(statements, scene, who, fit, many, objects, stands, at, lies, given, served):
     """One assignment for all statements: each mention its most probable object, then the best pairs."""
     chosen = np.full(len(many), -1, np.int64)
     weight = np.ones((len(many), MOST), np.float32)
@@ -375,7 +393,7 @@ def _assign(statements, scene, who, fit, many, objects, stands, at, lies, given,
             a, b = statements.target[s], statements.target2[s]
         where = stands if op == DIRECTION else at
         ux, uy = statements.bearing[s]
-        if a == ME or b == ME:
+        if ME in (a, b):
             m = b if a == ME else a
             if m != ME and many[m]:
                 served[s, 0] = objects[who[m, chosen[m]]]
@@ -391,7 +409,7 @@ def _assign(statements, scene, who, fit, many, objects, stands, at, lies, given,
                 if op != BETWEEN:
                     p *= serve_pair(
                         op, statements.table[s], ux, uy, statements.distance[s],
-                        where[ea, 0], where[ea, 1], scene.kind[objects[ea]],
+                        where[ea, 0], where[ea, 1],
                         where[eb, 0], where[eb, 1], scene.kind[objects[eb]],
                     )  # fmt: skip
                 if p > best:

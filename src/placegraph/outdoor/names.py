@@ -16,7 +16,6 @@ LONGEST = 8
 """Names are found in running text up to this many words."""
 CLOSE = 0.86
 """Similarity from which a misspelt name counts as meant."""
-STREETS = {"st": "street", "ave": "avenue", "av": "avenue", "blvd": "boulevard", "rd": "road", "dr": "drive"}
 
 
 @dataclass(frozen=True, eq=False)

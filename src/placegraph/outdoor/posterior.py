@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.estimate import Status
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 TEMPER = 1.0
 """Exponent of the likelihood: statements about one place are not independent."""
@@ -49,7 +52,9 @@ def posterior(
     unscored = TEMPER * floor + np.log(max(rest, 1e-12)) + np.log1p(-ELSEWHERE)
     everything = np.concatenate((weight, [np.log(ELSEWHERE), unscored]))
     log_total = np.logaddexp.reduce(everything)
-    return Posterior(positions, np.exp(weight - log_total), float(np.exp(np.log(ELSEWHERE) - log_total)))
+    return Posterior(
+        positions, np.exp(weight - log_total), float(np.exp(np.log(ELSEWHERE) - log_total))
+    )
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     smooth = _smoothed(found.positions, left)
     while len(peaks) < top and len(left):
         at = int(np.argmax(smooth))
-        if smooth[at] <= 1e-9:  # noqa: PLR2004 - nothing left
+        if smooth[at] <= 1e-9:
             break
         distance = np.hypot(*(found.positions - found.positions[at]).T)
         near = distance <= APART
@@ -90,10 +95,12 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     return sorted(peaks, key=lambda m: -m.probability)
 
 
-def _smoothed(positions: NDArray[np.float64], probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
+def _smoothed(
+    positions: NDArray[np.float64], probabilities: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Probability within `APART` of the heaviest points (0 for light ones): peaks are broad, not sharp."""
     smooth = np.zeros(len(positions))
-    heavy = np.argsort(-probabilities)[:64]
+    heavy = np.argsort(-probabilities)[:32]
     for i in heavy:
         near = np.hypot(*(positions - positions[i]).T) <= APART
         smooth[i] = probabilities[near].sum() + 1e-3 * probabilities[i]
@@ -105,8 +112,11 @@ def status_of(found: Posterior, peaks: list[Mode]) -> tuple[Status, str]:
     if not peaks:
         return Status.LOST, "Nothing on the map shares anything with the description."
     best = peaks[0].probability
-    if found.elsewhere > 0.5:  # noqa: PLR2004 - more likely not here than here
+    if found.elsewhere > 0.5:
         return Status.LOST, "No place on the map fits the description better than chance."
     if best >= SURE:
         return Status.OK, f"One place holds {best:.0%} of the probability."
-    return Status.AMBIGUOUS, f"The best place holds only {best:.0%} of the probability; others fit as well."
+    return (
+        Status.AMBIGUOUS,
+        f"The best place holds only {best:.0%} of the probability; others fit as well.",
+    )

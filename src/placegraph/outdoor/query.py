@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sin
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Mention, Relation, Statement
+from placegraph.outdoor.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Mention,
+    Relation,
+    Statement,
+)
 from placegraph.outdoor.match import ME, TABLE, Statements, direction_table
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from placegraph.outdoor.city import CityMap
 
 SLIP = 0.08
@@ -47,8 +55,16 @@ GEOMETRY = {
 OPERATION = {relation: i for i, relation in enumerate(Relation)}
 
 
-@dataclass(frozen=True)
-class Far:
+class MentionTokens(NamedTuple):
+    """Tokens that each mention may stand for; row m is `mentions[m + 2]` of the description."""
+
+    starts: NDArray[np.int64]
+    """(M + 1,)"""
+    tokens: NDArray[np.int32]
+    weights: NDArray[np.float32]
+
+
+class Far(NamedTuple):
     """Things rare enough to be spoken of from out of sight."""
 
     starts: NDArray[np.int64]
@@ -73,18 +89,15 @@ class Query:
     unused: tuple[tuple[Statement, str], ...]
     """Statements that cannot take part, and why."""
     statements: Statements
-    mention_starts: NDArray[np.int64]
-    """(M + 1,) tokens of a mention; row m of the columns is `mentions[m + 2]` of the description."""
-    mention_tokens: NDArray[np.int32]
-    mention_weights: NDArray[np.float32]
+    mentions: MentionTokens
     far: Far | None
     """None where everything is said of things in sight."""
 
     def words(self, n_tokens: int) -> NDArray[np.float32]:
         """How well a token fits a mention, (n_tokens, M) float32."""
-        table = np.zeros((n_tokens, len(self.mention_starts) - 1), np.float32)
-        owner = np.repeat(np.arange(len(self.mention_starts) - 1), np.diff(self.mention_starts))
-        table[self.mention_tokens, owner] = self.mention_weights
+        starts, tokens, weights = self.mentions
+        table = np.zeros((n_tokens, len(starts) - 1), np.float32)
+        table[tokens, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
         return table
 
 
@@ -105,29 +118,46 @@ def compile_query(description: Description, city: CityMap) -> Query:
         tuple(used),
         tuple(unused),
         _columns(used, description, share),
-        np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
-        np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
-        np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
+        MentionTokens(
+            np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
+            np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
+            np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
+        ),
         _far(used, mentions, city),
     )
 
 
 def _far(
-    used: list[Statement], mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]], city: CityMap
+    used: list[Statement],
+    mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+    city: CityMap,
 ) -> Far | None:
     """Objects of rare mentions, where a statement may be about things out of sight."""
     reaches = [s.far or s.distance is not None or SPEAKER in (s.source, s.target) for s in used]
     if not any(reaches):
         return None
     members = [_members(tokens, weights, city) for tokens, weights in mentions]
-    spoken = {n - 2 for s, r in zip(used, reaches, strict=True) if r for n in (s.source, s.target) if n >= 2}  # noqa: PLR2004
-    rare = sorted((m for m in spoken if 0 < len(members[m][0]) <= RARE), key=lambda m: len(members[m][0]))
+    spoken = {
+        n - 2
+        for s, r in zip(used, reaches, strict=True)
+        if r
+        for n in (s.source, s.target)
+        if n >= 2
+    }
+    rare = sorted(
+        (m for m in spoken if 0 < len(members[m][0]) <= RARE), key=lambda m: len(members[m][0])
+    )
     return Far(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
         objects=np.concatenate([o for o, _ in members]),
         fits=np.concatenate([f for _, f in members]),
-        scale=np.array([max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32),
-        share=np.array([(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)], np.float32),
+        scale=np.array(
+            [max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32
+        ),
+        share=np.array(
+            [(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)],
+            np.float32,
+        ),
         anchors=np.concatenate([members[m][0] for m in rare] or [np.zeros(0, np.int64)]),
     )
 
@@ -193,9 +223,9 @@ def _columns(used: list[Statement], description: Description, share: list[float]
         angle = statement.bearing or 0.0
         bearing[i] = sin(angle), cos(angle)
         table[i] = direction_table(statement.bearing_sigma, SLIP)
-        ends = (statement.source, statement.target)
+        ends = [statement.source, statement.target]
         if statement.relation is Relation.BETWEEN:
-            ends = (*ends, statement.target2 or SPEAKER)
+            ends.append(statement.target2 or SPEAKER)
         chance = GEOMETRY[statement.relation]
         for node in ends:
             chance *= 1.0 if node == SPEAKER else share[node - 2]
@@ -210,7 +240,7 @@ def _columns(used: list[Statement], description: Description, share: list[float]
         table=table,
         distance=np.array([s.distance or 0.0 for s in used], np.float32),
         negated=np.array([s.negated for s in used], np.bool_),
-        count=np.array(counts, np.float32),
+        number=np.array(counts, np.float32),
         noise=np.array([1.0 - (1.0 - NOISE) * s.certainty for s in used], np.float32),
         background=background,
         crowd=CROWD,

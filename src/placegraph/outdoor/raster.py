@@ -6,11 +6,13 @@ area that holds the centre stands at the centre itself (distance 0).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 AREA = 2
 
@@ -106,7 +108,7 @@ def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
 
 
 @njit(cache=True, nogil=True)
-def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity):  # noqa: C901, PLR0912, PLR0915 - one sweep
+def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity):
     east0, north0, stride, columns, n_rows = grid
     at = np.empty(capacity, np.int64)
     who = np.empty(capacity, np.int32)
@@ -162,7 +164,10 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                             near[k, 0], near[k, 1] = px, py
         # scan lines fill areas
         if kind[row] == AREA:
-            for r in range(max(r0, int(np.ceil((s - north0) / stride))), min(r1, int(np.floor((n - north0) / stride))) + 1):
+            for r in range(
+                max(r0, int(np.ceil((s - north0) / stride))),
+                min(r1, int(np.floor((n - north0) / stride))) + 1,
+            ):
                 gy = north0 + r * stride
                 count = 0
                 for part in range(part_starts[row], part_starts[row + 1]):
@@ -171,7 +176,9 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                         if (y0 > gy) != (y1 > gy):
                             if count == len(crossings):
                                 crossings = np.concatenate((crossings, crossings))
-                            crossings[count] = points[i, 0] + (gy - y0) / (y1 - y0) * (points[i + 1, 0] - points[i, 0])
+                            crossings[count] = points[i, 0] + (gy - y0) / (y1 - y0) * (
+                                points[i + 1, 0] - points[i, 0]
+                            )
                             count += 1
                 crossings[:count].sort()
                 for k in range(0, count - 1, 2):

@@ -5,26 +5,38 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from placegraph.outdoor.match import AREA, BETWEEN, DIRECTION, ME, _direction, _distance, likelihoods
+from placegraph.outdoor.index import SIGHT
+from placegraph.outdoor.match import (
+    AREA,
+    BETWEEN,
+    DIRECTION,
+    ME,
+    _direction,
+    _distance,
+    likelihoods,
+)
 from placegraph.outdoor.raster import nearest_on_parts
+
+SHARP = 2.0
+"""Width of the fall around `SIGHT` where positions are exact [m]."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def candidates(statements, mention_starts, mention_tokens, mention_weights, posting_starts, posting_views, posting_mass, total, pairs, most):  # fmt: skip
+def candidates(statements, mentions, views, most):
     """Viewpoints (K,) worth scoring, the most promising first, and their bounds.
 
     Only viewpoints that have all things of at least one statement in sight are touched. The bound
     is the likelihood ratio that the statements would have if every direction were right.
     """
-    n_views, n_mentions = len(total), len(mention_starts) - 1
+    n_views, n_mentions = len(views.total), len(mentions.starts) - 1
     mass = np.zeros((n_mentions, n_views), np.float32)
     length = np.zeros(n_mentions, np.int64)
     for m in range(n_mentions):
-        for k in range(mention_starts[m], mention_starts[m + 1]):
-            token, weight = mention_tokens[k], mention_weights[k]
-            for p in range(posting_starts[token], posting_starts[token + 1]):
-                mass[m, posting_views[p]] += weight * posting_mass[p]
-            length[m] += posting_starts[token + 1] - posting_starts[token]
+        for k in range(mentions.starts[m], mentions.starts[m + 1]):
+            token, weight = mentions.tokens[k], mentions.weights[k]
+            for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+                mass[m, views.posting_views[p]] += weight * views.posting_mass[p]
+            length[m] += views.posting_starts[token + 1] - views.posting_starts[token]
     bound = np.zeros(n_views, np.float32)
     touched = np.empty(n_views, np.int32)
     n_touched = 0
@@ -39,15 +51,15 @@ def candidates(statements, mention_starts, mention_tokens, mention_weights, post
         if a == ME or (b != ME and length[b] < length[a]):
             a, b = b, a
         gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
-        for k in range(mention_starts[a], mention_starts[a + 1]):
-            token = mention_tokens[k]
-            for p in range(posting_starts[token], posting_starts[token + 1]):
-                view = posting_views[p]
-                part = mention_weights[k] * posting_mass[p]
+        for k in range(mentions.starts[a], mentions.starts[a + 1]):
+            token = mentions.tokens[k]
+            for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+                view = views.posting_views[p]
+                part = mentions.weights[k] * views.posting_mass[p]
                 if b == ME:
-                    part /= total[view]
+                    part /= views.total[view]
                 elif mass[b, view] > 0.0:
-                    part *= mass[b, view] / (pairs[view] + statements.crowd)
+                    part *= mass[b, view] / (views.pairs[view] + statements.crowd)
                 else:
                     continue
                 if bound[view] == 0.0:
@@ -83,35 +95,35 @@ def _heaviest(bound, touched, most):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def score_views(statements, scene, words, views, bounds, starts, objects, offsets, sight, total, pairs, positions, far, together, margin):  # fmt: skip
+def score_views(statements, scene, views, words, chosen, bounds, far, together, margin):
     """Log-likelihood ratios (K,) of candidates, best bounds first.
 
     Stops where a bound lies more than `margin` [nat] below the best score so far: nothing behind it
     can matter. Rows not reached are -inf.
     """
     n_statements = len(statements.op)
-    scores = np.full(len(views), -np.inf, np.float32)
+    scores = np.full(len(chosen), -np.inf, np.float32)
     each = np.empty(n_statements, np.float32)
     nothing = np.empty((0, 2), np.int64)
     best = -np.inf
-    for k in range(len(views)):
+    for k in range(len(chosen)):
         ceiling = np.log(bounds[k])
         for s in range(n_statements):
             ceiling += np.log(statements.noise[s]) if not statements.negated[s] else 0.0
         if ceiling + 3.0 < best - margin:
             break
-        v = views[k]
-        a, b = starts[v], starts[v + 1]
+        v = chosen[k]
+        a, b = views.starts[v], views.starts[v + 1]
         scores[k] = likelihoods(
-            statements, scene, words, objects[a:b], offsets[a:b], sight[a:b],
-            total[v], pairs[v], positions[v], far[k], together, each, nothing,
+            statements, scene, words, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
+            views.total[v], views.pairs[v], views.positions[v], far[k], together, each, nothing,
         )  # fmt: skip
         best = max(best, scores[k])
     return scores
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def look_again(statements, scene, words, at, nearby, sight_at, fade, far, together, assign):
+def look_again(statements, scene, words, at, nearby, far, together, assign):
     """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
 
     Nearest points are computed anew from the geometry, so that a position between viewpoints sees
@@ -129,10 +141,16 @@ def look_again(statements, scene, words, at, nearby, sight_at, fade, far, togeth
         for i in range(len(nearby)):
             o = nearby[i]
             e, n, d2 = nearest_on_parts(
-                scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o, at[k, 0], at[k, 1]
+                scene.part_starts,
+                scene.point_starts,
+                scene.points,
+                scene.kind[o],
+                o,
+                at[k, 0],
+                at[k, 1],
             )
             where[i, 0], where[i, 1] = e, n
-            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - sight_at) / fade))
+            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SHARP))
             total += sight[i]
             if scene.kind[o] != AREA or d2 > 0.0:
                 apart += sight[i]
@@ -146,30 +164,30 @@ def look_again(statements, scene, words, at, nearby, sight_at, fade, far, togeth
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def distant(statements, scale, share, scene, mention_starts, mention_objects, mention_fits, positions):  # fmt: skip
+def distant(statements, scene, far, positions):
     """What things out of sight add to P(statement | position), (K, S) float32.
 
-    `mention_objects` (CSR by mention) lists all objects of mentions rare enough to be spoken of from
-    afar; `scale` (S,) is how far that reaches [m], `share` (S,) how often it happens. In a relation
+    `far` (`query.Far`) lists all objects of mentions rare enough to be spoken of from
+    afar; and how far a statement reaches. In a relation
     of two things the one that is not listed stands where the speaker stands, nearly enough.
     """
     out = np.zeros((len(positions), len(statements.op)), np.float32)
     for s in range(len(statements.op)):
         a, b = statements.source[s], statements.target[s]
-        n_a = mention_starts[a + 1] - mention_starts[a] if a != ME else 0
-        n_b = mention_starts[b + 1] - mention_starts[b] if b != ME else 0
+        n_a = far.starts[a + 1] - far.starts[a] if a != ME else 0
+        n_b = far.starts[b + 1] - far.starts[b] if b != ME else 0
         if statements.op[s] == BETWEEN or statements.negated[s] or n_a + n_b == 0:
             continue
         forward = n_b == 0 or (0 < n_a <= n_b)
         m = a if forward else b
         ux, uy = statements.bearing[s]
-        for i in range(mention_starts[m], mention_starts[m + 1]):
-            o = mention_objects[i]
+        for i in range(far.starts[m], far.starts[m + 1]):
+            o = far.objects[i]
             for k in range(len(positions)):
                 cx = scene.center[o, 0] - positions[k, 0]
                 cy = scene.center[o, 1] - positions[k, 1]
                 # extents beyond 1 km are walked in sight, not from afar
-                if max(abs(cx), abs(cy)) > 4.0 * scale[s] + 1000.0:
+                if max(abs(cx), abs(cy)) > 4.0 * far.scale[s] + 1000.0:
                     continue
                 x, y, d2 = cx, cy, cx * cx + cy * cy
                 if scene.kind[o] != 0:
@@ -178,12 +196,12 @@ def distant(statements, scale, share, scene, mention_starts, mention_objects, me
                         positions[k, 0], positions[k, 1],
                     )  # fmt: skip
                 d = np.sqrt(d2)
-                if d > 4.0 * scale[s]:
+                if d > 4.0 * far.scale[s]:
                     continue
-                p = np.exp(-d / scale[s])
+                p = np.exp(-d / far.scale[s])
                 if statements.op[s] == DIRECTION:
                     wx, wy = (ux, uy) if forward else (-ux, -uy)
                     p *= _direction(statements.table[s], wx, wy, x, y)
                 p *= _distance(statements.distance[s], d)
-                out[k, s] += share[s] * mention_fits[i] * p
+                out[k, s] += far.share[s] * far.fits[i] * p
     return out

@@ -6,24 +6,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor import scan
-from placegraph.outdoor.index import SIGHT, STRIDE
+from placegraph.outdoor.index import STRIDE
 from placegraph.outdoor.posterior import Posterior, posterior
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.query import Query
+    from numpy.typing import NDArray
 
-MOST_CANDIDATES = 1500
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.query import Far, Query
+
+MOST_CANDIDATES = 800
 """At most this many viewpoints are scored."""
-SHARP = 2.0
-"""Width of the fall around `SIGHT` where positions are exact [m]."""
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""
-MARGIN = 7.0
+MARGIN = 3.0
 """Viewpoints that must lie this far behind the best are not scored [nat]."""
 CLOSER = 10
 """This many of the best viewpoints are looked at more closely ..."""
@@ -81,20 +80,14 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     statements = query.statements
     words = query.words(len(views.posting_starts) - 1)
     most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
-    chosen, bounds = scan.candidates(
-        statements,
-        query.mention_starts, query.mention_tokens, query.mention_weights,
-        views.posting_starts, views.posting_views, views.posting_mass,
-        views.total, views.pairs, most,
-    )  # fmt: skip
+    columns = views.columns
+    chosen, bounds = scan.candidates(statements, query.mentions, columns, most)
     far = np.zeros((len(chosen), len(statements.op)), np.float32)
     if query.far:
-        chosen, bounds, far = _with_far(query, city, prior, chosen, bounds)
+        chosen, bounds, far = _with_far(query, query.far, city, prior, chosen, bounds)
     scores = scan.score_views(
-        statements, scene, words, chosen, bounds,
-        views.starts, views.objects, views.offsets, views.sight,
-        views.total, views.pairs, views.positions, far, TOGETHER, MARGIN,
-    )  # fmt: skip
+        statements, scene, columns, words, chosen, bounds, far, TOGETHER, MARGIN
+    )
     reached = np.isfinite(scores)
     chosen, scores, far = chosen[reached], scores[reached], far[reached]
     positions = views.positions[chosen].astype(np.float64)
@@ -108,26 +101,25 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
 
 def _with_far(
     query: Query,
+    far: Far,
     city: CityMap,
     prior: Prior,
     chosen: NDArray[np.int32],
     bounds: NDArray[np.float32],
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Add viewpoints around rare things spoken of from afar, and what those add to each statement."""
-    views, statements, far = city.views, query.statements, query.far
-    if far is None:
-        raise AssertionError
+    views, statements = city.views, query.statements
     anchors = city.objects.center[far.anchors]
-    around = [np.flatnonzero(np.abs(views.positions - a).max(axis=1) < FAR_REACH) for a in anchors[:MOST_ANCHORS]]
+    around = [
+        np.flatnonzero(np.abs(views.positions - a).max(axis=1) < FAR_REACH)
+        for a in anchors[:MOST_ANCHORS]
+    ]
     if around:
         extra = np.setdiff1d(np.concatenate(around), chosen).astype(np.int32)
         extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
         chosen = np.concatenate([chosen, extra])
         bounds = np.concatenate([bounds, np.ones(len(extra), np.float32)])
-    added = scan.distant(
-        statements, far.scale, far.share, city.scene, far.starts, far.objects, far.fits,
-        views.positions[chosen],
-    )  # fmt: skip
+    added = scan.distant(statements, city.scene, far, views.positions[chosen])
     gain = (1.0 - statements.noise) / (statements.noise * statements.background)
     total = np.log(bounds) + np.log1p(gain * added).sum(axis=1)
     rank = total + prior.log(views.positions[chosen].astype(np.float64), len(views.positions))
@@ -155,9 +147,15 @@ def _closer(
         nearby = views.objects[views.starts[v] : views.starts[v + 1]]
         at = positions[k] + FINE
         again, _, _ = scan.look_again(
-            query.statements, scene, words, at, nearby, SIGHT, SHARP,
-            np.tile(far[k], (len(at), 1)), TOGETHER, False,
-        )  # fmt: skip
+            query.statements,
+            scene,
+            words,
+            at,
+            nearby,
+            np.tile(far[k], (len(at), 1)),
+            TOGETHER,
+            False,
+        )
         fine_at.append(at)
         fine_scores.append(again)
         fine_prior.append(np.full(len(at), log_prior[k] - np.log(len(at))))

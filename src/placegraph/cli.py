@@ -1,0 +1,341 @@
+"""The command line: thin, typed functions; every answer is also to be had as JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from placegraph.errors import InputError, OptionError, PlacegraphError
+
+if TYPE_CHECKING:
+    from placegraph.estimate import Estimate
+    from placegraph.outdoor.ask import Answer, Question
+    from placegraph.outdoor.city import CityMap
+
+app = typer.Typer(
+    name="placegraph",
+    help="Where am I? Answered on a map that is a graph of things.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+city_app = typer.Typer(
+    help="Outdoor: a sentence finds its place in a city cut from OpenStreetMap.",
+    no_args_is_help=True,
+)
+app.add_typer(city_app, name="city")
+
+MapFile = Annotated[Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")]
+
+
+def main() -> None:
+    """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
+    try:
+        app()
+    except PlacegraphError as error:
+        Console(stderr=True, soft_wrap=True).print(
+            f"placegraph: {error}", style="red", markup=False, highlight=False
+        )
+        sys.exit(error.exit_code)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        from placegraph import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@city_app.command("build")
+def build(
+    file: Annotated[
+        Path, typer.Argument(help="OpenStreetMap extract: .osm.pbf, .osm, .osm.gz or .osm.bz2.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Map file to write, such as monaco.city.")
+    ],
+    cell_size: Annotated[float, typer.Option(help="Edge of a cell [m].")] = 50.0,
+    stride: Annotated[
+        float | None, typer.Option(help="Distance of cell centres [m]; the cell size if not given.")
+    ] = None,
+    edge_distance: Annotated[
+        float | None,
+        typer.Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
+    ] = None,
+    vocabulary: Annotated[
+        Path | None, typer.Option(help="Folder with edited vocabulary tables.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a city map from an OpenStreetMap extract.
+
+    Example: placegraph city build monaco.osm.pbf -o monaco.city
+    """
+    from time import perf_counter
+
+    from placegraph.outdoor.build import build_city
+    from placegraph.outdoor.vocabulary import Vocabulary
+
+    words = Vocabulary.load(vocabulary) if vocabulary else None
+    start = perf_counter()
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(
+        *columns, console=Console(stderr=True), disable=quiet or as_json, transient=True
+    ) as progress:
+        task = progress.add_task("reading")
+        city = build_city(
+            file, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
+            progress=lambda step, n: progress.update(task, description=f"{step} {n:,} elements"),
+        )  # fmt: skip
+    seconds = perf_counter() - start
+    summary = {**facts(city), "bytes": out.stat().st_size, "seconds": round(seconds, 3)}
+    if as_json:
+        typer.echo(json.dumps(summary))
+    elif not quiet:
+        typer.echo(
+            f"{out}: {len(city.objects):,} objects in {len(city.cells):,} cells, "
+            f"{summary['bytes'] / 1e3:,.0f} kB ({summary['bytes'] / max(1, len(city.cells)):.0f} bytes a cell), "
+            f"built in {seconds:.1f} s."
+        )
+        if city.left_out:
+            typer.echo(
+                "Left out: " + ", ".join(f"{n:,} {why}" for why, n in city.left_out.items()) + "."
+            )
+
+
+@city_app.command("locate")
+def locate(
+    map_file: MapFile,
+    text: Annotated[
+        str, typer.Argument(help="What stands around you, in words; - reads standard input.")
+    ],
+    top: Annotated[int, typer.Option(help="How many places at most.")] = 5,
+    near: Annotated[
+        str | None, typer.Option(help="LON,LAT you are known to be near, with --radius.")
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(help="Radius of --near [m]: half of the prior lies within.")
+    ] = 1000.0,
+    heading_deg: Annotated[
+        float | None,
+        typer.Option(help="Where you look, clockwise from north: gives 'left of me' a meaning."),
+    ] = None,
+    listener: Annotated[
+        str | None, typer.Option(help="LON,LAT of 'you' in the text, where that is known.")
+    ] = None,
+    ask: Annotated[bool, typer.Option("--ask", help="Ask back until the place is clear.")] = False,
+    as_json: AsJson = False,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page that opens without a network.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a picture.")] = None,
+) -> None:
+    """Find the place that a description was spoken at.
+
+    Example: placegraph city locate monaco.city "A bakery is north of me. The church is east of the bakery."
+    """
+    from math import radians
+
+    from placegraph.maps import open_map
+
+    city = open_map(map_file)
+    text = sys.stdin.read() if text == "-" else text
+    answers: list[Answer] = []
+
+    def estimated() -> Estimate:
+        return city.locate(
+            text,
+            top=top,
+            near=_lonlat(near, "--near"),
+            radius=radius,
+            heading=None if heading_deg is None else radians(heading_deg),
+            listener=_lonlat(listener, "--listener"),
+            answers=answers,
+        )
+
+    estimate = estimated()
+    while ask and estimate.status.name == "AMBIGUOUS" and len(answers) < 20:
+        question = estimate.next_question(city)
+        if question is None:
+            break
+        answers.append(question.answer(_prompt(question)))
+        estimate = estimated()
+    question = estimate.next_question(city) if estimate.status.name == "AMBIGUOUS" else None
+    if html is not None:
+        from placegraph.view import write_page
+
+        write_page(
+            city, estimate, html, title=text[:80], question=question.text if question else None
+        )
+    if png is not None:
+        from placegraph.view import write_picture
+
+        write_picture(city, estimate, png)
+    if as_json:
+        answer = estimate.to_dict() | {"question": question.text if question else None}
+        typer.echo(json.dumps(answer, ensure_ascii=False))
+    else:
+        _show(estimate, question)
+
+
+def _prompt(question: Question) -> str:
+    while True:
+        given = str(typer.prompt(f"{question.text} [{' / '.join(question.options)} / don't know]"))
+        try:
+            question.answer(given)
+        except OptionError as error:
+            typer.echo(str(error))
+        else:
+            return given
+
+
+def _lonlat(value: str | None, option: str) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    try:
+        longitude, latitude = (float(part) for part in value.split(","))
+    except ValueError as error:
+        raise OptionError(
+            f"{option} is {value!r}; give longitude and latitude as 7.42,43.73."
+        ) from error
+    return longitude, latitude
+
+
+def _show(estimate: Estimate, question: Question | None) -> None:
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(f"{estimate.status.name}: {estimate.reason}", markup=False)
+    for rank, mode in enumerate(estimate.modes, 1):
+        sigma = max(mode.covariance[0, 0], mode.covariance[1, 1]) ** 0.5
+        console.print(
+            f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:6.1%}  ±{sigma:.0f} m  cell {mode.cell}",
+            markup=False,
+        )
+    if estimate.evidence:
+        table = Table("", "statement", "nat", "served by", box=None, pad_edge=False)
+        for e in estimate.evidence:
+            things = ", ".join(f"{o.name or o.label} ({o.id})" for o in e.objects)
+            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
+            table.add_row(
+                sign, e.statement, f"{e.weight:+.1f}", "; ".join(x for x in (things, e.note) if x)
+            )
+        console.print(table)
+    if estimate.understood and estimate.understood.ignored:
+        ignored = "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in estimate.understood.ignored)
+        console.print(f"Ignored: {ignored}", markup=False)
+    if question is not None:
+        console.print(
+            f"To be sure: {question.text}  (run again with --ask to answer)", markup=False
+        )
+
+
+@city_app.command("info")
+def info(
+    map_file: MapFile,
+    as_json: AsJson = False,
+    png: Annotated[Path | None, typer.Option(help="Write an overview picture.")] = None,
+) -> None:
+    """Say what a city map holds."""
+    from placegraph.maps import open_map
+
+    city = open_map(map_file)
+    told = {**facts(city), "bytes": map_file.stat().st_size}
+    if png is not None:
+        from placegraph.view import draw_city
+
+        draw_city(city, png)
+    if as_json:
+        typer.echo(json.dumps(told, ensure_ascii=False))
+        return
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for key, value in told.items():
+        table.add_row(key.replace("_", " "), _said(value))
+    Console(soft_wrap=True).print(table)
+
+
+def _said(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_said(v)}" for k, v in value.items())
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def facts(city: CityMap) -> dict[str, object]:
+    """What a city map holds, in plain numbers and strings."""
+    from collections import Counter
+
+    import numpy as np
+
+    o = city.objects
+    low, high = (city.plane.to_lonlat(f(o.points, axis=0)) for f in (np.min, np.max))
+    first = Counter(o.labels[i] for i in o.label_values[o.label_starts[:-1]])
+    return {
+        "source": city.source,
+        "objects": len(o),
+        "named": int((np.diff(o.name_starts) > 0).sum()),
+        "cells": len(city.cells),
+        "cell_size": city.cells.size,
+        "west_south_east_north_deg": [round(float(x), 5) for x in (*low, *high)],
+        "labels": dict(first.most_common(12)),
+        "left_out": city.left_out,
+    }
+
+
+@city_app.command("check")
+def check(map_file: MapFile, as_json: AsJson = False) -> None:
+    """Check a city map: checksums, columns, and what may surprise; each finding with a mend."""
+    from placegraph.maps import open_map
+    from placegraph.outdoor.check import findings
+
+    found = findings(open_map(map_file))
+    if as_json:
+        typer.echo(json.dumps(found, ensure_ascii=False))
+    else:
+        typer.echo("\n".join(f"- {line}" for line in found) if found else f"{map_file} is sound.")
+
+
+@city_app.command("fetch")
+def fetch(
+    place: Annotated[str, typer.Argument(help="Name of a place, such as 'Vaduz, Liechtenstein'.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="OpenStreetMap file to write (.osm or .osm.pbf).")
+    ],
+) -> None:
+    """Download a place's OpenStreetMap data from Overpass (extra `osmnx`)."""
+    from placegraph.formats.overpass import fetch_osm
+
+    typer.echo(str(fetch_osm(place, out)))
+
+
+@app.command("demo")
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the pages and pictures.")] = Path(
+        "demo-out"
+    ),
+) -> None:
+    """Build a town that ships with placegraph and locate three sentences in it."""
+    from placegraph.synthetic.demo import run_demo
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{out} cannot be made a folder ({error.strerror}); choose another --out."
+        ) from error
+    run_demo(out, typer.echo)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""Why a place: which map objects served each statement there, and what spoke against it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.estimate import Evidence, ObjectRef
+from placegraph.geometry import angle_between, bearing
+from placegraph.outdoor import scan
+from placegraph.outdoor.description import SPEAKER, Relation, Statement
+from placegraph.outdoor.index import REACH
+from placegraph.outdoor.raster import nearest_on_parts
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.query import Query
+
+CERTAIN = 0.9
+"""Prior that a mention means one thing: an explanation is one assignment."""
+TELLING = 0.25
+"""A statement speaks for or against a place from this log-likelihood ratio on [nat]."""
+WINDS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
+
+
+def wind(angle: float) -> str:
+    """Name of a bearing [rad] among the eight winds."""
+    return WINDS[round(angle / (np.pi / 4)) % 8]
+
+
+def evidence_at(position: NDArray[np.float64], city: CityMap, query: Query) -> tuple[Evidence, ...]:
+    """Evidence of every statement at a position (2,) [m]; unused statements come last."""
+    unused = tuple(
+        Evidence(said(s, query), "silent", 0.0, (), reason) for s, reason in query.unused
+    )
+    if not query.used:
+        return unused
+    views = city.views
+    view = int(np.argmin(((views.positions - position) ** 2).sum(axis=1)))
+    around = np.flatnonzero(
+        np.abs(views.positions - views.positions[view]).max(axis=1) < 0.7 * REACH
+    )
+    nearby = np.unique(
+        np.concatenate([views.objects[views.starts[v] : views.starts[v + 1]] for v in around])
+    )
+    at = position[None]
+    far = np.zeros((1, len(query.used)), np.float32)
+    if query.far is not None:
+        far = scan.distant(query.statements, city.scene, query.far, at)
+    _, ratios, served = scan.look_again(
+        query.statements, city.scene, query.words(len(views.posting_starts) - 1),
+        at, nearby, far, CERTAIN, True,
+    )  # fmt: skip
+    found = [
+        _evidence(s, float(r), [int(o) for o in rows if o >= 0], position, city, query, i)
+        for i, (s, r, rows) in enumerate(zip(query.used, ratios[0], served[0], strict=True))
+    ]
+    return (*found, *unused)
+
+
+def _evidence(
+    statement: Statement,
+    ratio: float,
+    rows: list[int],
+    position: NDArray[np.float64],
+    city: CityMap,
+    query: Query,
+    index: int,
+) -> Evidence:
+    verdict = "for" if ratio > TELLING else "against" if ratio < -TELLING else "silent"
+    if verdict == "for" and not rows and not statement.negated:
+        rows = _from_afar(statement, position, city, query)
+    note = ""
+    if verdict == "against":
+        note = _against(statement, rows, position, city)
+        rows = rows if statement.negated or note.startswith("there it") else []
+    elif not rows and not statement.negated:
+        note = "nothing in sight serves it"
+    return Evidence(
+        said(statement, query), verdict, ratio, tuple(reference(o, city) for o in rows), note
+    )
+
+
+def _from_afar(
+    statement: Statement, position: NDArray[np.float64], city: CityMap, query: Query
+) -> list[int]:
+    """The nearest rare thing out of sight that the statement may speak of."""
+    far = query.far
+    if far is None:
+        return []
+    ends = [n - 2 for n in (statement.source, statement.target) if n > 1]
+    lists = [far.objects[far.starts[m] : far.starts[m + 1]] for m in ends]
+    known = [rows for rows in lists if len(rows)]
+    if not known:
+        return []
+    rows = min(known, key=len)
+    distance = np.hypot(*(city.objects.center[rows] - position).T)
+    return [int(rows[np.argmin(distance)])]
+
+
+def _against(
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+) -> str:
+    """What spoke against a statement, as people would say it."""
+    if statement.negated:
+        return "but it is there"
+    if statement.relation is not Relation.DIRECTION or statement.bearing is None or not rows:
+        return "nothing in sight serves it"
+    stands = [position + _nearest(city, row, position) for row in rows]
+    if len(rows) == 1:
+        delta = stands[0] - position if statement.target == SPEAKER else position - stands[0]
+    else:
+        delta = stands[0] - stands[1]
+    if float(angle_between(bearing(delta), statement.bearing)) < np.pi / 4:
+        return "it fits, but no better than elsewhere"
+    return f"there it lies to the {wind(float(bearing(delta)))}"
+
+
+def _nearest(city: CityMap, row: int, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    o = city.objects
+    east, north, _ = nearest_on_parts(
+        o.part_starts,
+        o.point_starts,
+        o.points,
+        o.kind[row],
+        row,
+        float(position[0]),
+        float(position[1]),
+    )
+    return np.array([east, north])
+
+
+def reference(row: int, city: CityMap) -> ObjectRef:
+    """What an estimate tells of a map object."""
+    o = city.objects
+    longitude, latitude = (float(x) for x in city.plane.to_lonlat(o.center[row]))
+    return ObjectRef(o.osm(row), o.label(row), o.name(row), longitude, latitude)
+
+
+def said(statement: Statement, query: Query) -> str:
+    """A statement in its own words, or put into words."""
+    if statement.text:
+        return statement.text
+    mentions = query.description.mentions
+
+    def words(node: int | None) -> str:
+        if node is None or node <= 1:
+            return "you" if node else "me"
+        return mentions[node].name or mentions[node].words
+
+    how = (
+        wind(statement.bearing) + " of"
+        if statement.bearing is not None
+        else statement.relation.value
+    )
+    no = "not " if statement.negated else ""
+    return f"{words(statement.source)} {no}{how} {words(statement.target)}"

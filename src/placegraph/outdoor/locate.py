@@ -1,0 +1,150 @@
+"""Where was this said? Text in, estimate out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Estimate, Place, Status
+from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Relation, Statement
+from placegraph.outdoor.evidence import evidence_at
+from placegraph.outdoor.posterior import Mode, Posterior, modes, status_of
+from placegraph.outdoor.query import Query, compile_query
+from placegraph.outdoor.search import Prior, search
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.ask import Answer
+    from placegraph.outdoor.city import CityMap
+
+MOST_SUPPORT = 4000
+"""At most this many points of the posterior are kept in an estimate."""
+SPACING = 6.67
+"""Positions are scored this finely [m]."""
+
+
+def locate(
+    city: CityMap,
+    text: str | Description,
+    *,
+    top: int = 5,
+    near: Sequence[float] | None = None,
+    radius: float = 1000.0,
+    heading: float | None = None,
+    listener: Sequence[float] | None = None,
+    answers: Sequence[Answer] = (),
+) -> Estimate:
+    """Locate a description in a city; see `CityMap.locate`."""
+    if not isinstance(top, int) or top < 1:
+        raise OptionError(f"top is {top!r}; ask for at least one mode.")
+    if near is not None and len(near) == 3:
+        near, radius = near[:2], near[2]
+    if not radius > 0.0:
+        raise OptionError(f"radius is {radius} m; give a positive one.")
+    near_at, listener_at = _position(city, near, "near"), _position(city, listener, "listener")
+    description = read(city, text, heading=heading)
+    for answer in answers:
+        description = answer.added_to(description)
+    way, rest = _split(description, known=listener_at is not None)
+    query = compile_query(replace(description, statements=rest), city)
+    prior = Prior(near_at, radius, listener_at, way)
+    if not query.used and not way:
+        return Estimate(Status.LOST, (), _why_nothing(description, query), description)
+    found = search(query, city, prior)
+    peaks = modes(found, top, SPACING)
+    status, reason = status_of(found, peaks)
+    places = tuple(_place(mode, city, query) for mode in peaks)
+    if places and description.conflicts and not _resolved(places[0], query):
+        status, reason = (
+            Status.LOST,
+            "The description contradicts itself: " + description.conflicts[0],
+        )
+    return Estimate(status, places, reason, description, _support(found, city))
+
+
+def read(city: CityMap, text: str | Description, *, heading: float | None = None) -> Description:
+    """Understand a text in the words of a city: its names count, whatever the vocabulary says."""
+    if isinstance(text, Description):
+        return text
+    from placegraph.outdoor.describe import describe
+    from placegraph.outdoor.vocabulary import Vocabulary
+
+    return describe(text, vocabulary=Vocabulary.default(), names=city.name_index, heading=heading)
+
+
+def _position(
+    city: CityMap, lonlat: Sequence[float] | None, name: str
+) -> NDArray[np.float64] | None:
+    if lonlat is None:
+        return None
+    if len(lonlat) != 2 or not (abs(lonlat[0]) <= 180.0 and abs(lonlat[1]) <= 90.0):
+        raise OptionError(
+            f"{name} is {tuple(lonlat)}; give longitude and latitude in degrees, in this order."
+        )
+    return city.plane.to_plane(lonlat)
+
+
+def _split(
+    description: Description, *, known: bool
+) -> tuple[tuple[tuple[float, float, float], ...], tuple[Statement, ...]]:
+    """What is said of the way from the listener (bearing, sigma, certainty), and all other statements.
+
+    Whatever the speaker stands at lies where the speaker does.
+    """
+    here = {SPEAKER} | {
+        s.target
+        for s in description.statements
+        if s.relation is Relation.SAME and s.source == SPEAKER
+    }
+    way, rest = [], []
+    for s in description.statements:
+        if known and s.relation is Relation.DIRECTION and s.bearing is not None and not s.negated:
+            if s.source in here and s.target == LISTENER:
+                way.append((s.bearing, s.bearing_sigma, s.certainty))
+                continue
+            if s.target in here and s.source == LISTENER:
+                way.append((s.bearing + np.pi, s.bearing_sigma, s.certainty))
+                continue
+        rest.append(s)
+    return tuple(way), tuple(rest)
+
+
+def _why_nothing(description: Description, query: Query) -> str:
+    reasons = {reason for _, reason in query.unused}
+    if reasons:
+        return "Nothing that was said can be looked for: " + "; ".join(sorted(reasons)) + "."
+    if description.ignored:
+        return "Nothing in the text could be understood; say what stands around you, and in which direction."
+    return (
+        "The text says nothing about a place; say what stands around you, and in which direction."
+    )
+
+
+def _place(mode: Mode, city: CityMap, query: Query) -> Place:
+    longitude, latitude = (float(x) for x in city.plane.to_lonlat(mode.position))
+    return Place(
+        longitude,
+        latitude,
+        mode.probability,
+        city.cells.nearest(mode.position),
+        mode.covariance,
+        evidence_at(mode.position, city, query),
+    )
+
+
+def _resolved(place: Place, query: Query) -> bool:
+    """Whether the map has things that serve every statement all the same (two bakeries, say)."""
+    said = place.evidence[: len(query.used)]
+    return all(e.verdict != "against" for e in said)
+
+
+def _support(found: Posterior, city: CityMap) -> NDArray[np.float64]:
+    heaviest = np.argsort(-found.probabilities, kind="stable")[:MOST_SUPPORT]
+    lonlat = city.plane.to_lonlat(found.positions[heaviest])
+    return np.column_stack([lonlat, found.probabilities[heaviest]])
