@@ -123,7 +123,6 @@ class Text:
     """What of the text stands at the place: its start (l), middle (m) or end (r)."""
     shift: tuple[float, float] = (0.0, 0.0)
     """Offset, right and down [px]."""
-    bold: bool = False
 
 
 @dataclass(frozen=True, slots=True)

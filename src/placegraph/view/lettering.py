@@ -7,8 +7,7 @@ areas in the middle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from math import atan2, ceil, hypot, pi
+from math import atan2, ceil, floor, hypot, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,21 +33,33 @@ REPEAT = 420.0
 """One street is lettered again after this distance [px]."""
 
 
-@dataclass
 class Taken:
-    """Where lettering or a mark stands already: discs that cover it [px]."""
+    """Where lettering or a mark stands already: discs (x, y, radius) that cover it [px]."""
 
-    discs: list[tuple[float, float, float]] = field(default_factory=list)
+    SIDE = 32.0
+    """Discs are kept by squares of this side, no smaller than the sum of two radii [px]."""
+
+    def __init__(self) -> None:
+        self._discs: dict[tuple[int, int], list[tuple[float, float, float]]] = {}
 
     def claim(self, discs: Sequence[tuple[float, float, float]], *, force: bool = False) -> bool:
         """Take a place if it is free (or by force); say whether it was taken."""
-        if self.discs and not force:
-            there, new = np.array(self.discs), np.array(discs)
-            apart = np.hypot(*(there[:, None, :2] - new[None, :, :2]).transpose(2, 0, 1))
-            if (apart < there[:, None, 2] + new[None, :, 2]).any():
-                return False
-        self.discs.extend(discs)
+        if not force and any(map(self._hit, discs)):
+            return False
+        for x, y, radius in discs:
+            square = floor(x / self.SIDE), floor(y / self.SIDE)
+            self._discs.setdefault(square, []).append((x, y, radius))
         return True
+
+    def _hit(self, disc: tuple[float, float, float]) -> bool:
+        x, y, radius = disc
+        column, row = floor(x / self.SIDE), floor(y / self.SIDE)
+        return any(
+            (x - a) ** 2 + (y - b) ** 2 < (radius + r) ** 2
+            for i in (column - 1, column, column + 1)
+            for j in (row - 1, row, row + 1)
+            for a, b, r in self._discs.get((i, j), ())
+        )
 
 
 def covering(text: Text, width: float, scale: float) -> list[tuple[float, float, float]]:

@@ -37,19 +37,24 @@ SUPERSAMPLE = 2
 
 def heat(density: Floats) -> Image.Image:
     """Colours (RGBA) of a density: from nothing over amber to red."""
-    stops = np.array([0.0, 0.04, 0.25, 0.6, 1.0])
+    stops = np.array([0.02, 0.12, 0.4, 0.7, 1.0])
     colors = np.array(
-        [(255, 205, 90, 0), (255, 196, 82, 90), (250, 145, 50, 150), (226, 73, 44, 175),
-         (168, 20, 40, 190)], np.float64)  # fmt: skip
-    # the root shows weak places too
-    level = np.sqrt(np.clip(density, 0.0, 1.0))
+        [(255, 205, 90, 0), (255, 190, 80, 70), (246, 138, 52, 125), (224, 74, 50, 150),
+         (176, 30, 50, 165)], np.float64)  # fmt: skip
+    level = np.clip(density, 0.0, 1.0) ** 0.7  # weak places show, too
     channels = [np.interp(level, stops, colors[:, k]) for k in range(4)]
     return Image.fromarray(np.stack(channels, axis=-1).round().astype(np.uint8), "RGBA")
 
 
-def paint_picture(items: Sequence[Item], frame: Frame, *, dark: bool = False) -> Image.Image:
-    """Paint a display list; the picture (RGB) has the frame's size."""
-    return _Painter(items, frame, dark=dark).paint(items)
+def paint_picture(
+    items: Sequence[Item], frame: Frame, *, dark: bool = False, reduce: bool = True
+) -> Image.Image:
+    """Paint a display list as a picture (RGB) of the frame's size.
+
+    Where it is not to be reduced yet, the picture is `SUPERSAMPLE` times as large.
+    """
+    large = _Painter(items, frame, dark=dark).paint(items)
+    return large.resize((frame.width, frame.height), Image.Resampling.LANCZOS) if reduce else large
 
 
 class _Painter:
@@ -62,7 +67,6 @@ class _Painter:
             frame.width * SUPERSAMPLE,
             frame.height * SUPERSAMPLE,
         )
-        self.size = frame.width, frame.height
         self.dark = dark
         self.face = face_for(item.text for item in items if isinstance(item, Text | Disc))
         self.image = Image.new("RGB", (self.frame.width, self.frame.height), self.color("land"))
@@ -93,7 +97,7 @@ class _Painter:
                     self.text(item)
                 case _:
                     pass
-        return self.image.resize(self.size, Image.Resampling.LANCZOS)
+        return self.image
 
     def map_items(self, items: list[MapItem], paint: Paint) -> None:
         self.lines(items, paint)
@@ -217,16 +221,15 @@ class _Painter:
         halo = round(1.6 * SUPERSAMPLE)
         text = self.face.drawable(item.text)
         ink, paper = self.color(item.ink), self.color("land")
-        weight = SUPERSAMPLE // 2 if item.bold else 0
         x, y = (self.frame.to_px(item.at) + np.multiply(item.shift, SUPERSAMPLE)).tolist()
         anchor = f"{item.anchor}m"
         if not item.angle:
-            self.draw.text((x, y), text, paper, font, anchor, stroke_width=halo + weight)
-            self.draw.text((x, y), text, ink, font, anchor, stroke_width=weight)
+            self.draw.text((x, y), text, paper, font, anchor, stroke_width=halo)
+            self.draw.text((x, y), text, ink, font, anchor)
             return
         width = int(font.getlength(text)) + 4 * halo
         height = int(item.size * SUPERSAMPLE * 1.5) + 4 * halo
-        for color, stroke in ((paper, halo + weight), (ink, weight)):
+        for color, stroke in ((paper, halo), (ink, 0)):
             mask = Image.new("L", (width, height))
             ImageDraw.Draw(mask).text(
                 (width / 2, height / 2), text, 255, font, "mm", stroke_width=stroke

@@ -56,6 +56,7 @@ PALETTE: dict[str, tuple[str, str]] = {
     "soft-ink": ("#6e6a62", "#a4a8b0"),
     "water-ink": ("#3d7690", "#7fb2ca"),
     "park-ink": ("#4a7440", "#8cb781"),
+    "amber": ("#9a5b00", "#f0b44c"),
     "mode": ("#b3261e", "#ff8a7a"),
     "on-mode": ("#ffffff", "#2a0d0a"),
     "for": ("#0b6e69", "#52c7bd"),
