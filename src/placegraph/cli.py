@@ -102,13 +102,14 @@ def build(
             progress=lambda step, n: progress.update(task, description=f"{step} {n:,} elements"),
         )  # fmt: skip
     seconds = perf_counter() - start
-    summary = {**facts(city), "bytes": out.stat().st_size, "seconds": round(seconds, 3)}
+    size = out.stat().st_size
+    summary = {**facts(city), "bytes": size, "seconds": round(seconds, 3)}
     if as_json:
         typer.echo(json.dumps(summary))
     elif not quiet:
         typer.echo(
             f"{out}: {len(city.objects):,} objects in {len(city.cells):,} cells, "
-            f"{summary['bytes'] / 1e3:,.0f} kB ({summary['bytes'] / max(1, len(city.cells)):.0f} bytes a cell), "
+            f"{size / 1e3:,.0f} kB ({size / max(1, len(city.cells)):.0f} bytes a cell), "
             f"built in {seconds:.1f} s."
         )
         if city.left_out:
@@ -221,7 +222,8 @@ def _show(estimate: Estimate, question: Question | None) -> None:
     for rank, mode in enumerate(estimate.modes, 1):
         sigma = max(mode.covariance[0, 0], mode.covariance[1, 1]) ** 0.5
         console.print(
-            f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:6.1%}  ±{sigma:.0f} m  cell {mode.cell}",
+            f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:6.1%}  "
+            f"±{sigma:.0f} m  cell {mode.cell}",
             markup=False,
         )
     if estimate.evidence:

@@ -1,4 +1,4 @@
-"""Reader of OpenStreetMap files: `.osm.pbf`, `.osm`, `.osm.gz`, `.osm.bz2` (and what else libosmium reads).
+"""Reader of OpenStreetMap files: `.osm.pbf`, `.osm`, `.osm.gz`, `.osm.bz2`.
 
 Yields every element that carries one of the wanted keys, with its geometry in longitude and
 latitude: nodes as points, open ways as lines, closed ways and multipolygon relations as areas.
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 
@@ -21,13 +20,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from os import PathLike
 
+    from numpy.typing import NDArray
+    from osmium.osm import Area, Node, Way
+
 NODE, WAY, RELATION = 0, 1, 2
 POINT, LINE, AREA = 0, 1, 2
 
 SUFFIXES = (".osm.pbf", ".pbf", ".osm", ".osm.gz", ".osm.bz2", ".osm.xml", ".xml")
 LINE_KEYS = frozenset({"highway", "barrier", "railway", "waterway", "power", "aerialway", "route"})
 """Keys whose closed ways are loops, not areas, unless `area=yes` or the value says otherwise."""
-AREA_VALUES = frozenset({"riverbank", "dock", "boatyard", "substation", "plant", "platform", "station"})
+AREA_VALUES = frozenset(
+    {"riverbank", "dock", "boatyard", "substation", "plant", "platform", "station"}
+)
 
 
 class OsmElement(NamedTuple):
@@ -76,40 +80,79 @@ def read_osm(
     import osmium
 
     path = _check(Path(path))
-    left_out = LeftOut() if left_out is None else left_out
     wanted = osmium.filter.KeyFilter(*sorted(keys))
-    factory = osmium.geom.WKBFactory()
-    relations: set[int] = set()
-    built: set[int] = set()  # an area may come before or after its relation
+    reader = _Reader(LeftOut() if left_out is None else left_out)
     try:
         for item in osmium.FileProcessor(path).with_areas(wanted).with_filter(wanted):
-            if item.is_node():
-                if item.location.valid():
-                    point = np.array([[item.lon, item.lat]])
-                    yield OsmElement(NODE, item.id, POINT, dict(item.tags), [point])
-                else:
-                    left_out.counts["nodes without a position"] += 1
-            elif item.is_way():
-                element = _way(item, factory, left_out)
-                if element is not None:
-                    yield element
-            elif item.is_relation():
-                if item.tags.get("type") == "multipolygon":
-                    relations.add(item.id)
-            elif not item.from_way():
-                try:
-                    rings = _rings(bytes.fromhex(factory.create_multipolygon(item)))
-                except RuntimeError:
-                    continue  # never built, and counted as such below
-                built.add(item.orig_id())
-                yield OsmElement(RELATION, item.orig_id(), AREA, dict(item.tags), rings)
-    except (RuntimeError, OSError, ValueError, UnicodeDecodeError) as error:
+            element = reader.read(item)
+            if element is not None:
+                yield element
+    except (RuntimeError, OSError, ValueError) as error:
         raise InputError(
             f"{path} cannot be read as OpenStreetMap data: {_one_line(error)}. "
             "It may be truncated or of another format; download or export it again."
         ) from error
-    if relations - built:
-        left_out.counts["multipolygons with missing or crossing members"] += len(relations - built)
+    reader.finish()
+
+
+class _Reader:
+    """Turns osmium's objects into elements and counts what cannot be turned."""
+
+    def __init__(self, left_out: LeftOut) -> None:
+        import osmium
+
+        self.osm = osmium.osm
+        self.invalid = (RuntimeError, osmium.InvalidLocationError)
+        self.factory: Any = osmium.geom.WKBFactory()
+        self.counts = left_out.counts
+        self.relations: set[int] = set()
+        self.built: set[int] = set()  # an area may come before or after its relation
+
+    def read(self, item: object) -> OsmElement | None:
+        """Element of one object, None where it has no geometry of its own or none that is known."""
+        if isinstance(item, self.osm.Node):
+            return self.point(item)
+        if isinstance(item, self.osm.Way):
+            return self.way(item)
+        if isinstance(item, self.osm.Area) and not item.from_way():
+            return self.area(item)
+        if isinstance(item, self.osm.Relation) and item.tags.get("type") == "multipolygon":
+            self.relations.add(item.id)
+        return None
+
+    def finish(self) -> None:
+        """Count the relations that no area was built of."""
+        if missing := len(self.relations - self.built):
+            self.counts["multipolygons with missing or crossing members"] += missing
+
+    def point(self, node: Node) -> OsmElement | None:
+        if not node.location.valid():
+            self.counts["nodes without a position"] += 1
+            return None
+        return OsmElement(NODE, node.id, POINT, dict(node.tags), [np.array([[node.lon, node.lat]])])
+
+    def way(self, way: Way) -> OsmElement | None:
+        try:
+            wkb = bytes.fromhex(self.factory.create_linestring(way))
+            line = np.frombuffer(wkb, "<f8", offset=9).reshape(-1, 2)
+        except self.invalid:  # a member is missing, or all nodes are one point
+            known = [(n.location.lon, n.location.lat) for n in way.nodes if n.location.valid()]
+            line = np.array(known).reshape(-1, 2)
+            if len(line) < 2:  # a line needs two points
+                self.counts["ways without positions"] += 1
+                return None
+            self.counts["ways cut where members are missing"] += 1
+        tags = dict(way.tags)
+        closed = len(line) >= 4 and bool((line[0] == line[-1]).all())  # a triangle, closed
+        return OsmElement(WAY, way.id, AREA if closed and is_area(tags) else LINE, tags, [line])
+
+    def area(self, area: Area) -> OsmElement | None:
+        try:
+            rings = _rings(bytes.fromhex(self.factory.create_multipolygon(area)))
+        except self.invalid:
+            return None  # never built, and counted so
+        self.built.add(area.orig_id())
+        return OsmElement(RELATION, area.orig_id(), AREA, dict(area.tags), rings)
 
 
 def _check(path: Path) -> Path:
@@ -130,31 +173,16 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-def _way(way: Any, factory: Any, left_out: LeftOut) -> OsmElement | None:  # noqa: ANN401 - osmium is untyped
-    import osmium
-
-    try:
-        wkb = bytes.fromhex(factory.create_linestring(way))
-        line = np.frombuffer(wkb, "<f8", offset=9).reshape(-1, 2)
-    except (RuntimeError, osmium.InvalidLocationError):  # a member is missing, or all nodes are one point
-        known = [(n.location.lon, n.location.lat) for n in way.nodes if n.location.valid()]
-        line = np.array(known).reshape(-1, 2)
-        if len(line) < 2:  # noqa: PLR2004 - a line needs two points
-            left_out.counts["ways without positions"] += 1
-            return None
-        left_out.counts["ways cut where members are missing"] += 1
-    tags = dict(way.tags)
-    closed = len(line) >= 4 and bool((line[0] == line[-1]).all())  # noqa: PLR2004 - a triangle, closed
-    kind = AREA if closed and is_area(tags) else LINE
-    return OsmElement(WAY, way.id, kind, tags, [line])
-
-
 def is_area(tags: Mapping[str, str]) -> bool:
-    """Whether a closed way with these tags encloses an area (False: it is a loop, as a roundabout)."""
+    """Whether a closed way with these tags is an area (else a loop, such as a roundabout)."""
     area = tags.get("area")
     if area in ("yes", "no"):
         return area == "yes"
-    if "building" in tags or "landuse" in tags or "leisure" in tags and tags["leisure"] != "track":
+    if (
+        "building" in tags
+        or "landuse" in tags
+        or ("leisure" in tags and tags["leisure"] != "track")
+    ):
         return True
     return not any(key in tags and tags[key] not in AREA_VALUES for key in LINE_KEYS)
 

@@ -222,17 +222,17 @@ def _which(weights: NDArray[np.float64], around: list[_Seen]) -> list[Question]:
     chosen = chosen[:MOST_NAMES]
     if len(chosen) < 2:
         return []
-    sure = np.array([[min(1.0, seen.names.get(n, 0.0)) for seen in around] for n in chosen])
-    none = np.prod(1.0 - 0.95 * sure, axis=0)
-    options = np.vstack([sure / np.maximum(sure.sum(axis=0), 1e-9) * (1.0 - none), none])
-    options = MISTAKE / len(options) + (1.0 - MISTAKE) * options
+    present = np.array([[min(1.0, seen.names.get(n, 0.0)) for seen in around] for n in chosen])
+    none = np.prod(1.0 - 0.95 * present, axis=0)
+    said = np.vstack([present / np.maximum(present.sum(axis=0), 1e-9) * (1.0 - none), none])
+    said = MISTAKE / len(said) + (1.0 - MISTAKE) * said
     listed = ", ".join(chosen)
     return [
         Question(
             f"Which of these is within sight: {listed}?",
             (*chosen, NONE),
             tuple(Thing(name) for name in chosen),
-            _gain(weights, options),
+            _gain(weights, said),
         )
     ]
 

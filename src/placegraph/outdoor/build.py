@@ -175,8 +175,8 @@ def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
     point_order = np.concatenate(
         [np.arange(point_starts[p], point_starts[p + 1]) for p in part_order]
     )
-    part_starts = _starts(n_parts[order]).astype(np.int32)
-    point_starts = _starts(np.diff(point_starts)[part_order]).astype(np.int32)
+    parts = _starts(n_parts[order]).astype(np.int32)
+    ends = _starts(np.diff(point_starts)[part_order]).astype(np.int32)
     points = (steps[point_order] * GRAIN).astype(np.float32)
     kind = kind[order].astype(np.uint8)
     labels = [columns.labels[i] for i in order]
@@ -191,10 +191,10 @@ def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
         label_values=label_values,
         name_starts=_starts([len(x) for x in names]).astype(np.int32),
         name_values=name_values,
-        part_starts=part_starts,
-        point_starts=point_starts,
+        part_starts=parts,
+        point_starts=ends,
         points=points,
-        center=centers(kind, part_starts, point_starts, points),
+        center=centers(kind, parts, ends, points),
         labels=label_table,
         names=name_table,
     )
@@ -211,7 +211,7 @@ def _table(rows: list[tuple[str, ...]]) -> tuple[tuple[str, ...], NDArray[np.int
 
 
 def _hilbert(steps: NDArray[np.int64], bits: int = 18) -> NDArray[np.int64]:
-    """Position (N,) along a Hilbert curve, so that neighbours in the file are neighbours on the ground."""
+    """Position (N,) along a Hilbert curve: neighbours in the file are neighbours on the ground."""
     x, y = (steps - steps.min(axis=0)).T.copy()
     d = np.zeros(len(x), np.int64)
     side = np.int64(1) << (bits - 1)

@@ -1,4 +1,4 @@
-"""Cells and their scene graphs (Eq. 1-8): a grid over the extract, objects where they are nearest."""
+"""Cells and their scene graphs (Eq. 1-8): a grid, and in it objects where they are nearest."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Mapping[str, Cell]):
-    """Cells of a city by their ids (``c<column>r<row>``); only cells with two objects or more exist."""
+    """Cells of a city by id (``c<column>r<row>``); only cells with two objects or more exist."""
 
     plane: LocalPlane
     grid: Grid

@@ -175,7 +175,7 @@ class CityMap:
             "source": self.source,
             "left_out": self.left_out,
         }
-        arrays = {
+        arrays: dict[str, NDArray[Any]] = {
             "osm_type": objects.osm_type,
             "osm_id": objects.osm_id,
             "kind": objects.kind,
@@ -221,8 +221,8 @@ class CityMap:
             )
             objects.check()
             center = centers(kind, part_starts, point_starts, points)
-            columns, rows = (int(n) for n in meta["grid"][3:])
-            grid = Grid(*(float(x) for x in meta["grid"][:3]), columns, rows)
+            east, north, grid_stride, columns, rows = meta["grid"]
+            grid = Grid(float(east), float(north), float(grid_stride), int(columns), int(rows))
             size, edge = float(meta["cell_size"]), float(meta["edge_distance"])
             cells = Cells(plane, grid, size, edge, file.array("cells", "<i8"))
             left_out = {str(k): int(v) for k, v in meta["left_out"].items()}

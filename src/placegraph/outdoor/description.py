@@ -84,7 +84,7 @@ class Statement:
     certainty: float = 1.0
     """In (0, 1]: lower for hedged or loosely parsed statements."""
     far: bool = False
-    """Said of a walk or of the whole town, not of what is in sight ("head north", "past the park")."""
+    """Said of a walk or of the town, not of what is in sight ("head north", "past the park")."""
     text: str = ""
     """The words it was read from."""
 

@@ -55,8 +55,8 @@ def evidence_at(position: NDArray[np.float64], city: CityMap, query: Query) -> t
         at, nearby, far, CERTAIN, True,
     )  # fmt: skip
     found = [
-        _evidence(s, float(r), [int(o) for o in rows if o >= 0], position, city, query, i)
-        for i, (s, r, rows) in enumerate(zip(query.used, ratios[0], served[0], strict=True))
+        _evidence(s, float(r), [int(o) for o in rows if o >= 0], position, city, query)
+        for s, r, rows in zip(query.used, ratios[0], served[0], strict=True)
     ]
     return (*found, *unused)
 
@@ -68,7 +68,6 @@ def _evidence(
     position: NDArray[np.float64],
     city: CityMap,
     query: Query,
-    index: int,
 ) -> Evidence:
     verdict = "for" if ratio > TELLING else "against" if ratio < -TELLING else "silent"
     if verdict == "for" and not rows and not statement.negated:

@@ -68,7 +68,7 @@ class ViewIndex:
     total: NDArray[np.float32]
     """(W,) sum of `sight` over a viewpoint's entries."""
     pairs: NDArray[np.float32]
-    """(W,) sum of products of `sight` over ordered pairs of entries that one does not stand in."""
+    """(W,) sum of products of `sight` over ordered pairs of what one does not stand in."""
     token_starts: NDArray[np.int32]
     """(N + 1,) tokens of an object: its labels, then its names (shifted by the number of labels)."""
     token_values: NDArray[np.int32]

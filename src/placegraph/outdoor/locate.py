@@ -93,7 +93,7 @@ def _position(
 def _split(
     description: Description, *, known: bool
 ) -> tuple[tuple[tuple[float, float, float], ...], tuple[Statement, ...]]:
-    """What is said of the way from the listener (bearing, sigma, certainty), and all other statements.
+    """Split off what is said of the way from the listener: bearing, sigma, certainty.
 
     Whatever the speaker stands at lies where the speaker does.
     """

@@ -192,7 +192,9 @@ def _stand(scene, objects, at, view, stands, lies):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def likelihoods(statements, scene, words, objects, at, sight, total, pairs, view, far, together, out, served):  # fmt: skip
+def likelihoods(
+    statements, scene, words, objects, at, sight, total, pairs, view, far, together, out, served
+):
     """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
 
     The sum also rewards that one object serves all statements about a mention. `objects` (n,) are in
@@ -219,7 +221,18 @@ def likelihoods(statements, scene, words, objects, at, sight, total, pairs, view
                 pairs * total + statements.crowd
             )
         elif ME in (a, b):
-            p, expected = _of_me(statements, s, scene, who, fit, many, objects, stands if op == DIRECTION else at, lies, given)
+            p, expected = _of_me(
+                statements,
+                s,
+                scene,
+                who,
+                fit,
+                many,
+                objects,
+                stands if op == DIRECTION else at,
+                lies,
+                given,
+            )
             p /= total + LONELY
         else:
             p = _of_pair(

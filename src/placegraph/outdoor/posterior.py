@@ -26,7 +26,7 @@ SURE = 0.7
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probability of viewpoints; what is missing to 1 lies elsewhere or at viewpoints not scored."""
+    """Probability of viewpoints; what is missing to 1 lies elsewhere, or was not scored."""
 
     positions: NDArray[np.float64]
     """(K, 2) east, north [m]."""
@@ -69,7 +69,7 @@ class Mode:
 
 
 def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
-    """Peaks of the posterior, heaviest first; `spacing` [m] is the grid's, for the covariance's floor."""
+    """Peaks of the posterior, heaviest first; positions lie on a grid of `spacing` [m]."""
     left = found.probabilities.copy()
     peaks: list[Mode] = []
     smooth = _smoothed(found.positions, left)

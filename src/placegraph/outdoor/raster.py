@@ -18,7 +18,7 @@ AREA = 2
 
 
 class Grid(NamedTuple):
-    """Square grid of points in the east-north plane; point (column, row) = origin + stride * (column, row)."""
+    """Square grid of points in the plane: origin + stride * (column, row)."""
 
     east: float
     """East of point (0, 0) [m]."""
@@ -78,7 +78,7 @@ def sightings(
 
 @njit(cache=True, nogil=True)
 def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
-    """Nearest point of object `row` to (east, north): delta east, delta north, squared distance [m^2]."""
+    """Vector from (east, north) to the nearest point of object `row`, and its square [m^2]."""
     best = np.inf
     best_e = best_n = 0.0
     inside = False

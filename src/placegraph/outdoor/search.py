@@ -52,7 +52,7 @@ class Prior:
     """... and what was said of the way from there: bearing [rad], sigma [rad], certainty."""
 
     def log(self, positions: NDArray[np.float64], n_views: int) -> NDArray[np.float64]:
-        """Log prior probability (K,) of viewpoints; uniform over all `n_views` where nothing is known."""
+        """Log prior probability (K,) of viewpoints; uniform where nothing is known."""
         prior = np.full(len(positions), -np.log(n_views))
         if self.near is not None:
             sigma = self.radius / 1.1774  # of a round Gaussian, half lies within 1.1774 sigma
@@ -107,7 +107,7 @@ def _with_far(
     chosen: NDArray[np.int32],
     bounds: NDArray[np.float32],
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Add viewpoints around rare things spoken of from afar, and what those add to each statement."""
+    """Add viewpoints around rare things out of sight, and what those add to each statement."""
     views, statements = city.views, query.statements
     anchors = city.objects.center[far.anchors]
     around = [

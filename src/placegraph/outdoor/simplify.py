@@ -62,7 +62,7 @@ def centers(
     point_starts: NDArray[np.int32],
     points: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Centers (N, 2) [m] of `CityObjects` rows: the point, the middle of the line, the area's centroid."""
+    """Centers (N, 2) [m] of objects: the point, the middle of the line, the area's centroid."""
     return _centers(kind, part_starts, point_starts, points)
 
 
