@@ -1,0 +1,336 @@
+"""Clauses become a query graph: who stands where, as seen from whom (Eq. 3-4)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import TYPE_CHECKING
+
+from placegraph.outdoor.describe.nodes import Place, Thing
+from placegraph.outdoor.describe.refer import Referents
+from placegraph.outdoor.describe.relate import ROUTE, Relator, Said
+from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.outdoor.describe.chunk import Words
+    from placegraph.outdoor.describe.lexicon import Direction
+    from placegraph.outdoor.describe.nodes import Clause
+
+Items = tuple[Thing | Place, ...]
+LEGS = (0.5, 0.25, 0.15)
+"""Certainty that the place lies in the direction of the first, second, third leg of a walk."""
+MENTIONED = 0.7
+"""Certainty that a thing is in sight that is only named."""
+SHOWN = 0.6
+"""Certainty that what "you will see" can be seen from the place itself."""
+
+
+class Builder:
+    """Takes the clauses of a text one after the other.
+
+    Parameters
+    ----------
+    text
+        The text.
+    vocabulary
+        To mend misspelt words.
+    heading
+        Bearing in which the speaker faces [rad], or None.
+    directive
+        Whether the text tells somebody the way; "it" is then the place they are told to find.
+    """
+
+    def __init__(
+        self, text: str, vocabulary: Words, heading: float | None, *, directive: bool
+    ) -> None:
+        self.text, self.directive = text, directive
+        self.refer = Referents(text, vocabulary)
+        self.relator = Relator(self.refer, heading)
+        self.ignored: list[Ignored] = []
+        self.heads: list[int] = [SPEAKER]
+        """What the last clause spoke of."""
+        self.legs = 0
+        self.on_the_way: int | None = None
+        """What was last said to be met on the way."""
+
+    def take(self, clause: Clause, certainty: float, *, opens: bool) -> None:
+        """Add what a clause says; `opens` tells whether it opens a sentence."""
+        words = self.text[clause.start : clause.end]
+        said = Said(words, certainty, clause.negated)
+        before = len(self.relator.statements)
+        self.relator.reason = ""
+        if clause.condition:
+            self._on_the_way(clause, said)
+        elif clause.verb:
+            getattr(self, f"_{clause.verb}")(clause, said, opens)
+        if len(self.relator.statements) == before and not (clause.verb == "too_far"):
+            reason = self.relator.reason or (
+                "says nothing about where things stand" if clause.verb else "not understood"
+            )
+            self.ignored.append(Ignored(words, reason))
+        self._remember()
+
+    def _remember(self) -> None:
+        """Decide what "it" will mean in the next clause."""
+        goal = [n for n in self.relator.goals if n != SPEAKER]
+        if self.directive:
+            self.refer.topic = max(goal, default=None)
+        elif self.heads and self.heads[0] > LISTENER:
+            self.refer.topic = self.heads[0]
+        elif len(self.refer.mentions) > 2:
+            self.refer.topic = len(self.refer.mentions) - 1
+
+    # clauses, by the rules of the grammar
+
+    def _is_(self, clause: Clause, said: Said, _opens: bool) -> None:
+        before, after = clause.before, clause.after
+        if isinstance(before[0], Place):  # "north of here is a bakery"
+            if after and isinstance(after[0], Thing):
+                self._say((after[0], *before, *after[1:]), [], said)
+            else:
+                self._say((*before, *after), [SPEAKER], said)
+            return
+        heads = self._say(before, [], replace_negation(said, negated=False))
+        if not after:
+            return
+        if isinstance(after[0], Thing):
+            self._identity(heads, after[0], said)
+            after = after[1:]
+        self._say(after, heads, said)
+
+    def _identity(self, heads: Sequence[int], thing: Thing, said: Said) -> None:
+        """ "It is the last pub on the block"."""
+        if thing.kind != "thing" or not (thing.senses or thing.name) or not heads:
+            return
+        node, subject = self.refer.resolve(thing), heads[0]
+        if node is None or node == subject:
+            return
+        self.relator.add(said, Relation.SAME, subject, node)
+        if subject in self.relator.goals and not said.negated:
+            self.relator.goals.add(node)
+
+    def _exists(self, clause: Clause, said: Said, _opens: bool) -> None:
+        owner = clause.before[0] if clause.before else None
+        places: Items = clause.before
+        if isinstance(owner, Thing):
+            places = clause.before[1:]
+            if owner.kind == "thing" and clause.after and isinstance(clause.after[0], Thing):
+                places = (
+                    *places,
+                    Place("prep", owner.start, owner.end, (owner,), "near"),
+                )  # "the street has a bakery"
+        self._shown((*clause.after[:1], *places, *clause.after[1:]), said)
+
+    def _shown(self, items: Items, said: Said, *, always: bool = False) -> None:
+        """Things that are said to be there, in sight of the speaker unless more is said."""
+        if not items or not isinstance(items[0], Thing):
+            self._say(items, [SPEAKER], said)
+            return
+        first = len(self.relator.statements)
+        heads = self._say(items, [], said, collect=True)
+        placed = {s.source for s in self.relator.statements[first:]}
+        seen = {
+            s.source for s in self.relator.statements[first:] if SPEAKER in (s.source, s.target)
+        }
+        for head in heads:
+            if head not in (seen if always else placed):
+                self.relator.add(said, Relation.VISIBLE, head, SPEAKER)
+
+    def _sees(self, clause: Clause, said: Said, opens: bool) -> None:
+        """ "I see a church", "across the street you will find a bakery", "look for a bench"."""
+        things = [item for item in clause.before if isinstance(item, Thing)]
+        seer = things[-1] if things else None
+        places = tuple([item for item in clause.before if item is not seer])
+        after = clause.after
+        if after and isinstance(after[0], Thing) and after[0].kind == "ME":
+            self._meets(clause, said, opens)  # "you will find me at the corner"
+            return
+        mine = seer is not None and seer.kind == "ME"
+        sure = said.certainty if mine else said.certainty * SHOWN
+        if any(isinstance(item, Place) for item in (*places, *after)):
+            sure = said.certainty if mine else said.certainty * 0.9
+        self._shown((*after[:1], *places, *after[1:]), replace(said, certainty=sure), always=mine)
+
+    def _meets(self, clause: Clause, said: Said, _opens: bool) -> None:
+        places = tuple([item for item in (*clause.before, *clause.after) if not _is_person(item)])
+        if places and isinstance(places[0], Thing):  # "meet me the garden"
+            thing = places[0]
+            places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
+        self._say(tuple(_arrived(place) for place in places), [SPEAKER], said)
+
+    def _goes(self, clause: Clause, said: Said, _opens: bool) -> None:
+        subject = clause.before[0] if clause.before else None
+        if isinstance(subject, Thing) and subject.kind in ("thing", "IT", "SPOT"):
+            heads = self._say(clause.before, [], said)  # "the road runs along a river"
+            self._say(clause.after, heads, replace(said, certainty=said.certainty * 0.7))
+            return
+        places = tuple(item for item in clause.before if isinstance(item, Place))
+        self._walk((*places, *clause.after), clause.travel, said)
+
+    def _on_the_way(self, clause: Clause, said: Said) -> None:
+        """ "When you see the bank", "until you reach Penn Avenue", "if you pass the school"."""
+        if clause.verb == "meets":
+            self._meets(clause, said, False)
+            return
+        items = clause.after or clause.before
+        self._walk(items, clause.travel or "REACH", said)
+
+    def _walk(self, items: Items, travel: str, said: Said) -> None:
+        """A leg of a walk to the place: where it leads, and what lies on the way."""
+        said = replace(said, travel=True)
+        for item in items:
+            if isinstance(item, Thing):
+                self._meet_on_the_way(item, travel, said)
+            elif item.how == "towards" and not item.targets:
+                self._leg(item, said)
+            elif item.how in ("at", "prep", "across", "towards", "with_", "of"):
+                sure = said.certainty * (ROUTE if item.how != "prep" else 1.0)
+                if item.how == "prep" and item.word not in ("past", "before", "toward"):
+                    sure *= ROUTE
+                self.relator.relate(item, SPEAKER, replace(said, certainty=sure))
+                if item.targets and item.targets[0].kind == "thing":
+                    self.on_the_way = self.refer.resolve(item.targets[0])
+            else:
+                self.relator.reason = "a route instruction"
+
+    def _leg(self, place: Place, said: Said) -> None:
+        assert place.direction is not None
+        if place.direction.facing:
+            self.relator.reason = "left and right of a walk say nothing on a map"
+            return
+        sure = said.certainty * LEGS[min(self.legs, len(LEGS) - 1)]
+        self.legs += 1
+        self.relator.add(
+            replace(said, certainty=sure), Relation.DIRECTION, SPEAKER, LISTENER,
+            direction=place.direction._replace(sigma=max(0.7, place.direction.sigma)),
+            distance=place.distance,
+        )  # fmt: skip
+
+    def _meet_on_the_way(self, thing: Thing, travel: str, said: Said) -> None:
+        node = self.refer.resolve(thing)
+        if node is None or node <= LISTENER:
+            self.relator.reason = "a route instruction"
+            return
+        self.on_the_way = node
+        if travel == "CROSS" and not self.refer.is_road(node):
+            self.relator.add(said, Relation.ACROSS, SPEAKER, LISTENER, target2=node, certainty=0.5)
+        elif travel == "FOLLOW" and self.refer.is_line(node):
+            self.relator.add(said, Relation.ALONG, SPEAKER, node, certainty=ROUTE)
+        else:
+            self.relator.add(said, Relation.NEAR, SPEAKER, node, certainty=ROUTE)
+
+    def _too_far(self, clause: Clause, said: Said, _opens: bool) -> None:
+        """ "You've gone too far west": the place lies east of what was met."""
+        for item in clause.after:
+            if not isinstance(item, Place) or item.direction is None or item.direction.facing:
+                continue
+            if self.on_the_way is not None:
+                back: Direction = item.direction._replace(bearing=item.direction.bearing + pi)
+                self.relator.add(
+                    said, Relation.DIRECTION, SPEAKER, self.on_the_way,
+                    direction=back, certainty=0.6, far=True,
+                )  # fmt: skip
+
+    def _fragment(self, clause: Clause, said: Said, opens: bool) -> None:
+        items = clause.before
+        if isinstance(items[0], Place):  # "..., but not near the church"
+            self._say(items, [SPEAKER] if opens else self.heads, said)
+        elif all(_is_person(item) for item in items):
+            self.relator.reason = "says nothing about where things stand"
+        else:
+            self._shown(
+                items,
+                replace(said, certainty=said.certainty * MENTIONED)
+                if len(items) == 1 and not _has_no(items[0])
+                else said,
+            )
+
+    # the chain of things and places
+
+    def _say(
+        self, items: Items, heads: Sequence[int], said: Said, *, collect: bool = False
+    ) -> list[int]:
+        """Relate places to the things before them; return the things.
+
+        A thing without a place of its own joins the target before it ("north of the school and the
+        church"); one with a place is spoken of anew ("a bakery to my east and a stop across ...").
+        """
+        group = list(heads)
+        spoken = list(heads)
+        last: Place | None = None
+        for i, item in enumerate(items):
+            following = items[i + 1] if i + 1 < len(items) else None
+            if isinstance(item, Thing):
+                joins = last is not None and _joins(last, item)
+                if joins and not isinstance(following, Place):
+                    assert last is not None
+                    again = replace(last, targets=(*last.targets[:-1], item))
+                    self._relate_all(again, group, said)
+                    continue
+                node = self._new_head(item)
+                if node is None:
+                    continue
+                group = [*group, node] if last is None and i else [node]
+                spoken.append(node)
+                last = None
+            else:
+                said.shared = _shared(item, last, following)
+                group = self._relate_all(item, group or [SPEAKER], said)
+                last = item
+        self.heads = spoken if collect or len(spoken) <= 1 else spoken[:1]
+        if not collect and group and spoken and group[0] not in spoken:
+            spoken = group
+        return spoken
+
+    def _new_head(self, thing: Thing) -> int | None:
+        node = self.refer.resolve(thing)
+        if node is None:
+            self.relator.reason = "no map draws it"
+        return node
+
+    def _relate_all(self, place: Place, group: Sequence[int], said: Said) -> list[int]:
+        return [
+            node for head in group if (node := self.relator.relate(place, head, said)) is not None
+        ]
+
+
+def replace_negation(said: Said, *, negated: bool) -> Said:
+    """Return a clause's context with another sign."""
+    return replace(said, negated=negated)
+
+
+def _is_person(item: Thing | Place) -> bool:
+    return isinstance(item, Thing) and item.kind != "thing"
+
+
+def _has_no(item: Thing | Place) -> bool:
+    return isinstance(item, Thing) and item.determiner == "NO"
+
+
+def _arrived(item: Thing | Place) -> Thing | Place:
+    """ "Come to the garden" is meeting at the garden."""
+    return replace(item, word="AT") if isinstance(item, Place) and item.word == "TO" else item
+
+
+def _joins(last: Place, thing: Thing) -> bool:
+    """Tell whether a thing after a place can be one more of its targets."""
+    return bool(
+        last.targets
+        and last.targets[-1].kind == "thing"
+        and thing.kind == "thing"
+        and last.how != "between"
+    )
+
+
+def _shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:
+    """Target of the direction beside one that names none."""
+    if item.how != "towards" or item.targets:
+        return None
+    for other in (following, last):
+        if isinstance(other, Place) and other.targets and other.how in ("towards", "start"):
+            return other.targets[0]
+        if isinstance(other, Place) and other.how == "across" and len(other.targets) == 2:
+            return other.targets[1]
+    return None

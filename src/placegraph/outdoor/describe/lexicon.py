@@ -1,0 +1,97 @@
+"""The English words of the grammar, from lexicon.toml."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib.resources import files
+from math import radians
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from placegraph.outdoor.describe.measures import COUNTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+CARDINAL_SIGMA, DIAGONAL_SIGMA, SHARP_SIGMA, LOOSE_SIGMA = 0.5, 0.4, 0.25, 0.6
+"""How loosely people mean "north", "north-east", "directly north", "mostly north" [rad]."""
+
+
+class Direction(NamedTuple):
+    """A direction of the compass, or of the body."""
+
+    bearing: float
+    """[rad], clockwise from north or, if `facing`, from where the speaker faces."""
+    sigma: float = CARDINAL_SIGMA
+    facing: bool = False
+    certainty: float = 1.0
+
+
+class Terminal(NamedTuple):
+    """What a phrase stands for: a terminal of the grammar and what it carries."""
+
+    type: str
+    value: Any = None
+
+
+@dataclass(frozen=True)
+class Lexicon:
+    """Phrases by their first word, longest first."""
+
+    phrases: dict[str, tuple[tuple[tuple[str, ...], tuple[Terminal, ...]], ...]]
+
+    @cached_property
+    def compass(self) -> dict[str, Direction]:
+        """Directions of the compass by their names in one word."""
+        return {
+            word: terminals[0].value
+            for word, entries in self.phrases.items()
+            for phrase, terminals in entries
+            if terminals[0].type == "DIR" and not terminals[0].value.facing and len(phrase) == 1
+        }
+
+    def longest(self, words: Sequence[str], start: int) -> tuple[int, tuple[Terminal, ...]] | None:
+        """Number of words of the longest phrase that begins at `start`, and its terminals."""
+        for phrase, terminals in self.phrases.get(words[start], ()):
+            n = len(phrase)
+            if n == 1 or tuple(words[start : start + n]) == phrase:
+                return n, terminals
+        return None
+
+
+@lru_cache(maxsize=1)
+def english() -> Lexicon:
+    """Read the lexicon that comes with placegraph."""
+    table = tomllib.loads(files(__package__).joinpath("lexicon.toml").read_text("utf-8"))
+    known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
+    for section, entries in table.items():
+        for key, phrases in entries.items():
+            for phrase in phrases:
+                words = tuple(phrase.split())
+                known.setdefault(words, tuple(_terminals(section, key, words)))
+    first: dict[str, list[tuple[tuple[str, ...], tuple[Terminal, ...]]]] = {}
+    for words in sorted(known, key=len, reverse=True):
+        first.setdefault(words[0], []).append((words, known[words]))
+    return Lexicon({word: tuple(entries) for word, entries in first.items()})
+
+
+def _terminals(section: str, key: str, words: tuple[str, ...]) -> Iterator[Terminal]:
+    match section:
+        case "compass" | "compass_short" | "facing":
+            degrees = int(key)
+            sigma = DIAGONAL_SIGMA if degrees % 90 else CARDINAL_SIGMA
+            direction = Direction(radians(degrees), sigma, facing=section == "facing")
+            yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
+        case "relations":
+            yield Terminal("PREP", key)
+        case "parts":
+            yield Terminal("PART", key)
+        case "adverbs":
+            yield Terminal("ADVERB", key)
+        case _:
+            for terminal in key.split():
+                if terminal in ("SEVERAL", "MANY"):
+                    yield Terminal("NUM", next((COUNTS[w] for w in words if w in COUNTS), None))
+                else:
+                    yield Terminal(terminal)

@@ -1,0 +1,74 @@
+"""Distances as people say them: "about 30 m", "half a mile", "three blocks", "a 2 minute walk"."""
+
+from __future__ import annotations
+
+import re
+
+_UNITS = {
+    name: metres
+    for names, metres in {
+        "m meter meters metre metres": 1.0,
+        "km kilometer kilometers kilometre kilometres": 1000.0,
+        "ft foot feet": 0.3048,
+        "yd yds yard yards": 0.9144,
+        "mi mile miles": 1609.344,
+        "block blocks": 100.0,
+        "pace paces": 0.75,
+        "walk walking distance": 80.0,  # a minute's walk
+    }.items()
+    for name in names.split()
+}
+"""Metres in a unit, by the last word of its name."""
+
+_NUMBERS = {
+    "one": 1.0, "two": 2.0, "three": 3.0, "four": 4.0, "five": 5.0, "six": 6.0, "seven": 7.0,
+    "eight": 8.0, "nine": 9.0, "ten": 10.0, "twelve": 12.0, "fifteen": 15.0, "twenty": 20.0,
+    "thirty": 30.0, "fifty": 50.0, "hundred": 100.0,
+    "couple": 2.0, "few": 3.0, "several": 3.0, "quarter": 0.25,
+}  # fmt: skip
+COUNTS = {word: int(n) for word, n in _NUMBERS.items() if n >= 1 and word != "hundred"}
+"""How many, in words: "two", "several"."""
+
+_NUMBER = r"""(?:
+    \d+\s*(?:[-–]|to\b|or\b)\s*\d+ | \d+\s+1/2 | \d+(?:[.,]\d+)?\s*½? | ½
+  | (?:one|two|three|four|five|six|seven|eight|nine|ten|twelve|fifteen|twenty|thirty|fifty)
+      (?:\s+(?:or|to)\s+(?:two|three|four|five|six))?(?:\s+hundred)?
+  | (?:a\s+)?(?:couple(?:\s+of)?|few|hundred|quarter(?:\s+of\s+an?)?) | several | an?(?:\s+single)?
+)"""
+_UNIT = r"""(?:
+    m | met(?:er|re)s? | km | kilomet(?:er|re)s? | ft | feet | foot | yds? | yards? | miles? | mi
+  | (?:city\s+|long\s+|short\s+|more\s+)?blocks? | paces?
+  | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
+)"""
+_HALF = r"(?:\s*(?:&|\band\b)\s*(?:an?\s+|one\s+)?half)?"
+# "a block" is a distance only before a direction: otherwise it is what stands between streets
+_A_BLOCK = r"""(?:(?<!\ba\sblock)(?<!\bone\sblock)|(?=\s+(?:and\s+an?\s+half\s+)?
+    (?:(?:to|on)\s+the\s+)?(?:just\s+|directly\s+|due\s+)?
+    (?:(?:north|south|east|west)\w*|[nesw]{1,2}|away|from|past|after|before|up|down|further
+       |beyond|walk|over|off)\b))"""
+MEASURE = rf"""\b(?:(?:about|around|roughly|approximately|some|within|almost|nearly|only|just
+        |less\s+than|over|for)\s+)?
+    (?: (?P<number>{_NUMBER}){_HALF}(?:(?<=[\d½])\s*|[\s-]+){_UNIT}{_HALF}(?![\w']){_A_BLOCK}
+      | (?:an?\s+)?half(?:\s+of)?(?:\s+an?)?\s+{_UNIT}(?![\w']))"""
+"""Pattern of a distance (verbose, case ignored), with a group ``number``."""
+
+_NUMERAL = re.compile(r"\d+(?:[.,]\d+)?|[a-z]+")
+_LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
+
+
+def metres(text: str, number: str | None) -> float:
+    """Length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
+    text = text.lower()
+    unit = _UNITS[_LAST_UNIT.findall(re.sub(r"(?<=\d)(?=[a-z])", " ", text))[-1]]
+    half = 0.5 if re.search(r"half|½|1/2", text) else 0.0
+    words = _NUMERAL.findall((number or "").lower().replace("1/2", ""))
+    values = [_NUMBERS.get(w) or float(w.replace(",", ".")) for w in words if _is_number(w)]
+    if len(values) == 2 and words[-1] == "hundred":
+        values = [100.0 * values[0]]
+    if not values:  # "a block", "half a mile"
+        values = [0.0 if number is None else 1.0]
+    return unit * (sum(values) / len(values) + half)
+
+
+def _is_number(word: str) -> bool:
+    return word in _NUMBERS or word[0].isdigit()

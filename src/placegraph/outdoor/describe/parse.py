@@ -1,0 +1,240 @@
+"""The grammar at work: chunks of a clause become a `Clause`, or what of them can be understood."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partialmethod
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from lark import Lark, Token, Transformer
+from lark.exceptions import UnexpectedToken
+from lark.lexer import Lexer
+
+from placegraph.outdoor.describe.nodes import Chunk, Clause, Noun, Place, Thing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lark.parsers.lalr_interactive_parser import InteractiveParser
+
+Item = Thing | Place
+_END = Token("$END", "")
+_OWNERS = ("MY", "YOUR", "ITS")
+_DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", *_OWNERS)
+_SKIPPED = ("WORD", "AND", "TO", "NOT", "DET", "A")
+"""Chunks that may be left out where the grammar expects something else."""
+_BACK = 4
+"""How many chunks are given up at most to make sense of those before them."""
+
+
+class _Chunks(Lexer):
+    """The chunks are the tokens: nothing to lex."""
+
+    def __init__(self, _conf: object) -> None: ...
+
+    def lex(self, data: list[Chunk]) -> Iterator[Chunk]:  # type: ignore[override]
+        yield from data
+
+
+@lru_cache(maxsize=1)
+def _grammar() -> Lark:
+    text = files(__package__).joinpath("outdoor.lark").read_text("utf-8")
+    return Lark(text, start="clause", parser="lalr", lexer=_Chunks, transformer=_Build())
+
+
+def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
+    """Parse the chunks of one clause by islands (LALR, Eq. 3 of the paper).
+
+    Yields
+    ------
+    clause, left_out
+        What could be parsed, in order, and the chunks that had to be left out of it. Where nothing
+        could be parsed, an empty clause.
+    """
+    rest = chunks
+    while rest:
+        clause, left_out, used = _island(rest)
+        if clause is not None and used:
+            kept = [chunk for chunk in rest[:used] if chunk not in left_out]
+            clause.start, clause.end = kept[0].start, kept[-1].end
+            yield clause, left_out
+        else:
+            yield Clause("", start=rest[0].start, end=rest[used - 1].end), rest[:used]
+        rest = rest[used:]
+
+
+def _island(chunks: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
+    """Longest clause from the first chunk on, chunks left out of it, and how many it took."""
+    parser = _grammar().parse_interactive([])
+    left_out: list[Chunk] = []
+    for i, chunk in enumerate(chunks):
+        try:
+            parser.feed_token(chunk)  # type: ignore[arg-type]
+        except UnexpectedToken:
+            if chunk.type in _SKIPPED:
+                left_out.append(chunk)
+                continue
+            clause = _finish(parser)
+            if clause is not None and i:
+                return clause, left_out, i
+            return _shorter(chunks[: i + 1], left_out)
+    clause = _finish(parser)
+    if clause is not None:
+        return clause, left_out, len(chunks)
+    return _shorter(chunks, left_out)
+
+
+def _shorter(chunks: list[Chunk], left_out: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
+    """Parse a beginning of the chunks that cannot be parsed whole."""
+    kept = [chunk for chunk in chunks if chunk not in left_out]
+    for n in range(len(kept) - 1, max(0, len(kept) - 1 - _BACK), -1):
+        parser = _grammar().parse_interactive([])
+        try:
+            for chunk in kept[:n]:
+                parser.feed_token(chunk)  # type: ignore[arg-type]
+        except UnexpectedToken:
+            continue
+        clause = _finish(parser)
+        if clause is not None:
+            used = chunks.index(kept[n])
+            return clause, [chunk for chunk in left_out if chunk in chunks[:used]], used
+    return None, left_out, len(chunks)
+
+
+def _finish(parser: InteractiveParser) -> Clause | None:
+    try:
+        clause = parser.feed_token(_END)
+    except UnexpectedToken:
+        return None
+    return clause if isinstance(clause, Clause) else None
+
+
+class _Build(Transformer[Any, Any]):
+    """Callbacks of the grammar's rules, called as soon as a rule is complete."""
+
+    # clauses
+    def clause(self, children: list[Any]) -> Clause:
+        said: Clause = children[-1]
+        said.condition = len(children) > 1
+        return said
+
+    def _clause(self, children: list[Any], *, verb: str) -> Clause:
+        said = Clause(verb)
+        for child in children:
+            if isinstance(child, tuple):
+                if said.travel:
+                    said.after = child
+                else:
+                    said.before = child
+            elif child.type == "NOT":
+                said.negated = True
+            elif child.type != "AND":
+                said.travel = child.type
+        return said
+
+    def fragment(self, children: list[Any]) -> Clause:
+        return Clause("fragment", before=children[0])
+
+    is_ = partialmethod(_clause, verb="is_")
+    exists = partialmethod(_clause, verb="exists")
+    sees = partialmethod(_clause, verb="sees")
+    meets = partialmethod(_clause, verb="meets")
+    goes = partialmethod(_clause, verb="goes")
+    too_far = partialmethod(_clause, verb="too_far")
+
+    def body(self, children: list[Any]) -> tuple[Item, ...]:
+        return tuple([child for child in children if not isinstance(child, Chunk)])
+
+    # places
+    def not_(self, children: list[Any]) -> Place:
+        children[1].negated = True
+        return children[1]  # type: ignore[no-any-return]
+
+    def no_thing(self, children: list[Any]) -> Thing:
+        children[1].determiner = "NO"
+        return children[1]  # type: ignore[no-any-return]
+
+    def measured(self, children: list[Any]) -> Place:
+        measure: Chunk = children[0]
+        if isinstance(children[-1], Place):
+            place: Place = children[-1]
+            place.start = measure.start
+        else:
+            place = Place("away", measure.start, children[-1].end)
+        place.distance = measure.value
+        return place
+
+    def _place(self, children: list[Any], *, how: str) -> Place:
+        place = Place(how, children[0].start, children[-1].end)
+        things = []
+        for child in children:
+            if isinstance(child, Thing):
+                things.append(child)
+            elif child.type == "HERE":
+                things.append(Thing("HERE", child.start, child.end))
+            elif child.type == "DIR":
+                place.direction = child.value
+            elif child.type == "PART":
+                place.part = child.value
+            elif child.type == "PREP":
+                place.word = child.value
+            elif child.type in _OWNERS:
+                place.owner = child.type
+            elif child.type in ("ON", "IN", "AT", "TO"):
+                place.word = child.type
+        place.targets = tuple(things)
+        return place
+
+    towards = partialmethod(_place, how="towards")
+    side = partialmethod(_place, how="side")
+    possessed = partialmethod(_place, how="possessed")
+    at = partialmethod(_place, how="at")
+    prep = partialmethod(_place, how="prep")
+    across = partialmethod(_place, how="across")
+    between = partialmethod(_place, how="between")
+    faces = partialmethod(_place, how="faces")
+    at_both = partialmethod(_place, how="at_both")
+    with_ = partialmethod(_place, how="with_")
+    of = partialmethod(_place, how="of")
+    start = partialmethod(_place, how="start")
+    nearby = partialmethod(_place, how="nearby")
+    here = partialmethod(_place, how="here")
+
+    def thing(self, children: list[Any]) -> Thing:
+        thing = Thing("thing", children[0].start, children[-1].end)
+        nouns: list[Chunk] = []
+        for child in children:
+            if child.type in _DETERMINERS:
+                if thing.determiner not in ("NO", "DET"):
+                    thing.determiner = child.type
+                if child.type == "NUM":
+                    thing.count = child.value
+            elif child.type == "NAME":
+                thing.name = child.value.name
+                if not thing.senses:
+                    thing.senses = child.value.senses
+            elif child.type == "NOUN":
+                nouns.append(child)
+            elif child.type == "PART":
+                thing.part, thing.head = child.value, child.words
+            elif child.type == "WORD":
+                thing.head = child.words
+        if nouns:
+            thing.senses, thing.head = _compound(nouns)
+        return thing
+
+    def person(self, children: list[Any]) -> Thing:
+        chunk: Chunk = children[0]
+        kind = "IT" if chunk.type == "THIS" else chunk.type
+        return Thing(kind, chunk.start, chunk.end)
+
+
+def _compound(nouns: list[Chunk]) -> tuple[Any, str]:
+    """Senses and head word of nouns in a row: "alcohol shop" is shop=alcohol, not any shop."""
+    head: Noun = nouns[-1].value
+    senses = head.senses
+    keys = {s.label.partition("=")[0] for s in senses if s.label.endswith(("=*", "=yes"))}
+    for noun in nouns[:-1]:
+        special = tuple(s for s in noun.value.senses if s.label.partition("=")[0] in keys)
+        senses = special or senses
+    return senses, nouns[-1].words

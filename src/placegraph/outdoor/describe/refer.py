@@ -1,0 +1,149 @@
+"""Referents: which words speak of the same thing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from placegraph.outdoor.describe.words import normalise, tokens
+from placegraph.outdoor.description import LISTENER, SPEAKER, Mention, Sense
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from placegraph.outdoor.describe.chunk import Words
+    from placegraph.outdoor.describe.nodes import Thing
+
+_NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
+"""Determiners that introduce a thing; the others, and none, may speak of one already known."""
+ROADS = frozenset("street road avenue boulevard lane drive way highway".split())
+_ROAD_WORDS = frozenset("st ave rd blvd ln dr way hwy pl ter alley court parkway pkwy".split())
+TYPING_ERROR = 0.8
+"""Similarity from which an unknown word counts as a misspelt known one."""
+_LINE_KEYS = ("highway=", "waterway=", "railway=", "barrier=", "aeroway=", "water=river")
+_NOT_LINES = frozenset(
+    "bus_stop crossing street_lamp traffic_signals stop give_way rest_area services speed_camera"
+    " station tram_stop halt level_crossing signal switch platform gate bollard lift_gate"
+    " entrance block toll_booth waterfall dam weir pedestrian elevator helipad turning_circle"
+    " subway_entrance aerodrome terminal".split()
+)
+
+
+class Referents:
+    """The mentions of a text, in the order in which they are introduced.
+
+    Parameters
+    ----------
+    text
+        The text.
+    vocabulary
+        To mend misspelt words.
+    """
+
+    def __init__(self, text: str, vocabulary: Words) -> None:
+        self.text, self.vocabulary = text, vocabulary
+        self.mentions: list[Mention] = [Mention(SPEAKER, "I"), Mention(LISTENER, "you")]
+        self.heads: list[str] = ["", ""]
+        """Common noun of every mention, in the singular."""
+        self.negative: set[int] = set()
+        """Mentions of what is said not to be there."""
+        self.topic: int | None = None
+        """What "it" means."""
+        self.street: int | None = None
+        """The street that was spoken of last."""
+
+    def resolve(self, thing: Thing, *, other_than: Iterable[int] = ()) -> int | None:
+        """Node of a thing; None for a part of something ("the corner") that is no thing itself."""
+        match thing.kind:
+            case "ME" | "SPOT" | "HERE":
+                return SPEAKER
+            case "YOU":
+                return LISTENER
+            case "IT":
+                return SPEAKER if self.topic is None else self.topic
+        if thing.part and not thing.name:
+            return None
+        head, senses = _lemma(thing.head), thing.senses
+        if not senses and not thing.name:
+            head, senses = self._mended(thing.head)
+        known = None if thing.determiner in _NEW else self._known(thing, head, senses, other_than)
+        if known is None:
+            return self._introduce(thing, head, senses)
+        return known
+
+    def _mended(self, word: str) -> tuple[str, tuple[Sense, ...]]:
+        found = self.vocabulary.closest(word, cutoff=TYPING_ERROR)
+        if found is None:
+            return _lemma(word), ()
+        senses = self.vocabulary.senses(found[0])
+        return _lemma(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
+
+    def _known(
+        self, thing: Thing, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
+    ) -> int | None:
+        """Return the mention that a name or a definite noun speaks of again, or None."""
+        skipped = {*other_than, *self.negative}
+        nodes = [n for n in range(len(self.mentions) - 1, LISTENER, -1) if n not in skipped]
+        if thing.name:
+            name = name_key(thing.name)
+            return next((n for n in nodes if name_key(self.mentions[n].name) == name), None)
+        for n in nodes:
+            if self.heads[n] == head:
+                return n
+        if head in ROADS:
+            if self.street is not None and self.street not in skipped:
+                return self.street
+            return next((n for n in nodes if self.is_road(n)), None)
+        labels = {sense.label for sense in senses[:2]}
+        for n in nodes:
+            mention = self.mentions[n]
+            if mention.name and labels & {sense.label for sense in mention.senses[:2]}:
+                return n
+        return None
+
+    def _introduce(self, thing: Thing, head: str, senses: tuple[Sense, ...]) -> int:
+        node = len(self.mentions)
+        words = self.text[thing.start : thing.end]
+        definite = thing.determiner in ("DET", "THIS", "MY", "YOUR", "ITS") or bool(thing.name)
+        count = thing.count if thing.count is not None and thing.count >= 2 else None
+        self.mentions.append(Mention(node, words, senses, thing.name, count, definite))
+        self.heads.append(head)
+        if thing.determiner == "NO":
+            self.negative.add(node)
+        if self.is_road(node):
+            self.street = node
+        return node
+
+    def is_road(self, node: int) -> bool:
+        """Tell whether a mention is a street, by its name or its noun."""
+        name = tokens(self.mentions[node].name)
+        return self.heads[node] in ROADS or bool(name and name[-1] in _ROAD_WORDS)
+
+    def is_line(self, node: int) -> bool:
+        """Tell whether a mention is a road, a river or another line, on which one is along it."""
+        if node <= LISTENER:
+            return False
+        if self.is_road(node):
+            return True
+        senses = self.mentions[node].senses
+        return bool(senses) and is_line(senses[0].label)
+
+
+def is_line(label: str) -> bool:
+    """Tell whether things with this label are lines."""
+    return label.startswith(_LINE_KEYS) and label.partition("=")[2] not in _NOT_LINES
+
+
+def name_key(name: str) -> str:
+    """Name in normal form, without an article."""
+    return normalise(name).removeprefix("the ")
+
+
+def _lemma(noun: str) -> str:
+    """Singular of a noun, by the rules that cover nearly all names of things."""
+    if noun.endswith("ies") and len(noun) > 4:
+        return noun[:-3] + "y"
+    if noun.endswith(("ches", "shes", "xes", "sses")):
+        return noun[:-2]
+    if noun.endswith("s") and not noun.endswith(("ss", "us")):
+        return noun[:-1]
+    return noun

@@ -1,0 +1,397 @@
+"""Places said of things become statements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING
+
+from placegraph.outdoor.describe.lexicon import Direction
+from placegraph.outdoor.description import LISTENER, SPEAKER, Relation, Statement
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.describe.nodes import Place, Thing
+    from placegraph.outdoor.describe.refer import Referents
+
+BLOCK = 100.0
+"""Metres in a block."""
+SIDE_SIGMA = 0.6
+"""How loosely "on the north side of" is meant [rad]."""
+ROUTE = 0.4
+"""Certainty of what only lies on the way."""
+WEAK = 0.7
+"""Certainty of a relation that a preposition only suggests: "the entrance of the park"."""
+
+NEEDS_HEADING = "needs a heading"
+NO_MAP = "no map draws it"
+NO_TARGET = "does not say of what"
+
+_SIMPLE = {
+    "near": (Relation.NEAR, 1.0, None),
+    "along": (Relation.ALONG, 1.0, None),
+    "inside": (Relation.INSIDE, 1.0, None),
+    "opposite": (Relation.ACROSS, 1.0, None),
+    "same_block": (Relation.NEAR, 0.8, BLOCK),
+    "on_top": (Relation.SAME, 1.0, None),
+}
+"""Relation, certainty and distance of prepositions that always mean the same."""
+
+
+@dataclass
+class Said:
+    """The clause at hand, as far as its places need it."""
+
+    text: str
+    certainty: float = 1.0
+    negated: bool = False
+    travel: bool = False
+    shared: Thing | None = None
+    """Target of a direction beside one that has none: "north and slightly west of you"."""
+
+
+class Relator:
+    """Makes statements of places.
+
+    Parameters
+    ----------
+    refer
+        The mentions.
+    heading
+        Bearing in which the speaker faces [rad], or None.
+    """
+
+    def __init__(self, refer: Referents, heading: float | None) -> None:
+        self.refer, self.heading = refer, heading
+        self.statements: list[Statement] = []
+        self.goals = {SPEAKER}
+        """Nodes that stand where the speaker stands."""
+        self.reason = ""
+        """Why the last place that became no statement did not."""
+
+    def add(
+        self,
+        said: Said,
+        relation: Relation,
+        source: int,
+        target: int,
+        *,
+        target2: int | None = None,
+        direction: Direction | None = None,
+        distance: float | None = None,
+        certainty: float = 1.0,
+        negated: bool = False,
+        far: bool = False,
+    ) -> None:
+        """Add a statement, unless it relates a thing to itself."""
+        if source == target:
+            return
+        refer = self.refer
+        for node in (source, target, target2):
+            negated = negated or (node is not None and node in refer.negative)
+        self.statements.append(
+            Statement(
+                relation,
+                source,
+                target,
+                target2=target2,
+                bearing=None if direction is None else direction.bearing % (2.0 * pi),
+                bearing_sigma=0.5 if direction is None else direction.sigma,
+                distance=distance,
+                negated=negated or said.negated,
+                certainty=round(
+                    certainty * said.certainty * (direction.certainty if direction else 1.0), 3
+                ),
+                far=far or said.travel or LISTENER in (source, target),
+                text=said.text,
+            )
+        )
+
+    def relate(self, place: Place, source: int, said: Said) -> int | None:
+        """Add the statements of a place said of a source; return the node it now speaks of.
+
+        That is the source, or what it was said to stand at ("I'm at a cafe ...").
+        """
+        relate = getattr(self, f"_{place.how}", None)
+        if relate is None:
+            self.reason = "not about where things stand"
+            return source
+        before = len(self.statements)
+        changed = relate(place, source, said)
+        if place.negated:
+            self.statements[before:] = [
+                _negated(statement) for statement in self.statements[before:]
+            ]
+        return source if changed is None else changed
+
+    # directions
+
+    def _implied(self, source: int, said: Said) -> int:
+        """What a direction is seen from where nothing is said of it."""
+        return LISTENER if said.travel or source in self.goals else SPEAKER
+
+    def _bearing(self, direction: Direction) -> Direction | None:
+        """Direction on the compass; None, with a reason, where the heading is needed but unknown."""
+        if not direction.facing:
+            return direction
+        if self.heading is None:
+            self.reason = NEEDS_HEADING
+            return None
+        return direction._replace(bearing=direction.bearing + self.heading, facing=False)
+
+    def _target(self, thing: Thing, source: int) -> int | None:
+        node = self.refer.resolve(thing)
+        if node == source and thing.kind == "thing":  # "the bench is north of the bench"
+            node = self.refer.resolve(thing, other_than=(source,))
+        if node is None:
+            self.reason = NO_MAP
+        elif node == source:
+            self.reason = "relates a thing to itself"
+            return None
+        return node
+
+    def _towards(self, place: Place, source: int, said: Said) -> None:
+        assert place.direction is not None
+        direction = place.direction
+        thing = place.targets[0] if place.targets else said.shared
+        if direction.facing:
+            if said.travel or (thing is not None and thing.kind == "YOU"):
+                self.reason = "left and right of a walk say nothing on a map"
+                return
+            if thing is None and source in self.goals:
+                self.reason = NO_TARGET
+                return
+        target = self._target(thing, source) if thing else self._implied(source, said)
+        seen = self._bearing(direction)
+        if target is None or seen is None:
+            return
+        sure = 1.0 if thing is not None or target == SPEAKER else 0.8
+        self.add(
+            said, Relation.DIRECTION, source, target,
+            direction=seen, distance=place.distance, certainty=sure, far=target == LISTENER,
+        )  # fmt: skip
+
+    def _side(self, place: Place, source: int, said: Said) -> None:
+        """ "On the north side of the street"."""
+        assert place.direction is not None
+        if not place.targets:
+            street = self.refer.street
+            if place.direction.facing or street is None or source not in self.goals:
+                self._towards(place, source, said)
+            else:
+                self.add(
+                    said, Relation.DIRECTION, source, street, certainty=0.6,
+                    direction=place.direction._replace(sigma=SIDE_SIGMA),
+                )  # fmt: skip
+            return
+        target = self._target(place.targets[0], source)
+        seen = self._bearing(place.direction)
+        if target is None or seen is None:
+            return
+        wide = seen._replace(sigma=max(seen.sigma, SIDE_SIGMA))
+        self.add(said, Relation.DIRECTION, source, target, direction=wide, certainty=0.8)
+        if target > LISTENER:
+            self.add(said, Relation.NEAR, source, target)
+
+    def _possessed(self, place: Place, source: int, said: Said) -> None:
+        """ "To my east", "on its north side", "to the garden's northeast"."""
+        assert place.direction is not None
+        target: int | None
+        if place.targets:
+            target = self._target(place.targets[0], source)
+        elif place.owner == "ITS":
+            topic = self.refer.topic
+            target = topic if topic is not None and topic != source else SPEAKER
+        else:
+            target = SPEAKER if place.owner == "MY" else LISTENER
+        if target == LISTENER and place.direction.facing:
+            self.reason = "left and right of the listener need the listener's heading"
+            return
+        seen = self._bearing(place.direction)
+        if target is not None and seen is not None:
+            self.add(
+                said, Relation.DIRECTION, source, target, direction=seen, distance=place.distance
+            )
+
+    def _faces(self, place: Place, source: int, _said: Said) -> None:
+        assert place.direction is not None
+        if source in self.goals and not place.direction.facing and self.heading is None:
+            self.heading = place.direction.bearing
+        self.reason = "says which way one faces"
+
+    # nearness
+
+    def _at(self, place: Place, source: int, said: Said) -> int | None:
+        thing = place.targets[0]
+        if len(place.targets) > 1 and thing.part:
+            return self._part(place, source, said)
+        target = self._target(thing, source)
+        if target is None:
+            return None
+        if len(place.targets) > 1:
+            whole = self._target(place.targets[1], target)
+            if whole is not None:
+                self.add(said, Relation.NEAR, target, whole, certainty=WEAK)
+        relation, certainty = self._at_relation(place.word, target, source, said)
+        self.add(said, relation, source, target, distance=place.distance, certainty=certainty)
+        if relation is Relation.SAME and source in self.goals and not said.negated:
+            self.goals.add(target)
+            return target
+        return None
+
+    def _at_relation(
+        self, word: str, target: int, source: int, said: Said
+    ) -> tuple[Relation, float]:
+        line = self.refer.is_line(target)
+        if said.travel:
+            return (Relation.ALONG if line and word == "ON" else Relation.NEAR), 1.0
+        if target <= LISTENER:
+            return Relation.NEAR, 1.0
+        if line and word != "TO":
+            return Relation.ALONG, 1.0 if word == "ON" else 0.8
+        if word == "AT" and source in self.goals:
+            return Relation.SAME, 1.0
+        if word == "IN" or (word == "ON" and not line):
+            return Relation.INSIDE, 1.0
+        return Relation.NEAR, WEAK if word == "TO" else 1.0
+
+    def _part(self, place: Place, source: int, said: Said) -> None:
+        """ "At the end of the street", "in the middle of the park"."""
+        part, whole = place.targets
+        target = self._target(whole, source)
+        if target is None:
+            return
+        if part.part == "block":
+            self.add(said, Relation.NEAR, source, target, distance=BLOCK, certainty=0.8)
+        elif part.part == "same_side":
+            self.reason = "a side of a street without a direction"
+        elif self.refer.is_line(target):
+            self.add(said, Relation.ALONG, source, target, distance=place.distance)
+        elif part.part == "middle":
+            self.add(said, Relation.INSIDE, source, target)
+        else:
+            self.add(said, Relation.NEAR, source, target, distance=place.distance)
+
+    def _prep(self, place: Place, source: int, said: Said) -> int | None:
+        thing, word = place.targets[0], place.word
+        target = self._target(thing, source)
+        if target is None:
+            return None
+        if word in ("front", "behind") and target == SPEAKER:
+            seen = self._bearing(Direction(pi if word == "behind" else 0.0, facing=True))
+            if seen is not None:
+                self.add(
+                    said, Relation.DIRECTION, source, target,
+                    direction=seen, distance=place.distance,
+                )  # fmt: skip
+        elif word == "surrounded":
+            self.add(said, Relation.NEAR, target, source)
+        elif word in ("past", "before", "toward"):
+            near = place.distance is not None and not said.travel
+            self.add(
+                said, Relation.NEAR, source, target,
+                distance=place.distance, certainty=0.8 if near else ROUTE, far=not near,
+            )  # fmt: skip
+        else:
+            relation, certainty, distance = _SIMPLE.get(word, (Relation.NEAR, 1.0, None))
+            if relation is Relation.ALONG and not self.refer.is_line(target):
+                certainty = 0.8
+            self.add(
+                said, relation, source, target,
+                distance=place.distance or distance, certainty=certainty,
+            )  # fmt: skip
+            if relation is Relation.SAME and source in self.goals:
+                return target
+        return None
+
+    def _across(self, place: Place, source: int, said: Said) -> None:
+        between: int | None = None
+        if place.targets:
+            between = self.refer.resolve(place.targets[0])
+        if len(place.targets) > 1:
+            target = self._target(place.targets[1], source)
+            if target is not None:
+                self.add(
+                    said, Relation.ACROSS, source, target,
+                    target2=between, distance=place.distance,
+                )  # fmt: skip
+            return
+        if between is not None and not self._can_be_crossed(between):
+            self.add(said, Relation.ACROSS, source, between, distance=place.distance)
+            return
+        if source not in self.goals:
+            self.add(
+                said, Relation.ACROSS, source, SPEAKER, target2=between, distance=place.distance
+            )
+        elif between is not None and not self.refer.is_road(between):
+            self.add(said, Relation.ACROSS, source, LISTENER, target2=between, certainty=0.6)
+        else:
+            self.reason = NO_TARGET
+
+    def _can_be_crossed(self, node: int) -> bool:
+        labels = [sense.label for sense in self.refer.mentions[node].senses]
+        return self.refer.is_line(node) or any(
+            "water" in label or "bridge" in label for label in labels
+        )
+
+    def _between(self, place: Place, source: int, said: Said) -> None:
+        nodes = [self._target(thing, source) for thing in place.targets]
+        known = [node for node in nodes if node is not None]
+        if len(known) == 2 and known[0] != known[1]:
+            self.add(said, Relation.BETWEEN, source, known[0], target2=known[1])
+        elif known:
+            self.add(said, Relation.NEAR, source, known[0], certainty=WEAK)
+
+    def _at_both(self, place: Place, source: int, said: Said) -> None:
+        """ "Where Penn Avenue meets 6th Street"."""
+        for thing in place.targets:
+            target = self._target(thing, source)
+            if target is not None:
+                self.add(said, Relation.NEAR, source, target)
+
+    def _with_(self, place: Place, source: int, said: Said) -> int | None:
+        """ "A park with a pond": what follows is said of the pond."""
+        target = self._target(place.targets[0], source)
+        if target is not None:
+            self.add(said, Relation.NEAR, target, source, certainty=WEAK)
+        return target
+
+    def _of(self, place: Place, source: int, said: Said) -> None:
+        target = self._target(place.targets[0], source)
+        if target is not None:
+            self.add(
+                said, Relation.NEAR, source, target,
+                distance=place.distance, certainty=1.0 if place.distance else WEAK,
+            )  # fmt: skip
+
+    def _start(self, place: Place, source: int, said: Said) -> None:
+        """ "Two blocks from the station"; a bare "from the station" opens a walk."""
+        if place.distance is None:
+            self.reason = "where a walk starts"
+            return
+        self._of(place, source, said)
+
+    def _away(self, place: Place, source: int, said: Said) -> None:
+        """ "Two blocks away"."""
+        target = self._implied(source, said)
+        if said.travel:
+            self.reason = "a distance without a direction"
+            return
+        self.add(said, Relation.NEAR, source, target, distance=place.distance)
+
+    def _nearby(self, place: Place, source: int, said: Said) -> None:
+        if source in self.goals:
+            self.reason = NO_TARGET
+        else:
+            self.add(said, Relation.NEAR, source, SPEAKER, distance=place.distance)
+
+    def _here(self, _place: Place, source: int, said: Said) -> None:
+        if source in self.goals:
+            self.reason = NO_TARGET
+        else:
+            self.add(said, Relation.VISIBLE, source, SPEAKER)
+
+
+def _negated(statement: Statement) -> Statement:
+    from dataclasses import replace
+
+    return replace(statement, negated=True)
