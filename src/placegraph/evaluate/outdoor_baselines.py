@@ -98,8 +98,10 @@ class Bag:
         """Sum (C,) of the idf of the query's words that a cell holds."""
         total = self.tie_breaks.copy()
         words = spoken(query, self.kind, self.label_number)
-        at = np.minimum(np.searchsorted(self.words, words), len(self.words) - 1)
-        for i in at[self.words[at] == words]:
+        at = np.searchsorted(self.words, words)
+        held = at < len(self.words)
+        held[held] = self.words[at[held]] == words[held]
+        for i in at[held]:
             total[self.cells[self.starts[i] : self.starts[i + 1]]] += self.idf[i]
         return total
 
