@@ -47,8 +47,8 @@ class Builder:
     ) -> None:
         self.text, self.directive = text, directive
         self.refer = Referents(text, vocabulary)
-        self.relator = Relator(self.refer, heading)
-        self.ignored: list[Ignored] = []
+        self.relator = Relator(self.refer, heading, directive=directive)
+        self.ignored = self.relator.ignored
         self.heads: list[int] = [SPEAKER]
         """What the last clause spoke of."""
         self.legs = 0
@@ -59,17 +59,16 @@ class Builder:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
         words = self.text[clause.start : clause.end]
         said = Said(words, certainty, clause.negated)
-        before = len(self.relator.statements)
-        self.relator.reason = ""
+        before = len(self.relator.statements), len(self.ignored)
+        self.relator.reason = "says nothing about where things stand"
         if clause.condition:
             self._on_the_way(clause, said)
         elif clause.verb:
             getattr(self, f"_{clause.verb}")(clause, said, opens)
-        if len(self.relator.statements) == before and not (clause.verb == "too_far"):
-            reason = self.relator.reason or (
-                "says nothing about where things stand" if clause.verb else "not understood"
-            )
-            self.ignored.append(Ignored(words, reason))
+        else:
+            self.relator.reason = "not understood"
+        if (len(self.relator.statements), len(self.ignored)) == before and clause.verb != "too_far":
+            self.ignored.append(Ignored(words, self.relator.reason))
         self._remember()
 
     def _remember(self) -> None:
@@ -88,7 +87,7 @@ class Builder:
         before, after = clause.before, clause.after
         if isinstance(before[0], Place):  # "north of here is a bakery"
             if after and isinstance(after[0], Thing):
-                self._say((after[0], *before, *after[1:]), [], said)
+                self._shown((after[0], *before, *after[1:]), said)
             else:
                 self._say((*before, *after), [SPEAKER], said)
             return
@@ -117,10 +116,8 @@ class Builder:
         if isinstance(owner, Thing):
             places = clause.before[1:]
             if owner.kind == "thing" and clause.after and isinstance(clause.after[0], Thing):
-                places = (
-                    *places,
-                    Place("prep", owner.start, owner.end, (owner,), "near"),
-                )  # "the street has a bakery"
+                has = Place("at", owner.start, owner.end, (owner,), "TO")
+                places = (*places, has)  # "the street has a bakery"
         self._shown((*clause.after[:1], *places, *clause.after[1:]), said)
 
     def _shown(self, items: Items, said: Said, *, always: bool = False) -> None:
@@ -135,8 +132,13 @@ class Builder:
             s.source for s in self.relator.statements[first:] if SPEAKER in (s.source, s.target)
         }
         for head in heads:
-            if head not in (seen if always else placed):
+            mention = self.refer.mentions[head]
+            if head in (seen if always else placed):
+                continue
+            if mention.senses or mention.name:
                 self.relator.add(said, Relation.VISIBLE, head, SPEAKER)
+            else:
+                self.relator.reason = "unknown word"
 
     def _sees(self, clause: Clause, said: Said, opens: bool) -> None:
         """ "I see a church", "across the street you will find a bakery", "look for a bench"."""

@@ -59,26 +59,29 @@ def clauses(chunks: list[Chunk]) -> list[Part]:
             continue
         if kind in ("CUT", "COND") or len(current) >= LONGEST:
             flush()
+        if kind == "CUT":
+            continue
         if kind == "AND":
             if has_verb and verb_ahead[i]:
                 flush()
+            elif chunk.words == ":" and current and not has_verb and not verb_ahead[i]:
+                current.append(replace(chunk, type="BE"))  # "north of me: a church"
+                has_verb = True
             elif current and current[-1].type != "AND":
                 current.append(chunk)
             continue
         if kind in VERBS and not _meeting(current, kind):
-            if has_verb and (kind in _STARTS or (current and current[-1].type in _SUBJECTS)):
-                subject = current.pop() if current[-1].type in _SUBJECTS else None
-                flush()
-                if subject is not None:
-                    current.append(subject)
-            elif not has_verb and len(current) > 1 and current[-1].type in _SUBJECTS:
-                if current[-2].type not in ("AND", "COND"):  # "north of here you see"
-                    current.insert(-1, Chunk("AND", chunk.start, chunk.start))
-            elif kind == "EXISTS" and current and current[-1].type != "AND":
-                current.append(Chunk("AND", chunk.start, chunk.start))
+            subject = current.pop() if current and current[-1].type in _SUBJECTS else None
+            if has_verb and (subject or kind in _STARTS):
+                flush()  # "head south | meet me at the park"
+            if kind in _STARTS and current and current[-1].type == "AND":
+                current.pop()  # "to the north, there is"
+            if subject is not None:
+                if current and current[-1].type not in ("AND", "COND"):
+                    current.append(Chunk("AND", subject.start, subject.start))
+                current.append(subject)  # "north of here you see"
             has_verb = True
-        if kind != "CUT":
-            current.append(chunk)
+        current.append(chunk)
     flush()
     return parts
 
@@ -181,7 +184,30 @@ def _word(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]
     return (chunk,)
 
 
+def _not(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """ "Do not see" is a verb that says no."""
+    if rest and rest[0].type in ("SEE", "HAVE"):
+        rest[0].value = "NOT"
+        return ()
+    return (chunk,)
+
+
+def _go(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """ "I am walking along the canal" says where one is, "I am walking north" where one faces."""
+    if before != "BE":
+        return (chunk,)
+    return (replace(chunk, type="FACE"),) if rest and rest[0].type == "DIR" else ()
+
+
+def _article(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """ "A 2 minute walk"."""
+    return () if rest and rest[0].type == "DIST" else (chunk,)
+
+
 _SETTLE = {
+    "NOT": _not,
+    "GO": _go,
+    "A": _article,
     "RIGHT": _right,
     "SHORT": _short,
     "PREP": _preposition,

@@ -126,10 +126,9 @@ class _Build(Transformer[Any, Any]):
                     said.after = child
                 else:
                     said.before = child
-            elif child.type == "NOT":
-                said.negated = True
-            elif child.type != "AND":
+            else:
                 said.travel = child.type
+                said.negated = child.value == "NOT"
         return said
 
     def fragment(self, children: list[Any]) -> Clause:
@@ -219,6 +218,9 @@ class _Build(Transformer[Any, Any]):
                 thing.part, thing.head = child.value, child.words
             elif child.type == "WORD":
                 thing.head = child.words
+        if thing.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
+            thing.name = f"{thing.name} {' '.join(noun.words for noun in nouns[:-1])}"
+            del nouns[:-1]
         if nouns:
             thing.senses, thing.head = _compound(nouns)
         return thing

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.outdoor.describe.lexicon import Direction
-from placegraph.outdoor.description import LISTENER, SPEAKER, Relation, Statement
+from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation, Statement
 
 if TYPE_CHECKING:
     from placegraph.outdoor.describe.nodes import Place, Thing
@@ -58,11 +58,14 @@ class Relator:
         The mentions.
     heading
         Bearing in which the speaker faces [rad], or None.
+    directive
+        Whether the text tells somebody the way: directions are then seen from them.
     """
 
-    def __init__(self, refer: Referents, heading: float | None) -> None:
-        self.refer, self.heading = refer, heading
+    def __init__(self, refer: Referents, heading: float | None, *, directive: bool) -> None:
+        self.refer, self.heading, self.directive = refer, heading, directive
         self.statements: list[Statement] = []
+        self.ignored: list[Ignored] = []
         self.goals = {SPEAKER}
         """Nodes that stand where the speaker stands."""
         self.reason = ""
@@ -111,23 +114,22 @@ class Relator:
 
         That is the source, or what it was said to stand at ("I'm at a cafe ...").
         """
-        relate = getattr(self, f"_{place.how}", None)
-        if relate is None:
-            self.reason = "not about where things stand"
-            return source
-        before = len(self.statements)
-        changed = relate(place, source, said)
-        if place.negated:
-            self.statements[before:] = [
-                _negated(statement) for statement in self.statements[before:]
-            ]
+        before, self.reason = len(self.statements), "says nothing about where things stand"
+        changed: int | None = getattr(self, f"_{place.how}")(place, source, said)
+        if len(self.statements) == before:
+            self.ignored.append(Ignored(self.refer.text[place.start : place.end], self.reason))
+        elif place.negated:
+            self.statements[before:] = [replace(s, negated=True) for s in self.statements[before:]]
         return source if changed is None else changed
 
     # directions
 
-    def _implied(self, source: int, said: Said) -> int:
+    def _implied(self, source: int, said: Said) -> int | None:
         """What a direction is seen from where nothing is said of it."""
-        return LISTENER if said.travel or source in self.goals else SPEAKER
+        if not said.travel and source not in self.goals:
+            return SPEAKER
+        self.reason = NO_TARGET
+        return LISTENER if said.travel or self.directive else None
 
     def _bearing(self, direction: Direction) -> Direction | None:
         """Direction on the compass; None, with a reason, where the heading is needed but unknown."""
@@ -246,7 +248,7 @@ class Relator:
             return (Relation.ALONG if line and word == "ON" else Relation.NEAR), 1.0
         if target <= LISTENER:
             return Relation.NEAR, 1.0
-        if line and word != "TO":
+        if line:
             return Relation.ALONG, 1.0 if word == "ON" else 0.8
         if word == "AT" and source in self.goals:
             return Relation.SAME, 1.0
@@ -334,7 +336,10 @@ class Relator:
         )
 
     def _between(self, place: Place, source: int, said: Said) -> None:
-        nodes = [self._target(thing, source) for thing in place.targets]
+        things = place.targets
+        if len(things) == 1 and things[0].count == 2:  # "between two churches"
+            things = (replace(things[0], count=None), replace(things[0], count=None))
+        nodes = [self._target(thing, source) for thing in things]
         known = [node for node in nodes if node is not None]
         if len(known) == 2 and known[0] != known[1]:
             self.add(said, Relation.BETWEEN, source, known[0], target2=known[1])
@@ -375,8 +380,8 @@ class Relator:
         target = self._implied(source, said)
         if said.travel:
             self.reason = "a distance without a direction"
-            return
-        self.add(said, Relation.NEAR, source, target, distance=place.distance)
+        elif target is not None:
+            self.add(said, Relation.NEAR, source, target, distance=place.distance)
 
     def _nearby(self, place: Place, source: int, said: Said) -> None:
         if source in self.goals:
@@ -389,9 +394,3 @@ class Relator:
             self.reason = NO_TARGET
         else:
             self.add(said, Relation.VISIBLE, source, SPEAKER)
-
-
-def _negated(statement: Statement) -> Statement:
-    from dataclasses import replace
-
-    return replace(statement, negated=True)
