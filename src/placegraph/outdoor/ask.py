@@ -22,6 +22,7 @@ from placegraph.outdoor.description import (
     Sense,
     Statement,
 )
+from placegraph.outdoor.index import STRIDE
 from placegraph.outdoor.posterior import Posterior, modes
 
 if TYPE_CHECKING:
@@ -166,10 +167,10 @@ class _Seen:
 
 def _around(city: CityMap, position: NDArray[np.float64]) -> _Seen:
     views, objects = city.views, city.objects
-    view = int(np.argmin(((views.positions - position) ** 2).sum(axis=1)))
+    view = int(next(iter(views.near(position, STRIDE)), -1))
     labels: dict[tuple[str, str], float] = defaultdict(float)
     names: dict[str, float] = defaultdict(float)
-    for entry in range(views.starts[view], views.starts[view + 1]):
+    for entry in range(views.starts[view], views.starts[view + 1]) if view >= 0 else ():
         delta = views.positions[view] + views.offsets[entry] - position
         distance = float(np.hypot(*delta))
         sure = 1.0 / (1.0 + np.exp((distance - ASKED_WITHIN) / 6.0))

@@ -39,13 +39,9 @@ def evidence_at(position: NDArray[np.float64], city: CityMap, query: Query) -> t
     if not query.used:
         return unused
     views = city.views
-    view = int(np.argmin(((views.positions - position) ** 2).sum(axis=1)))
-    around = np.flatnonzero(
-        np.abs(views.positions - views.positions[view]).max(axis=1) < 0.7 * REACH
-    )
-    nearby = np.unique(
-        np.concatenate([views.objects[views.starts[v] : views.starts[v + 1]] for v in around])
-    )
+    around = views.near(position, REACH)
+    seen = [views.objects[views.starts[v] : views.starts[v + 1]] for v in around]
+    nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
     at = position[None]
     far = np.zeros((1, len(query.used)), np.float32)
     if query.far is not None:

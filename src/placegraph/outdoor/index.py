@@ -129,6 +129,17 @@ class ViewIndex:
         """Share of all things in sight, over all viewpoints, that these tokens stand for."""
         return float(weights @ self._token_share[tokens])
 
+    def near(self, position: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
+        """Viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
+        first, last = np.searchsorted(self._north, (position[1] - reach, position[1] + reach))
+        delta = np.abs(self.positions[first:last] - position).max(axis=1, initial=0.0)
+        found = np.flatnonzero(delta <= reach)
+        return first + found[np.argsort(delta[found], kind="stable")]
+
+    @cached_property
+    def _north(self) -> NDArray[np.float32]:
+        return np.ascontiguousarray(self.positions[:, 1])  # ascending: viewpoints are row-major
+
     @cached_property
     def _token_share(self) -> NDArray[np.float64]:
         mass = np.concatenate(([0.0], np.cumsum(self.posting_mass, dtype=np.float64)))

@@ -29,6 +29,8 @@ NOISE = 0.12
 """Share of statements about things that are not there, or that the map does not know."""
 KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""
+LOOSELY = 0.1
+"""Weight of a word's other senses where it is a tag's own value ("path" for a footway)."""
 FLOOR = 1e-7
 """Things cannot be rarer than this share of all things in sight."""
 CROWD = 30.0
@@ -185,10 +187,20 @@ def _tokens(mention: Mention, city: CityMap) -> tuple[NDArray[np.int32], NDArray
     for sense in mention.senses:
         for label in city.label_index.get(sense.label, ()):
             weights[label] = max(weights.get(label, 0.0), by_kind * sense.weight)
+    literal = {label for label in weights if _is_tag(mention.words, city.objects.labels[label])}
+    if literal:
+        weights = {label: w if label in literal else LOOSELY * w for label, w in weights.items()}
     shift = len(city.objects.labels)
     for name, weight in city.name_index.named(mention.name or mention.words).items():
         weights[name + shift] = weight
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
+
+
+def _is_tag(words: str, label: str) -> bool:
+    """Whether words are a tag's own value, as in the paper: "bicycle_parking", "the path"."""
+    key, _, value = label.replace("_", " ").partition("=")
+    said = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
+    return said == (key if value == "yes" else value).rstrip("s")
 
 
 def _unusable(

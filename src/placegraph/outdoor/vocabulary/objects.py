@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-COLUMNS = ("key", "values", "role", "rank", "with")
-OBJECT, DETAIL, SKIP = "object", "detail", "skip"
+COLUMNS = ("key", "values", "role", "rank", "with", "said")
+OBJECT, KIND, DETAIL, SKIP = ROLES = ("object", "kind", "detail", "skip")
 
 _VALUE = re.compile(r"[^\W_][\w:.+-]{0,39}")
 """A tag value that can be a label; free text ("The old mill, now closed") cannot."""
@@ -26,6 +26,8 @@ class Rule(NamedTuple):
     rank: int = 0
     needs: tuple[str, ...] = ()
     """Tags, ``key`` or ``key=value``, of which a thing must have one."""
+    said: str = "{}"
+    """How a value is said where no table has a better word."""
 
 
 _Hit: TypeAlias = tuple[int, str, bool, tuple[str, ...]]
@@ -49,7 +51,7 @@ class _Values(dict[str, tuple[_Hit, ...]]):
         if not value or rule is None or rule.role == SKIP:
             return ()
         if not _VALUE.fullmatch(value):
-            if rule.role == DETAIL:
+            if rule.role != OBJECT:
                 return ()
             value = "yes"  # a shop of a kind told in free text is still a shop
         return ((rule.rank, f"{self.key}={value}", rule.role == OBJECT, rule.needs),)
@@ -71,12 +73,8 @@ class ObjectTable:
         own = {key: values for key, values in rules.items() if key != "*"}
         roles = {key: {rule.role for rule in values.values()} for key, values in own.items()}
         self.keys = frozenset(key for key in own if OBJECT in roles[key])
-        self.detail_keys = frozenset(key for key in own if DETAIL in roles[key]) - self.keys
-        self._ranks = {
-            key: min(rule.rank for rule in values.values() if rule.role != SKIP)
-            for key, values in own.items()
-            if roles[key] != {SKIP}
-        }
+        self.detail_keys = frozenset(key for key in own if roles[key] & {KIND, DETAIL}) - self.keys
+        self._rules = own
         self._values = {key: _Values(key, values, common) for key, values in own.items()}
 
     def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
@@ -93,16 +91,31 @@ class ObjectTable:
         hits.sort()
         return tuple([label for _, label, _, needs in hits if not needs or _any(needs, tags)])
 
-    def rank(self, label: str) -> int | None:
-        """Rank of a label's key, small for specific ones; None if the key is not worth naming."""
-        return self._ranks.get(label.partition("=")[0])
-
     def names(self, label: str) -> bool:
         """Tell whether a label (also ``key=*``) can be one of a thing's labels."""
         key, _, value = label.partition("=")
-        if key not in self._values or key not in self._ranks:
-            return False
-        return value == "*" or any(hit[1] == label for hit in self._values[key][value])
+        if value == "*":
+            return key in self.keys or key in self.detail_keys
+        return key in self._values and any(hit[1] == label for hit in self._values[key][value])
+
+    def rule(self, label: str) -> Rule:
+        """Return the rule that a nameable label falls under."""
+        key, _, value = label.partition("=")
+        values = self._rules[key]
+        return values.get(value) or values.get("*") or next(iter(values.values()))
+
+    def listed(self) -> list[str]:
+        """Labels of objects and kinds that have a row of their own."""
+        return [
+            f"{key}={value}"
+            for key, values in self._rules.items()
+            for value, rule in values.items()
+            if value != "*" and rule.role in (OBJECT, KIND)
+        ]
+
+    def patterns(self) -> dict[str, str]:
+        """How unlisted values are said (``"{} shop"``), by key."""
+        return {key: values["*"].said for key, values in self._rules.items() if "*" in values}
 
 
 def _any(needs: tuple[str, ...], tags: Mapping[str, str]) -> bool:
@@ -123,21 +136,11 @@ def read_objects(folder: Path | None = None) -> ObjectTable:
     """
     table = find("objects.tsv", folder)
     rules: dict[str, dict[str, Rule]] = {}
-    for number, (key, values, role, rank, needs) in rows(table, COLUMNS):
+    for number, (key, values, *fields) in rows(table, COLUMNS):
         where = f"{table}, line {number}"
         if not key or not values:
             raise InputError(f"{where}: the fields 'key' and 'values' must not be empty.")
-        if role not in (OBJECT, DETAIL, SKIP):
-            raise InputError(
-                f"{where}: the field 'role' is {role!r}; write object, detail or skip."
-            )
-        if key == "*" and role != SKIP:
-            raise InputError(f"{where}: a row over every key ('key' is *) can only be a skip.")
-        if role != SKIP and not (rank.isascii() and rank.isdigit()):
-            raise InputError(f"{where}: the field 'rank' is {rank!r}; write a whole number.")
-        if needs and role != DETAIL:
-            raise InputError(f"{where}: only a detail can have the field 'with'; it is {needs!r}.")
-        rule = Rule(role) if role == SKIP else Rule(role, int(rank), tuple(needs.split()))
+        rule = _read_rule(where, key, *fields)
         known = rules.setdefault(key, {})
         for value in values.split():
             if value in known:
@@ -146,3 +149,19 @@ def read_objects(folder: Path | None = None) -> ObjectTable:
     if not any(rule.role == OBJECT for values in rules.values() for rule in values.values()):
         raise InputError(f"{table}: has no row with the role 'object'; nothing could be named.")
     return ObjectTable(rules)
+
+
+def _read_rule(where: str, key: str, role: str, rank: str, needs: str, said: str) -> Rule:
+    if role not in ROLES:
+        raise InputError(f"{where}: the field 'role' is {role!r}; write {', '.join(ROLES)}.")
+    if key == "*" and role != SKIP:
+        raise InputError(f"{where}: a row over every key ('key' is *) can only be a skip.")
+    if role != SKIP and not (rank.isascii() and rank.isdigit()):
+        raise InputError(f"{where}: the field 'rank' is {rank!r}; write a whole number.")
+    if needs and role not in (KIND, DETAIL):
+        raise InputError(
+            f"{where}: only a kind or detail can have the field 'with'; it is {needs!r}."
+        )
+    if said.count("{}") != bool(said):
+        raise InputError(f"{where}: the field 'said' is {said!r}; write {{}} once in it.")
+    return Rule(role, int(rank or 0), tuple(needs.split()), said or "{}")
