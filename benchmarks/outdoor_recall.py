@@ -24,7 +24,7 @@ from placegraph.evaluate.machine import machine
 from placegraph.evaluate.outdoor_baselines import Bag
 from placegraph.evaluate.outdoor_ceiling import ceiling, oracle
 from placegraph.evaluate.outdoor_contest import Contest
-from placegraph.evaluate.outdoor_metrics import RADII, RANKS, Answer, distances, measure
+from placegraph.evaluate.outdoor_metrics import RADII, RANKS, Answer, distances, measure, positions
 from placegraph.evaluate.outdoor_queries import (
     CELL,
     SETTINGS,
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
     from placegraph.evaluate.outdoor_baselines import Words
     from placegraph.evaluate.outdoor_nearby import Bins
+    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 
 ROOT = Path(__file__).parents[1]
@@ -116,15 +117,32 @@ def bounds(
     return rows
 
 
-def ask_map(city: CityMap, queries: Sequence[Query]) -> list[Answer]:
+def same_cell(places: Floats, query: Query, bins: Bins) -> tuple[bool, ...]:
+    """Whether places (K, 2) [deg] lie in the query's cell of the grid it was drawn from."""
+    at, truth = (
+        bins.cells(bins.city.plane.to_plane(p), CELL)
+        for p in (places, [(query.longitude, query.latitude)])
+    )
+    return tuple((at == truth).all(1).tolist())
+
+
+def ask_map(city: CityMap, bins: Bins, queries: Sequence[Query]) -> list[Answer]:
     """Give every text, and only the text, to a city map."""
     answers = []
     for query in queries:
         start = time.perf_counter()
         estimate = city.locate(query.text, top=max(RANKS))
         seconds = time.perf_counter() - start
-        cell = city.cells.at(query.longitude, query.latitude)
-        answers.append(measure(estimate, query.longitude, query.latitude, cell, seconds))
+        answers.append(
+            measure(
+                estimate,
+                query.longitude,
+                query.latitude,
+                seconds=seconds,
+                exact=same_cell(positions(estimate), query, bins),
+                cell=city.cells.at(query.longitude, query.latitude),
+            )
+        )
     return answers
 
 
@@ -135,10 +153,8 @@ def ask_bag(bag: Bag, bins: Bins, queries: Sequence[Query]) -> list[Answer]:
         start = time.perf_counter()
         places = bag.locate(query, top=max(RANKS))
         seconds = time.perf_counter() - start
-        truth = bins.city.plane.to_plane((query.longitude, query.latitude))
-        off = np.abs(bins.city.plane.to_plane(places) - truth).max(1)
-        exact = tuple((off <= CELL / 2).tolist())
-        answers.append(Answer(distances(places, query.longitude, query.latitude), exact, seconds))
+        off = distances(places, query.longitude, query.latitude)
+        answers.append(Answer(off, same_cell(places, query, bins), seconds))
     return answers
 
 
@@ -169,7 +185,7 @@ def run_city(
         for p in table
     }
     if city is not None:
-        ask_map(city, make_queries(path, n=20, seed=seed + 1))  # warm
+        ask_map(city, bins, make_queries(path, n=20, seed=seed + 1))  # warm
     bags: dict[tuple[object, ...], Bag] = {}
     rows = []
     for p, asked in queries.items():
@@ -189,7 +205,7 @@ def run_city(
                 )
             rows.append(of_answers(name, p, method, ask_bag(bags[key], bins, asked)))
         if city is not None:
-            rows.append(of_answers(name, p, OURS, ask_map(city, asked)))
+            rows.append(of_answers(name, p, OURS, ask_map(city, bins, asked)))
         tick.advance(task)
     del bags
     for group in {p.group: None for p in table}:

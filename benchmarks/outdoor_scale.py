@@ -77,9 +77,8 @@ def ask(city: Path, queries: Sequence[Query]) -> dict[str, Any]:
             start = time.perf_counter()
             estimate = opened.locate(q.text)
             seconds = time.perf_counter() - start
-            cell = opened.cells.at(q.longitude, q.latitude)
             if round_:
-                answers.append(measure(estimate, q.longitude, q.latitude, cell, seconds))
+                answers.append(measure(estimate, q.longitude, q.latitude, seconds=seconds))
     result = score(answers)
     return {
         "open_s": open_s,

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
 
 
+ROUNDING = 1e-6
+"""How far a sum of probabilities may stray from 0 to 1."""
+
+
 @dataclass(frozen=True)
 class Reliability:
     """Bins of equal mass, from the least to the most confident."""
@@ -39,7 +43,8 @@ class Reliability:
         The mean of a bin of n answers scatters by sqrt(p (1 - p) / n); the mean absolute value
         of a normal deviate is sqrt(2 / pi).
         """
-        spread = np.sqrt(self.confidence * (1.0 - self.confidence) / self.count)
+        sure = np.clip(self.confidence, 0.0, 1.0)
+        spread = np.sqrt(sure * (1.0 - sure) / self.count)
         return float(np.average(np.sqrt(2.0 / np.pi) * spread, weights=self.count))
 
 
@@ -54,7 +59,7 @@ def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reli
     sure, true = np.asarray(confidence, np.float64), np.asarray(right, np.float64)
     if sure.ndim != 1 or sure.shape != true.shape or not len(sure) or bins < 1:
         raise OptionError("Calibration needs at least one answer, a confidence each, and a bin.")
-    if not ((sure >= 0.0) & (sure <= 1.0)).all():
+    if not ((sure >= -ROUNDING) & (sure <= 1.0 + ROUNDING)).all():
         raise OptionError("A confidence lies outside 0 to 1; give probabilities.")
     order = np.argsort(sure, kind="stable")
     parts = [part for part in np.array_split(order, bins) if len(part)]

@@ -30,13 +30,15 @@ class Answer:
     distance: Floats
     """(K,) from the truth [m], best place first."""
     exact: tuple[bool, ...]
-    """(K,) whether the place's cell is the truth's."""
+    """(K,) whether the place lies in the truth's cell of the queries' grid."""
     seconds: float
     """Wall time, reading the text included."""
     status: str = ""
     """Name of the estimate's status; empty for a method that has none."""
     probability: float | None = None
     """Of the best place; None for a method that gives none."""
+    own_cell: tuple[bool, ...] | None = None
+    """(K,) whether the map's own cell of the place is the truth's; None where there is no map."""
 
 
 def distances(lonlat: Floats, longitude: float, latitude: float) -> Floats:
@@ -46,17 +48,33 @@ def distances(lonlat: Floats, longitude: float, latitude: float) -> Floats:
 
 
 def measure(
-    estimate: Estimate, longitude: float, latitude: float, cell: str | None, seconds: float
+    estimate: Estimate,
+    longitude: float,
+    latitude: float,
+    *,
+    seconds: float,
+    exact: Sequence[bool] = (),
+    cell: str | None = None,
 ) -> Answer:
-    """Measure an estimate against the true position [deg] and the true cell."""
-    places = [(m.longitude, m.latitude) for m in estimate.modes]
+    """Measure an estimate against the true position [deg].
+
+    `exact` says of every mode whether it lies in the truth's cell of the queries' grid, `cell` is
+    the map's own cell at the truth.
+    """
     return Answer(
-        distance=distances(np.array(places, np.float64), longitude, latitude),
-        exact=tuple(cell is not None and m.cell == cell for m in estimate.modes),
+        distance=distances(positions(estimate), longitude, latitude),
+        exact=tuple(exact),
         seconds=seconds,
         status=estimate.status.name,
         probability=estimate.best.probability if estimate.best else 0.0,
+        own_cell=tuple(cell is not None and m.cell == cell for m in estimate.modes),
     )
+
+
+def positions(estimate: Estimate) -> Floats:
+    """Longitude and latitude (K, 2) [deg] of the modes, best first."""
+    places = [(m.longitude, m.latitude) for m in estimate.modes]
+    return np.array(places, np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -65,7 +83,7 @@ class Score:
 
     queries: int
     exact: dict[int, float]
-    """Recall of the exact cell by rank."""
+    """Recall of the exact cell of the queries' grid by rank."""
     within: dict[float, dict[int, float]]
     """Recall by radius [m] and rank."""
     median: float
@@ -76,6 +94,8 @@ class Score:
     """Share of every status."""
     right: dict[str, float] = field(default_factory=dict)
     """Share of a status's best places that lie within 50 m of the truth."""
+    own_cell: dict[int, float] = field(default_factory=dict)
+    """Recall of the map's own cell by rank; its grid need not be that of the queries."""
     p50: float = float("nan")
     p95: float = float("nan")
     """Median and 95th percentile of the time for a query [s]."""
@@ -86,6 +106,7 @@ class Score:
         return {
             "queries": self.queries,
             "exact": {str(k): round(v, 4) for k, v in self.exact.items()},
+            "own_cell": {str(k): round(v, 4) for k, v in self.own_cell.items()},
             "within": {
                 f"{r:.0f} m": {str(k): round(v, 4) for k, v in by_rank.items()}
                 for r, by_rank in self.within.items()
@@ -135,6 +156,11 @@ def score(answers: Sequence[Answer]) -> Score:
             s: float((best[np.array(statuses) == s] <= HIT).mean())
             for s in sorted(set(statuses))
             if s
+        },
+        own_cell={
+            k: sum(any((a.own_cell or ())[:k]) for a in answers) / n
+            for k in RANKS
+            if any(a.own_cell is not None for a in answers)
         },
         p50=float(np.percentile(seconds, 50)),
         p95=float(np.percentile(seconds, 95)),

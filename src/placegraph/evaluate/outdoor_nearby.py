@@ -97,6 +97,10 @@ class Bins:
             )
         return Around(np.concatenate([[0], np.cumsum(counted)]), objects, points)
 
+    def cells(self, points: Floats, step: float) -> Ints:
+        """Column and row (n, 2) of the squares of the grid of `centers` that hold points (n, 2)."""
+        return np.floor((points - self.low) / step).astype(np.int64)
+
     def centers(self, step: float) -> Floats:
         """Centres (V, 2) of the squares of a grid over the city, empty surroundings left out.
 
