@@ -1,0 +1,137 @@
+"""Normal forms of words: one spelling for what people write in many ways."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+# fmt: off
+ARTICLES = frozenset((
+    "a", "an", "the", "some", "any", "der", "die", "das", "den", "dem", "des", "ein", "eine",
+    "einen", "einem", "le", "la", "les", "l", "un", "une", "du", "el", "los", "las", "una", "unos",
+    "unas", "il", "lo", "gli", "i", "uno", "o", "os", "as", "um", "uma", "de", "het", "een", "en",
+    "et", "det", "els",
+))
+# fmt: on
+"""Articles that may stand before a noun; English first, then languages quoted in English text."""
+
+_POSSESSIVE = re.compile(r"'s\b|(?<=s)'(?!\w)")
+_SEPARATORS = re.compile(r"[^\w\u0300-\u036f]+|_")
+_LETTERS = str.maketrans(
+    {
+        "ı": "i",
+        "ς": "σ",
+        "ł": "l",
+        "ø": "o",
+        "đ": "d",
+        "ð": "d",
+        "þ": "th",
+        "æ": "ae",
+        "œ": "oe",
+        "ß": "ss",
+    }
+)
+_SPELLING = {
+    "center": "centre",
+    "centers": "centres",
+    "theater": "theatre",
+    "theaters": "theatres",
+    "amphitheater": "amphitheatre",
+    "jewellery": "jewelry",
+    "jeweller": "jeweler",
+    "jewellers": "jewelers",
+    "tire": "tyre",
+    "tires": "tyres",
+    "curb": "kerb",
+    "curbs": "kerbs",
+    "neighborhood": "neighbourhood",
+    "neighborhoods": "neighbourhoods",
+    "harbor": "harbour",
+    "harbors": "harbours",
+    "parlour": "parlor",
+    "gray": "grey",
+    "catalog": "catalogue",
+    "storey": "story",
+    "multistorey": "multi story",
+    "yoghurt": "yogurt",
+    "doughnut": "donut",
+    "doughnuts": "donuts",
+    "labor": "labour",
+    "organisation": "organization",
+    "traveler": "traveller",
+    "counseling": "counselling",
+    "pediatrician": "paediatrician",
+    "licence": "license",
+    "bike": "bicycle",
+    "bikes": "bicycles",
+}
+"""Words with two spellings or an everyday short form, so that "bike rental" needs no entry."""
+
+_IRREGULAR = {
+    "people": "person",
+    "children": "child",
+    "men": "man",
+    "women": "woman",
+    "feet": "foot",
+    "teeth": "tooth",
+    "leaves": "leaf",
+    "shelves": "shelf",
+    "buses": "bus",
+    "busses": "bus",
+    "gases": "gas",
+    "heroes": "hero",
+    "potatoes": "potato",
+    "quizzes": "quiz",
+    "mice": "mouse",
+    "geese": "goose",
+}
+# fmt: off
+_UNCHANGED = frozenset((
+    "news", "series", "species", "swiss", "chess", "canvas", "christmas", "lens", "perhaps",
+    "always", "across", "texas", "kansas", "les", "paris", "reis", "mars", "gross",
+))
+# fmt: on
+
+
+def normal(phrase: str) -> str:
+    """Return the normal form: case, punctuation, possessives and spelling variants removed.
+
+    Applying it twice changes nothing.
+    """
+    phrase = phrase.lower()
+    if not phrase.isascii():
+        phrase = unicodedata.normalize("NFKC", phrase).replace("’", "'").lower()
+    if "'" in phrase:
+        phrase = _POSSESSIVE.sub("", phrase)
+    if "&" in phrase or "+" in phrase:
+        phrase = phrase.replace("&", " and ").replace("+", " and ")
+    words = _SEPARATORS.sub(" ", phrase).split()
+    return " ".join([_SPELLING.get(word, word) for word in words])
+
+
+def singular(phrase: str) -> str:
+    """Return a normal form with every word in the singular, by the rules of English."""
+    return " ".join([_singular(word) for word in phrase.split(" ")])
+
+
+def _singular(word: str) -> str:
+    if not word.endswith("s"):
+        return _IRREGULAR.get(word, word)
+    if word in _IRREGULAR:
+        return _IRREGULAR[word]
+    if len(word) < 4 or word.endswith(("ss", "us", "is")) or word in _UNCHANGED:
+        return word
+    if word.endswith("ies") and len(word) > 4:
+        return word[:-3] + "y"
+    if word.endswith(("ches", "shes", "sses", "xes", "zzes")):
+        return word[:-2]
+    return word[:-1]
+
+
+def folded(phrase: str) -> str:
+    """Return a normal form without diacritics: "café" -> "cafe", "kırtasiye" -> "kirtasiye"."""
+    if phrase.isascii():
+        return phrase
+    parts = unicodedata.normalize("NFKD", phrase.translate(_LETTERS))
+    bare = "".join([letter for letter in parts if not unicodedata.combining(letter)])
+    return unicodedata.normalize("NFC", bare)
