@@ -13,6 +13,7 @@ from placegraph.outdoor.describe.words import normalise, scan, tokens
 from placegraph.outdoor.description import Description, Ignored
 
 if TYPE_CHECKING:
+    from placegraph.outdoor.describe.nodes import Chunk
     from placegraph.outdoor.vocabulary import Vocabulary
 
 __all__ = ["Describer", "NameFinder", "describe", "normalise", "tokens"]
@@ -68,9 +69,7 @@ def describe(
         vocabulary = Vocabulary.default()
     chunker = Chunker(text, vocabulary, names)
     sentences = [chunker.chunks(sentence) for sentence in scan(text)]
-    directive = any(
-        chunk.type in ("YOU", "YOUR", "MEET") for sentence in sentences for chunk in sentence
-    )
+    directive = any(map(_leads_the_way, sentences))
     builder = Builder(text, vocabulary, heading, directive=directive)
     for sentence in sentences:
         for part in clauses(sentence):
@@ -81,11 +80,20 @@ def describe(
                 for chunk in left_out:
                     if clause.verb and chunk.type == "WORD":
                         builder.ignored.append(Ignored(chunk.words, "unknown word"))
+    builder.finish()
     return Description(
         text,
         tuple(builder.refer.mentions),
         tuple(builder.relator.statements),
         tuple(builder.ignored),
+    )
+
+
+def _leads_the_way(sentence: list[Chunk]) -> bool:
+    """Tell whether a sentence speaks to somebody who is to come."""
+    orders = ("GO", "PASS", "CROSS", "FOLLOW", "MEET")
+    return any(chunk.type in ("YOU", "YOUR", "MEET") for chunk in sentence) or (
+        bool(sentence) and sentence[0].type in orders
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.outdoor.describe.nodes import Place, Thing
 from placegraph.outdoor.describe.refer import Referents
-from placegraph.outdoor.describe.relate import ROUTE, Relator, Said
+from placegraph.outdoor.describe.relate import NO_MAP, ROUTE, UNKNOWN, Relator, Said
 from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ LEGS = (0.5, 0.25, 0.15)
 """Certainty that the place lies in the direction of the first, second, third leg of a walk."""
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""
+LED = 0.5
+"""Certainty that the place is where the walk leads."""
 SHOWN = 0.6
 """Certainty that what "you will see" can be seen from the place itself."""
 
@@ -51,9 +53,13 @@ class Builder:
         self.ignored = self.relator.ignored
         self.heads: list[int] = [SPEAKER]
         """What the last clause spoke of."""
+        self.walking = False
+        """Whether the last clause led somewhere."""
         self.legs = 0
         self.on_the_way: int | None = None
         """What was last said to be met on the way."""
+        self.led_to: int | None = None
+        """Where the walk was last said to lead."""
 
     def take(self, clause: Clause, certainty: float, *, opens: bool) -> None:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
@@ -69,13 +75,21 @@ class Builder:
             self.relator.reason = "not understood"
         if (len(self.relator.statements), len(self.ignored)) == before and clause.verb != "too_far":
             self.ignored.append(Ignored(words, self.relator.reason))
+        self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._remember()
+
+    def finish(self) -> None:
+        """Where nothing says where the speaker is, a walk leads there."""
+        if self.directive and self.led_to is not None and self.relator.goals == {SPEAKER}:
+            mention = self.refer.mentions[self.led_to]
+            said = Said(mention.words)
+            self.relator.add(said, Relation.SAME, SPEAKER, self.led_to, certainty=LED)
 
     def _remember(self) -> None:
         """Decide what "it" will mean in the next clause."""
         goal = [n for n in self.relator.goals if n != SPEAKER]
         if self.directive:
-            self.refer.topic = max(goal, default=None)
+            self.refer.topic = max(goal, default=self.led_to)
         elif self.heads and self.heads[0] > LISTENER:
             self.refer.topic = self.heads[0]
         elif len(self.refer.mentions) > 2:
@@ -91,7 +105,7 @@ class Builder:
             else:
                 self._say((*before, *after), [SPEAKER], said)
             return
-        heads = self._say(before, [], replace_negation(said, negated=False))
+        heads = self._say(before, [], replace(said, negated=False))
         if not after:
             return
         if isinstance(after[0], Thing):
@@ -103,6 +117,8 @@ class Builder:
         """ "It is the last pub on the block"."""
         if thing.kind != "thing" or not (thing.senses or thing.name) or not heads:
             return
+        if heads[0] == SPEAKER and not thing.determiner and not thing.name:
+            return  # "I'm buying flowers"
         node, subject = self.refer.resolve(thing), heads[0]
         if node is None or node == subject:
             return
@@ -138,7 +154,7 @@ class Builder:
             if mention.senses or mention.name:
                 self.relator.add(said, Relation.VISIBLE, head, SPEAKER)
             else:
-                self.relator.reason = "unknown word"
+                self.relator.reason = UNKNOWN
 
     def _sees(self, clause: Clause, said: Said, opens: bool) -> None:
         """ "I see a church", "across the street you will find a bakery", "look for a bench"."""
@@ -160,7 +176,10 @@ class Builder:
         if places and isinstance(places[0], Thing):  # "meet me the garden"
             thing = places[0]
             places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
-        self._say(tuple(_arrived(place) for place in places), [SPEAKER], said)
+        if not places and self.led_to is not None:  # "go to the bank to meet me"
+            self.finish()
+            return
+        self._say((*[_arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)
 
     def _goes(self, clause: Clause, said: Said, _opens: bool) -> None:
         subject = clause.before[0] if clause.before else None
@@ -192,10 +211,20 @@ class Builder:
                 if item.how == "prep" and item.word not in ("past", "before", "toward"):
                     sure *= ROUTE
                 self.relator.relate(item, SPEAKER, replace(said, certainty=sure))
-                if item.targets and item.targets[0].kind == "thing":
-                    self.on_the_way = self.refer.resolve(item.targets[0])
+                self._pass(item)
             else:
                 self.relator.reason = "a route instruction"
+
+    def _pass(self, place: Place) -> None:
+        """Remember what a place on the way speaks of."""
+        if not place.targets or place.targets[0].kind != "thing":
+            return
+        self.on_the_way = self.refer.resolve(
+            replace(place.targets[0], determiner="DET", count=None)
+        )
+        to = place.word in ("TO", "AT") and len(place.targets) == 1
+        if to and self.on_the_way is not None and not self.refer.is_line(self.on_the_way):
+            self.led_to = self.on_the_way
 
     def _leg(self, place: Place, said: Said) -> None:
         assert place.direction is not None
@@ -237,17 +266,16 @@ class Builder:
 
     def _fragment(self, clause: Clause, said: Said, opens: bool) -> None:
         items = clause.before
-        if isinstance(items[0], Place):  # "..., but not near the church"
+        if isinstance(items[0], Place) and self.walking and not opens:  # "then west"
+            self._walk(items, "GO", said)
+        elif isinstance(items[0], Place):  # "..., but not near the church"
             self._say(items, [SPEAKER] if opens else self.heads, said)
         elif all(_is_person(item) for item in items):
             self.relator.reason = "says nothing about where things stand"
         else:
-            self._shown(
-                items,
-                replace(said, certainty=said.certainty * MENTIONED)
-                if len(items) == 1 and not _has_no(items[0])
-                else said,
-            )
+            bare = len(items) == 1 and not _has_no(items[0])
+            sure = (LED if self.directive else MENTIONED) if bare else 1.0
+            self._shown(items, replace(said, certainty=said.certainty * sure))
 
     # the chain of things and places
 
@@ -289,18 +317,13 @@ class Builder:
     def _new_head(self, thing: Thing) -> int | None:
         node = self.refer.resolve(thing)
         if node is None:
-            self.relator.reason = "no map draws it"
+            self.relator.reason = NO_MAP if thing.part else UNKNOWN
         return node
 
     def _relate_all(self, place: Place, group: Sequence[int], said: Said) -> list[int]:
         return [
             node for head in group if (node := self.relator.relate(place, head, said)) is not None
         ]
-
-
-def replace_negation(said: Said, *, negated: bool) -> Said:
-    """Return a clause's context with another sign."""
-    return replace(said, negated=negated)
 
 
 def _is_person(item: Thing | Place) -> bool:

@@ -18,12 +18,6 @@ if TYPE_CHECKING:
 
 NAMED_KIND = 0.5
 """Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
-SUFFIXES = frozenset(
-    "street st avenue ave road rd boulevard blvd drive dr lane ln way place court alley highway"
-    " parkway expressway bridge river creek tunnel square".split()
-)
-"""Common nouns that are part of the name before them though written small: "Hodge street"."""
-_CONNECTIVES = frozenset("of the de du des da del di la le les von van der den & and on".split())
 _ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
 _OPEN = frozenset(
     ("WORD", "GO", "PASS", "CROSS", "PART", "ADVERB", "PREP", "FACE", "SEE", "BE", "REACH", "SPOT")
@@ -76,6 +70,7 @@ class Chunker:
     def __init__(self, text: str, vocabulary: Words, names: NameFinder | None) -> None:
         self.text, self.vocabulary, self.names = text, vocabulary, names
         self.lexicon = english()
+        self.lists = self.lexicon.lists
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Chunks of a sentence, in order; what says nothing about a place is left out."""
@@ -198,10 +193,14 @@ class Chunker:
             if not (continues and name_like):
                 return 0
         end = self._span(i)
-        if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in _ARTICLES):
+        if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
             return 0  # "Bakery north of me", "the Cathedral"
-        if n_noun >= end - i and self.lower[i] not in ("st",):
-            return 0 if end - i > 1 or i == 0 or self.lower[i - 1] in _ARTICLES else end - i
+        if n_noun >= end - i:
+            return (
+                0
+                if end - i > 1 or i == 0 or self.lower[i - 1] in self.lists["articles"]
+                else end - i
+            )
         return end - i
 
     def _numbered(self, i: int) -> bool:
@@ -209,25 +208,25 @@ class Chunker:
         if i + 1 >= len(self.words) or not _ORDINAL.fullmatch(self.lower[i]):
             return False
         following = self.words[i + 1]
-        return following.capital or following.lower in SUFFIXES
+        return following.capital or following.lower in self.lists["suffixes"]
 
     def _span(self, i: int) -> int:
         """End of the words with capitals, and small ones between them, that begin at word i."""
         end = i + 1
         while end < len(self.words):
             at = end
-            while at < min(end + 2, len(self.words)) and self.lower[at] in _CONNECTIVES:
-                if self.lower[at] in ("and", "on") and not self.words[at].capital:
-                    break
+            while (
+                at < min(end + 2, len(self.words)) and self.lower[at] in self.lists["connectives"]
+            ):
                 at += 1
             if at >= len(self.words) or self.words[at].kind != "word":
                 break
             word = self.words[at]
             number = at == end and word.lower.isdecimal()
-            if not (word.capital or number) or word.lower in _PERSONS:
+            if not (word.capital or number) or word.lower in self.lists["persons"]:
                 break
             end = at + 1
-        if end < len(self.words) and self.lower[end] in SUFFIXES:
+        if end < len(self.words) and self.lower[end] in self.lists["suffixes"]:
             end += 1
         return end
 
@@ -244,10 +243,6 @@ class Chunker:
         words = self.lower[i] if n == 1 else " ".join(self.lower[i : i + n])
         first, last = self.words[i], self.words[i + n - 1]
         return Chunk(kind, first.start, last.end, words, value, first.capital)
-
-
-_ARTICLES = frozenset("the a an this that another my your our its".split())
-_PERSONS = frozenset("i i'm i'll it's you you'll you're we".split())
 
 
 def _is_noun_here(terminal: Terminal, before: str) -> bool:

@@ -40,6 +40,8 @@ class Lexicon:
     """Phrases by their first word, longest first."""
 
     phrases: dict[str, tuple[tuple[tuple[str, ...], tuple[Terminal, ...]], ...]]
+    lists: dict[str, frozenset[str]]
+    """Plain lists of words."""
 
     @cached_property
     def compass(self) -> dict[str, Direction]:
@@ -64,6 +66,7 @@ class Lexicon:
 def english() -> Lexicon:
     """Read the lexicon that comes with placegraph."""
     table = tomllib.loads(files(__package__).joinpath("lexicon.toml").read_text("utf-8"))
+    lists = {name: frozenset(words) for name, words in table.pop("lists").items()}
     known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
     for section, entries in table.items():
         for key, phrases in entries.items():
@@ -73,7 +76,7 @@ def english() -> Lexicon:
     first: dict[str, list[tuple[tuple[str, ...], tuple[Terminal, ...]]]] = {}
     for words in sorted(known, key=len, reverse=True):
         first.setdefault(words[0], []).append((words, known[words]))
-    return Lexicon({word: tuple(entries) for word, entries in first.items()})
+    return Lexicon({word: tuple(entries) for word, entries in first.items()}, lists)
 
 
 def _terminals(section: str, key: str, words: tuple[str, ...]) -> Iterator[Terminal]:

@@ -21,7 +21,7 @@ Item = Thing | Place
 _END = Token("$END", "")
 _OWNERS = ("MY", "YOUR", "ITS")
 _DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", *_OWNERS)
-_SKIPPED = ("WORD", "AND", "TO", "NOT", "DET", "A")
+_SKIPPED = ("WORD", "JUNK", "AND", "TO", "NOT")
 """Chunks that may be left out where the grammar expects something else."""
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""

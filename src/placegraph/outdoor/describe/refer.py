@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from placegraph.outdoor.describe.lexicon import english
 from placegraph.outdoor.describe.words import normalise, tokens
 from placegraph.outdoor.description import LISTENER, SPEAKER, Mention, Sense
 
@@ -15,17 +16,8 @@ if TYPE_CHECKING:
 
 _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
 """Determiners that introduce a thing; the others, and none, may speak of one already known."""
-ROADS = frozenset("street road avenue boulevard lane drive way highway".split())
-_ROAD_WORDS = frozenset("st ave rd blvd ln dr way hwy pl ter alley court parkway pkwy".split())
 TYPING_ERROR = 0.8
 """Similarity from which an unknown word counts as a misspelt known one."""
-_LINE_KEYS = ("highway=", "waterway=", "railway=", "barrier=", "aeroway=", "water=river")
-_NOT_LINES = frozenset(
-    "bus_stop crossing street_lamp traffic_signals stop give_way rest_area services speed_camera"
-    " station tram_stop halt level_crossing signal switch platform gate bollard lift_gate"
-    " entrance block toll_booth waterfall dam weir pedestrian elevator helipad turning_circle"
-    " subway_entrance aerodrome terminal".split()
-)
 
 
 class Referents:
@@ -65,6 +57,8 @@ class Referents:
         head, senses = _lemma(thing.head), thing.senses
         if not senses and not thing.name:
             head, senses = self._mended(thing.head)
+            if not senses and not thing.determiner:
+                return None  # an unknown word, and no sign that it is a noun
         known = None if thing.determiner in _NEW else self._known(thing, head, senses, other_than)
         if known is None:
             return self._introduce(thing, head, senses)
@@ -89,7 +83,7 @@ class Referents:
         for n in nodes:
             if self.heads[n] == head:
                 return n
-        if head in ROADS:
+        if head in english().lists["roads"]:
             if self.street is not None and self.street not in skipped:
                 return self.street
             return next((n for n in nodes if self.is_road(n)), None)
@@ -115,22 +109,26 @@ class Referents:
 
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""
+        lists = english().lists
         name = tokens(self.mentions[node].name)
-        return self.heads[node] in ROADS or bool(name and name[-1] in _ROAD_WORDS)
+        return self.heads[node] in lists["roads"] or bool(name and name[-1] in lists["road_words"])
 
     def is_line(self, node: int) -> bool:
         """Tell whether a mention is a road, a river or another line, on which one is along it."""
         if node <= LISTENER:
             return False
-        if self.is_road(node):
-            return True
+        key, value = self._first_label(node)
+        lists = english().lists
+        return self.is_road(node) or (key in lists["line_keys"] and value not in lists["no_lines"])
+
+    def is_area(self, node: int) -> bool:
+        """Tell whether a mention is a park, a square or another area, on which one is inside."""
+        return self._first_label(node)[0] in english().lists["area_keys"]
+
+    def _first_label(self, node: int) -> tuple[str, str]:
         senses = self.mentions[node].senses
-        return bool(senses) and is_line(senses[0].label)
-
-
-def is_line(label: str) -> bool:
-    """Tell whether things with this label are lines."""
-    return label.startswith(_LINE_KEYS) and label.partition("=")[2] not in _NOT_LINES
+        key, _, value = senses[0].label.partition("=") if senses else ("", "", "")
+        return key, value
 
 
 def name_key(name: str) -> str:

@@ -25,6 +25,7 @@ WEAK = 0.7
 NEEDS_HEADING = "needs a heading"
 NO_MAP = "no map draws it"
 NO_TARGET = "does not say of what"
+UNKNOWN = "unknown word"
 
 _SIMPLE = {
     "near": (Relation.NEAR, 1.0, None),
@@ -86,7 +87,9 @@ class Relator:
         far: bool = False,
     ) -> None:
         """Add a statement, unless it relates a thing to itself."""
-        if source == target:
+        here = source in self.goals and target in self.goals
+        if source == target or (here and relation is not Relation.SAME):
+            self.reason = "relates a thing to itself"
             return
         refer = self.refer
         for node in (source, target, target2):
@@ -145,7 +148,7 @@ class Relator:
         if node == source and thing.kind == "thing":  # "the bench is north of the bench"
             node = self.refer.resolve(thing, other_than=(source,))
         if node is None:
-            self.reason = NO_MAP
+            self.reason = NO_MAP if thing.part else UNKNOWN
         elif node == source:
             self.reason = "relates a thing to itself"
             return None
@@ -200,6 +203,8 @@ class Relator:
         target: int | None
         if place.targets:
             target = self._target(place.targets[0], source)
+        elif place.owner == "ITS" and place.part and source in self.goals and self.refer.street:
+            target = self.refer.street  # "on Penn Avenue, at its southern end"
         elif place.owner == "ITS":
             topic = self.refer.topic
             target = topic if topic is not None and topic != source else SPEAKER
@@ -235,9 +240,12 @@ class Relator:
                 self.add(said, Relation.NEAR, target, whole, certainty=WEAK)
         relation, certainty = self._at_relation(place.word, target, source, said)
         self.add(said, relation, source, target, distance=place.distance, certainty=certainty)
-        if relation is Relation.SAME and source in self.goals and not said.negated:
-            self.goals.add(target)
-            return target
+        if source == SPEAKER and not (said.negated or place.negated or said.travel):
+            if relation is Relation.SAME:
+                self.goals.add(target)
+                return target
+            if relation is Relation.INSIDE and self.directive and len(self.goals) == 1:
+                self.goals.add(target)  # "I'm in a garden. It is ..."
         return None
 
     def _at_relation(
@@ -250,10 +258,10 @@ class Relator:
             return Relation.NEAR, 1.0
         if line:
             return Relation.ALONG, 1.0 if word == "ON" else 0.8
-        if word == "AT" and source in self.goals:
-            return Relation.SAME, 1.0
-        if word == "IN" or (word == "ON" and not line):
+        if word == "IN" or (word == "ON" and self.refer.is_area(target)):
             return Relation.INSIDE, 1.0
+        if word in ("AT", "ON") and source == SPEAKER:
+            return Relation.SAME, 1.0
         return Relation.NEAR, WEAK if word == "TO" else 1.0
 
     def _part(self, place: Place, source: int, said: Said) -> None:
@@ -274,6 +282,8 @@ class Relator:
             self.add(said, Relation.NEAR, source, target, distance=place.distance)
 
     def _prep(self, place: Place, source: int, said: Said) -> int | None:
+        if len(place.targets) > 1 and place.targets[0].part:
+            place = replace(place, targets=place.targets[1:])
         thing, word = place.targets[0], place.word
         target = self._target(thing, source)
         if target is None:
@@ -361,6 +371,9 @@ class Relator:
         return target
 
     def _of(self, place: Place, source: int, said: Said) -> None:
+        if place.targets[0].kind != "thing" and place.distance is None:
+            self.reason = NO_TARGET
+            return
         target = self._target(place.targets[0], source)
         if target is not None:
             self.add(

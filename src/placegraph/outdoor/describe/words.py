@@ -6,6 +6,7 @@ import re
 import unicodedata
 from typing import NamedTuple
 
+from placegraph.outdoor.describe.lexicon import english
 from placegraph.outdoor.describe.measures import MEASURE, metres
 
 _SPELLINGS = {
@@ -101,10 +102,6 @@ _SCAN = re.compile(
     """,
     re.VERBOSE | re.IGNORECASE,
 )
-_SHORTENED = frozenset(
-    "st ave av blvd rd dr ln pl sq mt ft no n s e w ne nw se sw bldg hwy ctr jr sr co inc".split()
-)
-"""Words that a full stop may shorten."""
 _OPENS = re.compile(
     r"\s*(?:$|\n|(?:It|The|There|This|That|You|Your|I|If|When|We|They|On|In|At|Go|Head|Meet|Cross"
     r"|An?|Across|To|My|From|Turn|Walk|Look|Next|Its|Theres)\b(?!\s+[A-Z])"
@@ -134,4 +131,8 @@ def _ends_sentence(text: str, end: int, mark: str, sentence: list[Word]) -> bool
         return True
     if end < len(text) and not text[end].isspace() and text[end] not in "\"')”’":
         return False
-    return not (sentence and sentence[-1].lower in _SHORTENED and not _OPENS.match(text, end))
+    return not (
+        sentence
+        and sentence[-1].lower in english().lists["shortened"]
+        and not _OPENS.match(text, end)
+    )
