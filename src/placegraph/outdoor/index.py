@@ -28,7 +28,7 @@ SIGHT = 25.0
 """Distance at which half the things are still spoken of [m]."""
 FADE = 3.5
 """Width of the fall around `SIGHT` [m]."""
-REACH = 45.0
+REACH = 38.0
 """Beyond this distance a thing is not listed at a viewpoint [m]."""
 ENOUGH = 1.5
 """A viewpoint needs this much in sight (sum of `sight`), or a point object close by."""

@@ -26,6 +26,10 @@ ME = -1
 """Stands for the viewpoint itself where a mention could stand."""
 TABLE = 256
 """Entries of a direction table, over the cosine from -1 to 1."""
+HOPELESS = -1e9
+"""Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""
+SLACK = 1.5
+"""What coherence may add to a sum that looked hopeless [nat]."""
 MOST = 96
 """At most this many objects in sight are weighed for one mention."""
 AREA = 2
@@ -77,6 +81,40 @@ class Scene(NamedTuple):
     token_starts: NDArray[np.int32]
     token_values: NDArray[np.int32]
     token_weights: NDArray[np.float32]
+
+
+class InSight(NamedTuple):
+    """What is in sight of a viewpoint, one row a thing."""
+
+    objects: NDArray[np.int32]
+    """(n,) rows of the map's objects."""
+    at: NDArray[np.float32]
+    """(n, 2) nearest point seen from the viewpoint, east and north [m]."""
+    stands: NDArray[np.float32]
+    """(n, 2) where it stands for directions: `at`, or the centre of what one stands in [m]."""
+    lies: NDArray[np.bool_]
+    """(n,) whether it lies in any direction; what one stands in mostly does not."""
+    sight: NDArray[np.float32]
+    """(n,) how readily it is spoken of."""
+    total: float
+    """Sum of `sight`."""
+    pairs: float
+    """Sum of `sight` products over ordered pairs of things that one does not stand in."""
+
+
+class Fits(NamedTuple):
+    """Which things in sight each mention may stand for."""
+
+    many: NDArray[np.int64]
+    """(M,) number of them."""
+    who: NDArray[np.int32]
+    """(M, MOST) rows of `InSight`."""
+    fit: NDArray[np.float32]
+    """(M, MOST) how well the words fit, times sight."""
+    mass: NDArray[np.float32]
+    """(M,) sum of `fit`."""
+    given: NDArray[np.float32]
+    """(S, 2, MOST) mass of a statement if its source, or its target, is this thing."""
 
 
 def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
@@ -165,194 +203,199 @@ def serve_me(op, table, ux, uy, said, x, y, kind, forward):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _recognise(scene, words, objects, sight, who, fit, many):
-    """For each mention the entries it may stand for (`who`) and how well, sight included (`fit`)."""
-    n_mentions = words.shape[1]
-    many[:] = 0
-    for e in range(len(objects)):
-        first, last = scene.token_starts[objects[e]], scene.token_starts[objects[e] + 1]
-        for m in range(n_mentions):
-            best = np.float32(0.0)
-            for t in range(first, last):
-                best = max(best, words[scene.token_values[t], m] * scene.token_weights[t])
-            if best > 0.0 and many[m] < MOST:
-                who[m, many[m]], fit[m, many[m]] = e, best * sight[e]
-                many[m] += 1
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _stand(scene, objects, at, view, stands, lies):
-    """Where things stand for directions: what one stands in lies in none, unless its centre is near."""
+def in_sight(scene, objects, at, sight, total, pairs, view):
+    """`InSight` of the viewpoint `view` (2,) [m]."""
+    stands = np.empty((len(objects), 2), np.float32)
+    lies = np.ones(len(objects), np.bool_)
     for e in range(len(objects)):
         stands[e] = at[e]
-        lies[e] = True
         if scene.kind[objects[e]] == AREA and at[e, 0] == 0.0 and at[e, 1] == 0.0:
             stands[e] = scene.center[objects[e]] - view
             lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL * SMALL
+    return InSight(objects, at, stands, lies, sight, total, pairs)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def likelihoods(
-    statements, scene, words, objects, at, sight, total, pairs, view, far, together, out, served
-):
-    """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
-
-    The sum also rewards that one object serves all statements about a mention. `objects` (n,) are in
-    sight, `at` (n, 2) where they stand seen from the viewpoint `view` (2,) [m], `sight` (n,) how
-    readily they are spoken of, `words` (T, M) how well a token fits a mention. `far` (S,) is what
-    distant objects add. `together` is the prior probability that a mention means one and the same
-    object throughout. `served` (S, 2) gets the best source and target, -1 for none; empty to skip.
-    """
-    n_statements, n_mentions, n = len(statements.op), words.shape[1], len(objects)
+def _recognise(scene, words, seen, n_statements):
+    """`Fits` of all mentions; `words` (T, M) is how well a token fits a mention."""
+    n_mentions = words.shape[1]
+    many = np.zeros(n_mentions, np.int64)
     who = np.empty((n_mentions, MOST), np.int32)
     fit = np.empty((n_mentions, MOST), np.float32)
-    many = np.zeros(n_mentions, np.int64)
-    _recognise(scene, words, objects, sight, who, fit, many)
-    stands = np.empty((n, 2), np.float32)
-    lies = np.empty(n, np.bool_)
-    _stand(scene, objects, at, view, stands, lies)
-    given = np.zeros((n_statements, 2, MOST), np.float32)
-    log_sum = 0.0
-    for s in range(n_statements):
-        op, a, b = statements.op[s], statements.source[s], statements.target[s]
-        expected = 0.0
-        if op == BETWEEN:
-            p = _between(statements, s, who, fit, many, at, objects) / (
-                pairs * total + statements.crowd
-            )
-        elif ME in (a, b):
-            p, expected = _of_me(
-                statements,
-                s,
-                scene,
-                who,
-                fit,
-                many,
-                objects,
-                stands if op == DIRECTION else at,
-                lies,
-                given,
-            )
-            p /= total + LONELY
-        else:
-            p = _of_pair(
-                statements,
-                s,
-                scene,
-                who,
-                fit,
-                many,
-                objects,
-                stands if op == DIRECTION else at,
-                lies,
-                given,
-            )
-            p /= pairs + statements.crowd
-        p = min(1.0, p + far[s])
-        noise, background = statements.noise[s], statements.background[s]
-        if statements.negated[s]:
-            absent = np.exp(-2.0 * expected) if b == ME else 1.0 - p
-            out[s] = np.log((1.0 - noise) * absent + noise)
-        else:
-            if statements.number[s] > 0.0 and expected > 0.0:
-                k = statements.number[s]
-                z = (expected - k) / (0.4 * k + 0.6)
-                p *= 0.3 + 1.2 * np.exp(-0.5 * z * z)
-            out[s] = np.log((1.0 - noise) * p / background + noise)
-        log_sum += out[s]
-    log_sum += _coherence(statements, fit, many, given, together)
-    if len(served):
-        _assign(statements, scene, who, fit, many, objects, stands, at, lies, given, served)
-    return log_sum
+    mass = np.zeros(n_mentions, np.float32)
+    best = np.empty(n_mentions, np.float32)
+    for e in range(len(seen.objects)):
+        o = seen.objects[e]
+        best[:] = 0.0
+        for t in range(scene.token_starts[o], scene.token_starts[o + 1]):
+            token, weight = scene.token_values[t], scene.token_weights[t]
+            for m in range(n_mentions):
+                best[m] = max(best[m], words[token, m] * weight)
+        for m in range(n_mentions):
+            if best[m] > 0.0 and many[m] < MOST:
+                who[m, many[m]], fit[m, many[m]] = e, best[m] * seen.sight[e]
+                mass[m] += fit[m, many[m]]
+                many[m] += 1
+    return Fits(many, who, fit, mass, np.zeros((n_statements, 2, MOST), np.float32))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _of_me(statements, s, scene, who, fit, many, objects, where, lies, given):
-    """Mass of a statement about a thing and the speaker, and how many such things are expected."""
+def likelihoods(statements, scene, words, seen, far, together, least, out, served):
+    """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
+
+    The sum also rewards that one object serves all statements about a mention. `seen` is what is
+    `InSight`, `far` (S,) what distant objects add, `together` the prior probability that a mention
+    means one and the same object throughout. Gives up, with `HOPELESS`, once the sum cannot reach `least`.
+    `served` (S, 2) gets the best source and target, -1 for none; leave it empty to skip that.
+    """
+    fits = _recognise(scene, words, seen, len(statements.op))
+    hope = 0.0
+    for s in range(len(statements.op)):
+        out[s] = _ceiling(statements, s, seen, fits, far[s])
+        hope += out[s]
+    for s in range(len(statements.op)):
+        if hope + SLACK < least:
+            return HOPELESS
+        hope -= out[s]
+        out[s] = _ratio(statements, s, scene, seen, fits, far[s])
+        hope += out[s]
+    hope += _coherence(statements, fits, together)
+    if len(served):
+        _assign(statements, scene, seen, fits, served)
+    return hope
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _ceiling(statements, s, seen, fits, far):
+    """Log-likelihood ratio that a statement has if geometry is on its side."""
+    a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
+    if statements.negated[s] or statements.op[s] == BETWEEN:
+        return 2.0
+    if a == ME or b == ME:
+        m = b if a == ME else a
+        p = 0.0 if m == ME else fits.mass[m] / (seen.total + LONELY)
+    else:
+        p = fits.mass[a] * fits.mass[b] / (seen.pairs + statements.crowd)
+    p = min(1.0, p + far) * (1.5 if statements.number[s] > 0.0 else 1.0)
+    return np.log((1.0 - noise) * p / statements.background[s] + noise)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _ratio(statements, s, scene, seen, fits, far):
+    """Log-likelihood ratio of one statement."""
+    op, a, b = statements.op[s], statements.source[s], statements.target[s]
+    expected = 0.0
+    if op == BETWEEN:
+        p = _between(statements, s, seen, fits) / (seen.pairs * seen.total + statements.crowd)
+    elif a == ME or b == ME:
+        expected = _of_me(statements, s, scene, seen, fits)
+        p = expected / (seen.total + LONELY)
+    else:
+        p = _of_pair(statements, s, scene, seen, fits) / (seen.pairs + statements.crowd)
+    p = min(1.0, p + far)
+    noise = statements.noise[s]
+    if statements.negated[s]:
+        absent = np.exp(-2.0 * expected) if b == ME else 1.0 - p
+        return np.log((1.0 - noise) * absent + noise)
+    if statements.number[s] > 0.0 and expected > 0.0:
+        k = statements.number[s]
+        z = (expected - k) / (0.4 * k + 0.6)
+        p *= 0.3 + 1.2 * np.exp(-0.5 * z * z)
+    return np.log((1.0 - noise) * p / statements.background[s] + noise)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _of_me(statements, s, scene, seen, fits):
+    """Mass of a statement about a thing and the speaker: how many such things are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
     m = statements.source[s] if forward else statements.target[s]
     ux, uy = statements.bearing[s]
-    mass = expected = 0.0
-    if m == ME:
-        return mass, expected
-    for i in range(many[m]):
-        e = who[m, i]
-        if op == DIRECTION and not lies[e]:
+    where = seen.stands if op == DIRECTION else seen.at
+    mass = 0.0
+    for i in range(fits.many[m] if m != ME else 0):
+        e = fits.who[m, i]
+        if op == DIRECTION and not seen.lies[e]:
             continue
-        o = objects[e]
         p = serve_me(
             op, statements.table[s], ux, uy, statements.distance[s],
-            where[e, 0], where[e, 1], scene.kind[o], forward,
+            where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward,
         )  # fmt: skip
-        given[s, 0, i] = p
-        mass += fit[m, i] * p
-        expected += p * fit[m, i]
-    return mass, expected
+        fits.given[s, 0, i] = p
+        mass += fits.fit[m, i] * p
+    return mass
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _of_pair(statements, s, scene, who, fit, many, objects, where, lies, given):
-    """Mass of a statement about two things; `given` gets the mass if the source, or target, is known."""
+def _of_pair(statements, s, scene, seen, fits):
+    """Mass of a statement about two things."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
     ux, uy = statements.bearing[s]
     table, said = statements.table[s], statements.distance[s]
+    where = seen.stands if op == DIRECTION else seen.at
     mass = 0.0
-    for i in range(many[a]):
-        ea = who[a, i]
-        if op == DIRECTION and not lies[ea]:
+    for i in range(fits.many[a]):
+        ea = fits.who[a, i]
+        if op == DIRECTION and not seen.lies[ea]:
             continue
-        for j in range(many[b]):
-            eb = who[b, j]
-            if objects[ea] == objects[eb] or (op == DIRECTION and not lies[eb]):
+        for j in range(fits.many[b]):
+            eb = fits.who[b, j]
+            if ea == eb or (op == DIRECTION and not seen.lies[eb]):
                 continue
+            kind = scene.kind[seen.objects[eb]]
             p = serve_pair(
-                op, table, ux, uy, said,
-                where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1], scene.kind[objects[eb]],
-            )  # fmt: skip
-            given[s, 0, i] += fit[b, j] * p
-            given[s, 1, j] += fit[a, i] * p
-            mass += fit[a, i] * fit[b, j] * p
+                op,
+                table,
+                ux,
+                uy,
+                said,
+                where[ea, 0],
+                where[ea, 1],
+                where[eb, 0],
+                where[eb, 1],
+                kind,
+            )
+            fits.given[s, 0, i] += fits.fit[b, j] * p
+            fits.given[s, 1, j] += fits.fit[a, i] * p
+            mass += fits.fit[a, i] * fits.fit[b, j] * p
     return mass
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _between(statements, s, who, fit, many, at, objects):
+def _between(statements, s, seen, fits):
     """Mass of "the source lies between two targets"; the source may be the viewpoint."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]
     mass = 0.0
-    if ME in (b, c):
+    if b == ME or c == ME:
         return mass
-    for k in range(1 if a == ME else many[a]):
+    for k in range(1 if a == ME else fits.many[a]):
         ax = ay = np.float32(0.0)
         wa = np.float32(1.0)
         if a != ME:
-            ax, ay = at[who[a, k], 0], at[who[a, k], 1]
-            wa = fit[a, k]
-        for i in range(many[b]):
-            bx, by = at[who[b, i], 0] - ax, at[who[b, i], 1] - ay
-            for j in range(many[c]):
-                if objects[who[b, i]] == objects[who[c, j]]:
+            ax, ay = seen.at[fits.who[a, k], 0], seen.at[fits.who[a, k], 1]
+            wa = fits.fit[a, k]
+        for i in range(fits.many[b]):
+            bx, by = seen.at[fits.who[b, i], 0] - ax, seen.at[fits.who[b, i], 1] - ay
+            for j in range(fits.many[c]):
+                if fits.who[b, i] == fits.who[c, j]:
                     continue
-                cx, cy = at[who[c, j], 0] - ax, at[who[c, j], 1] - ay
+                cx, cy = seen.at[fits.who[c, j], 0] - ax, seen.at[fits.who[c, j], 1] - ay
                 lengths = np.sqrt((bx * bx + by * by) * (cx * cx + cy * cy)) + np.float32(1.0)
                 opposite = 0.5 - 0.5 * (bx * cx + by * cy) / lengths
-                mass += wa * fit[b, i] * fit[c, j] * opposite**4
+                mass += wa * fits.fit[b, i] * fits.fit[c, j] * opposite**4
     return mass
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _posterior(statements, m, fit, many, given, posterior):
-    """P(entry | all statements about mention m), unnormalised, into `posterior`; returns the gain.
+@njit(cache=True, nogil=True, fastmath=True)
+def _posterior(statements, m, fits, posterior):
+    """P(thing | all statements about mention m), unnormalised, into `posterior`; returns the gain.
 
     The gain is how much more likely the statements are if one object serves them all than if each
     has its own: sum over objects of P(object) prod P(s | object) / P(s).
     """
-    total = np.float32(0.0)
-    for i in range(many[m]):
-        total += fit[m, i]
+    many, fit, given = fits.many[m], fits.fit[m], fits.given
+    for i in range(many):
+        posterior[i] = fit[i] / fits.mass[m]
     n_about = 0
-    for i in range(many[m]):
-        posterior[i] = fit[m, i] / total
     for s in range(len(statements.op)):
         if statements.negated[s] or statements.op[s] == BETWEEN:
             continue
@@ -362,69 +405,69 @@ def _posterior(statements, m, fit, many, given, posterior):
             if end != m:
                 continue
             row = 0 if other == ME else side
-            mean = np.float32(1e-3)
-            for i in range(many[m]):
-                mean += fit[m, i] / total * given[s, row, i]
-            if mean <= 2e-3:
+            mean = np.float32(0.0)
+            for i in range(many):
+                mean += fit[i] / fits.mass[m] * given[s, row, i]
+            if mean < 1e-3:
                 continue
             n_about += 1
-            for i in range(many[m]):
+            for i in range(many):
                 posterior[i] *= (given[s, row, i] + np.float32(0.1) * mean) / (
                     np.float32(1.1) * mean
                 )
     gain = np.float32(0.0)
-    for i in range(many[m]):
+    for i in range(many):
         gain += posterior[i]
     return gain if n_about > 1 else np.float32(1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _coherence(statements, fit, many, given, together):
+def _coherence(statements, fits, together):
     """Log of the gain that mentions mean one object throughout, with prior probability `together`."""
     posterior = np.empty(MOST, np.float32)
     log_gain = 0.0
-    for m in range(len(many)):
-        if many[m] > 1:
-            gain = _posterior(statements, m, fit, many, given, posterior)
+    for m in range(len(fits.many)):
+        if fits.many[m] > 1:
+            gain = _posterior(statements, m, fits, posterior)
             log_gain += np.log(1.0 - together + together * gain)
     return log_gain
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _assign(statements, scene, who, fit, many, objects, stands, at, lies, given, served):
+def _assign(statements, scene, seen, fits, served):
     """One assignment for all statements: each mention its most probable object, then the best pairs."""
-    chosen = np.full(len(many), -1, np.int64)
-    weight = np.ones((len(many), MOST), np.float32)
-    for m in range(len(many)):
-        if many[m]:
-            _posterior(statements, m, fit, many, given, weight[m])
-            chosen[m] = np.argmax(weight[m, : many[m]])
+    chosen = np.full(len(fits.many), -1, np.int64)
+    weight = np.ones((len(fits.many), MOST), np.float32)
+    for m in range(len(fits.many)):
+        if fits.many[m]:
+            _posterior(statements, m, fits, weight[m])
+            chosen[m] = np.argmax(weight[m, : fits.many[m]])
     for s in range(len(statements.op)):
         op, a, b = statements.op[s], statements.source[s], statements.target[s]
         served[s] = -1
         if op == BETWEEN:
             a, b = statements.target[s], statements.target2[s]
-        where = stands if op == DIRECTION else at
-        ux, uy = statements.bearing[s]
-        if ME in (a, b):
+        if a == ME or b == ME:
             m = b if a == ME else a
-            if m != ME and many[m]:
-                served[s, 0] = objects[who[m, chosen[m]]]
+            if m != ME and fits.many[m]:
+                served[s, 0] = seen.objects[fits.who[m, chosen[m]]]
             continue
+        where = seen.stands if op == DIRECTION else seen.at
+        ux, uy = statements.bearing[s]
         best = np.float32(0.0)
-        for i in range(many[a]):
-            ea = who[a, i]
-            for j in range(many[b]):
-                eb = who[b, j]
-                if objects[ea] == objects[eb] or (op == DIRECTION and not (lies[ea] and lies[eb])):
+        for i in range(fits.many[a]):
+            ea = fits.who[a, i]
+            for j in range(fits.many[b]):
+                eb = fits.who[b, j]
+                if ea == eb or (op == DIRECTION and not (seen.lies[ea] and seen.lies[eb])):
                     continue
                 p = weight[a, i] * weight[b, j]
                 if op != BETWEEN:
                     p *= serve_pair(
                         op, statements.table[s], ux, uy, statements.distance[s],
-                        where[ea, 0], where[ea, 1],
-                        where[eb, 0], where[eb, 1], scene.kind[objects[eb]],
+                        where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1],
+                        scene.kind[seen.objects[eb]],
                     )  # fmt: skip
                 if p > best:
                     best = p
-                    served[s, 0], served[s, 1] = objects[ea], objects[eb]
+                    served[s, 0], served[s, 1] = seen.objects[ea], seen.objects[eb]

@@ -10,9 +10,12 @@ from placegraph.outdoor.match import (
     AREA,
     BETWEEN,
     DIRECTION,
+    HOPELESS,
     ME,
+    SLACK,
     _direction,
     _distance,
+    in_sight,
     likelihoods,
 )
 from placegraph.outdoor.raster import nearest_on_parts
@@ -99,25 +102,28 @@ def score_views(statements, scene, views, words, chosen, bounds, far, together, 
     """Log-likelihood ratios (K,) of candidates, best bounds first.
 
     Stops where a bound lies more than `margin` [nat] below the best score so far: nothing behind it
-    can matter. Rows not reached are -inf.
+    can matter. Rows not reached are `HOPELESS`.
     """
     n_statements = len(statements.op)
-    scores = np.full(len(chosen), -np.inf, np.float32)
+    scores = np.full(len(chosen), HOPELESS, np.float32)
     each = np.empty(n_statements, np.float32)
     nothing = np.empty((0, 2), np.int64)
-    best = -np.inf
+    noise = 0.0
+    for s in range(n_statements):
+        noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
+    best = HOPELESS
     for k in range(len(chosen)):
-        ceiling = np.log(bounds[k])
-        for s in range(n_statements):
-            ceiling += np.log(statements.noise[s]) if not statements.negated[s] else 0.0
-        if ceiling + 3.0 < best - margin:
+        if np.log(bounds[k]) + noise + SLACK < best - margin:
             break
         v = chosen[k]
         a, b = views.starts[v], views.starts[v + 1]
-        scores[k] = likelihoods(
-            statements, scene, words, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
-            views.total[v], views.pairs[v], views.positions[v], far[k], together, each, nothing,
+        seen = in_sight(
+            scene, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
+            views.total[v], views.pairs[v], views.positions[v],
         )  # fmt: skip
+        scores[k] = likelihoods(
+            statements, scene, words, seen, far[k], together, best - margin, each, nothing
+        )
         best = max(best, scores[k])
     return scores
 
@@ -156,10 +162,10 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
                 apart += sight[i]
                 squares += sight[i] * sight[i]
         pairs = max(apart * apart - squares, np.float32(0.0))
+        seen = in_sight(scene, nearby, where, sight, total, pairs, at[k].astype(np.float32))
         scores[k] = likelihoods(
-            statements, scene, words, nearby, where, sight, total, pairs,
-            at[k], far[k], together, each[k], served[k],
-        )  # fmt: skip
+            statements, scene, words, seen, far[k], together, HOPELESS, each[k], served[k]
+        )
     return scores, each, served
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor import scan
 from placegraph.outdoor.index import STRIDE
+from placegraph.outdoor.match import HOPELESS
 from placegraph.outdoor.posterior import Posterior, posterior
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ MOST_CANDIDATES = 800
 """At most this many viewpoints are scored."""
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""
-MARGIN = 3.0
+MARGIN = 4.0
 """Viewpoints that must lie this far behind the best are not scored [nat]."""
 CLOSER = 10
 """This many of the best viewpoints are looked at more closely ..."""
@@ -88,7 +89,7 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     scores = scan.score_views(
         statements, scene, columns, words, chosen, bounds, far, TOGETHER, MARGIN
     )
-    reached = np.isfinite(scores)
+    reached = scores > 0.5 * HOPELESS
     chosen, scores, far = chosen[reached], scores[reached], far[reached]
     positions = views.positions[chosen].astype(np.float64)
     log_prior = prior.log(positions, len(views.positions))

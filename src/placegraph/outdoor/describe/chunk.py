@@ -162,7 +162,7 @@ class Chunker:
         self, i: int, known: tuple[int, tuple[Terminal, ...]] | None, n_known: int, n_noun: int
     ) -> int:
         """How many words of a proper name begin at word i: on the map, or by its capitals."""
-        spelt = self._capitals(i, known, n_noun)
+        spelt = self._capitals(i, known, n_noun) or self._small_street(i, known, n_noun)
         if self.names is None:
             return spelt
         k = self.name_at[i]
@@ -193,6 +193,8 @@ class Chunker:
             if not (continues and name_like):
                 return 0
         end = self._span(i)
+        if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
+            return 0  # "Find the", "Disregard the"
         if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
             return 0  # "Bakery north of me", "the Cathedral"
         if n_noun >= end - i:
@@ -202,6 +204,23 @@ class Chunker:
                 else end - i
             )
         return end - i
+
+    def _small_street(
+        self, i: int, known: tuple[int, tuple[Terminal, ...]] | None, n_noun: int
+    ) -> int:
+        """How many words of a street's name begin at word i, written small: "smallman street"."""
+        at = i
+        if known is not None:
+            if known[1][0].type != "DIR" or known[0] != 1:
+                return 0
+            at = i + 1  # "east carson street", "west avenue"
+        if at + 1 < len(self.words) and self.lower[at] not in self.lists["street_suffixes"]:
+            plain = known is None and n_noun or self.lexicon.longest(self.lower, at)
+            at = len(self.words) if plain else at + 1
+        before = self.lower[i - 1] if i else ""
+        if at >= len(self.words) or self.lower[at] not in self.lists["street_suffixes"]:
+            return 0
+        return 0 if at == i or before in self.lists["articles"] else at + 1 - i
 
     def _numbered(self, i: int) -> bool:
         """Tell whether a name begins with the number at word i: "16th Street", "5th avenue"."""

@@ -217,7 +217,7 @@ class _Build(Transformer[Any, Any]):
             elif child.type == "PART":
                 thing.part, thing.head = child.value, child.words
             elif child.type == "WORD":
-                thing.head = child.words
+                thing.head = f"{thing.head} {child.words}".strip()
         if thing.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
             thing.name = f"{thing.name} {' '.join(noun.words for noun in nouns[:-1])}"
             del nouns[:-1]

@@ -18,6 +18,8 @@ _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
 """Determiners that introduce a thing; the others, and none, may speak of one already known."""
 TYPING_ERROR = 0.8
 """Similarity from which an unknown word counts as a misspelt known one."""
+GENERIC = 0.7
+"""How surely a "sandwich place" is what "sandwich" alone stands for."""
 
 
 class Referents:
@@ -54,7 +56,7 @@ class Referents:
                 return SPEAKER if self.topic is None else self.topic
         if thing.part and not thing.name:
             return None
-        head, senses = _lemma(thing.head), thing.senses
+        head, senses = _lemma(thing.head.rpartition(" ")[2]), thing.senses
         if not senses and not thing.name:
             head, senses = self._mended(thing.head)
             if not senses and not thing.determiner:
@@ -64,10 +66,14 @@ class Referents:
             return self._introduce(thing, head, senses)
         return known
 
-    def _mended(self, word: str) -> tuple[str, tuple[Sense, ...]]:
-        found = self.vocabulary.closest(word, cutoff=TYPING_ERROR)
+    def _mended(self, words: str) -> tuple[str, tuple[Sense, ...]]:
+        """Noun and senses of unknown words: misspelt, or before a noun that says nothing."""
+        rest, _, last = words.rpartition(" ")
+        found = self.vocabulary.closest(last, cutoff=TYPING_ERROR)
+        if found is None and rest and last in english().lists["generic"]:
+            found = (rest.rpartition(" ")[2], GENERIC)
         if found is None:
-            return _lemma(word), ()
+            return _lemma(last), ()
         senses = self.vocabulary.senses(found[0])
         return _lemma(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
 

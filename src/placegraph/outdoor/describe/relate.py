@@ -23,6 +23,7 @@ WEAK = 0.7
 """Certainty of a relation that a preposition only suggests: "the entrance of the park"."""
 
 NEEDS_HEADING = "needs a heading"
+LISTENER_HEADING = "needs the listener's heading"
 NO_MAP = "no map draws it"
 NO_TARGET = "does not say of what"
 UNKNOWN = "unknown word"
@@ -87,8 +88,7 @@ class Relator:
         far: bool = False,
     ) -> None:
         """Add a statement, unless it relates a thing to itself."""
-        here = source in self.goals and target in self.goals
-        if source == target or (here and relation is not Relation.SAME):
+        if source == target or (source in self.goals and target in self.goals):
             self.reason = "relates a thing to itself"
             return
         refer = self.refer
@@ -211,7 +211,7 @@ class Relator:
         else:
             target = SPEAKER if place.owner == "MY" else LISTENER
         if target == LISTENER and place.direction.facing:
-            self.reason = "left and right of the listener need the listener's heading"
+            self.reason = LISTENER_HEADING
             return
         seen = self._bearing(place.direction)
         if target is not None and seen is not None:
@@ -295,6 +295,8 @@ class Relator:
                     said, Relation.DIRECTION, source, target,
                     direction=seen, distance=place.distance,
                 )  # fmt: skip
+        elif word in ("front", "behind") and target == LISTENER:
+            self.reason = LISTENER_HEADING
         elif word == "surrounded":
             self.add(said, Relation.NEAR, target, source)
         elif word in ("past", "before", "toward"):
@@ -371,7 +373,8 @@ class Relator:
         return target
 
     def _of(self, place: Place, source: int, said: Said) -> None:
-        if place.targets[0].kind != "thing" and place.distance is None:
+        vague = source == SPEAKER or place.targets[0].kind != "thing"
+        if vague and place.distance is None:  # "join me for coffee"
             self.reason = NO_TARGET
             return
         target = self._target(place.targets[0], source)

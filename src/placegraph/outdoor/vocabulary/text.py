@@ -16,7 +16,10 @@ ARTICLES = frozenset((
 """Articles that may stand before a noun; English first, then languages quoted in English text."""
 
 _POSSESSIVE = re.compile(r"'s\b|(?<=s)'(?!\w)")
-_SEPARATORS = re.compile(r"[^\w\u0300-\u036f]+|_")
+_SEPARATORS = re.compile(
+    r"[^\w\u0300-\u036f\u0591-\u05c7\u0610-\u061a\u064b-\u0670\u0900-\u109f\u1780-\u17ff]+|_"
+)
+"""What stands between words; marks that combine with Hebrew, Arabic, Indic, Thai letters do not."""
 _LETTERS = str.maketrans(
     {
         "ı": "i",
@@ -98,7 +101,7 @@ def normal(phrase: str) -> str:
 
     Applying it twice changes nothing.
     """
-    phrase = phrase.lower()
+    phrase = phrase.replace("İ", "i").lower()
     if not phrase.isascii():
         phrase = unicodedata.normalize("NFKC", phrase).replace("’", "'").lower()
     if "'" in phrase:

@@ -221,8 +221,11 @@ class Vocabulary:
         if self._is_stop(form):
             return ()
         senses = self._known(token)
-        english = any(self._english.senses(word) for word in (form, singular(form)))
-        return senses if senses and (senses[0].weight >= _CLEAR or not english) else ()
+        if not senses or senses[0].weight >= _CLEAR and form != token.lower():
+            return senses
+        if any(self._english.senses(word) for word in (form, singular(form))):
+            return senses if senses[0].weight >= _CLEAR else ()
+        return senses if len(token) >= _SHORTEST or not token.isascii() else ()
 
     def _is_stop(self, word: str) -> bool:
         """Tell whether a normal form without diacritics is an ordinary word."""
