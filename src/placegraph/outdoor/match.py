@@ -20,25 +20,16 @@ from numba import njit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
-"""Operations, one for each `Relation`, in its order."""
 ME = -1
 """Stands for the viewpoint itself where a mention could stand."""
-TABLE = 256
-"""Entries of a direction table, over the cosine from -1 to 1."""
 HOPELESS = -1e9
 """Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""
 SLACK = 1.5
 """What coherence may add to a sum that looked hopeless [nat]."""
 MOST = 96
 """At most this many objects in sight are weighed for one mention."""
-AREA = 2
 SMALL = 25.0
 """An area one stands in still lies in the direction of its centre, if that is this near [m]."""
-SOFT = 0.1
-"""Width of a wind's edge, as a share of its half sector."""
-BLUR = 1.5
-"""Square of the distance below which directions blur [m^2]."""
 LONELY = 0.5
 """Added to what is in sight, as `crowd` is to pairs."""
 
@@ -115,91 +106,6 @@ class Fits(NamedTuple):
     """(M,) sum of `fit`."""
     given: NDArray[np.float32]
     """(S, 2, MOST) mass of a statement if its source, or its target, is this thing."""
-
-
-def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
-    """P(direction said | cosine of the angle between truth and what is said), (TABLE,) float32.
-
-    Eq. 6 softened: near 1 within the word's sector, falling around its edge; `slip` is the share of
-    directions that are simply wrong. `sigma` [rad] is 0.5 for the four winds, whose sectors are 45
-    degrees to either side.
-    """
-    angle = np.arccos(np.linspace(-1.0, 1.0, TABLE))
-    half = np.pi / 4 * sigma / 0.5
-    inside = 1.0 / (1.0 + np.exp((angle - half) / (SOFT * half)))
-    return ((1.0 - slip) * inside + slip * 0.25).astype(np.float32)
-
-
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _direction(table, ux, uy, dx, dy):
-    """P(direction said) for a vector; vectors shorter than a few metres have no clear direction."""
-    d2 = dx * dx + dy * dy
-    if d2 < 0.25:
-        return np.float32(0.25)
-    d = np.sqrt(d2)
-    index = int(((dx * ux + dy * uy) / d + 1.0) * (0.5 * (TABLE - 1)) + 0.5)
-    blur = d2 / (d2 + BLUR)
-    return blur * table[min(TABLE - 1, max(0, index))] + (1.0 - blur) * np.float32(0.25)
-
-
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _distance(said, d):
-    """How well a distance d fits what was said [m]; 1 where nothing was said."""
-    if said <= 0.0:
-        return 1.0
-    z = (d - said) / (0.35 * said + 5.0)
-    return np.exp(-0.5 * z * z)
-
-
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _close(said, d):
-    """How well "near" fits a distance d [m]."""
-    if said > 0.0:
-        return _distance(said, d)
-    return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def serve_pair(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
-    """P(geometry | source at a, target at b), seen from the viewpoint [m]."""
-    dx, dy = ax - bx, ay - by
-    d = np.sqrt(dx * dx + dy * dy)
-    if op == DIRECTION:
-        return _direction(table, ux, uy, dx, dy) * _distance(said, d)
-    if op == NEAR:
-        return _close(said, d)
-    if op == ACROSS:
-        return _close(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)
-    if op == INSIDE:
-        return _close(0.0, 2.0 * d) if kind_b == AREA else 0.2 * _close(0.0, d)
-    if op == ALONG:
-        return _close(0.0, 1.5 * d) if kind_b != 0 else 0.3 * _close(0.0, d)
-    return _close(0.0, d)
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def serve_me(op, table, ux, uy, said, x, y, kind, forward):
-    """P(geometry | the thing at (x, y) seen from v); `forward`: it is the source, v the target."""
-    d = np.sqrt(x * x + y * y)
-    if op == DIRECTION:
-        if not forward:
-            ux, uy = -ux, -uy
-        return _direction(table, ux, uy, x, y) * _distance(said, d)
-    if op == VISIBLE:
-        return _distance(said, d)
-    if op == NEAR:
-        return _close(said, d)
-    if op == SAME:
-        return _close(0.0, 2.0 * d)
-    if op == INSIDE:
-        return (
-            (1.0 if d < 1.0 else 0.3 * _close(0.0, 2.0 * d))
-            if kind == AREA
-            else 0.2 * _close(0.0, d)
-        )
-    if op == ALONG:
-        return _close(0.0, 1.5 * d) if kind != 0 else 0.3 * _close(0.0, d)
-    return _close(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)  # ACROSS
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -316,7 +222,7 @@ def _of_me(statements, s, scene, seen, fits):
         e = fits.who[m, i]
         if op == DIRECTION and not seen.lies[e]:
             continue
-        p = serve_me(
+        p = me_fit(
             op, statements.table[s], ux, uy, statements.distance[s],
             where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward,
         )  # fmt: skip
@@ -342,7 +248,7 @@ def _of_pair(statements, s, scene, seen, fits):
             if ea == eb or (op == DIRECTION and not seen.lies[eb]):
                 continue
             kind = scene.kind[seen.objects[eb]]
-            p = serve_pair(
+            p = pair_fit(
                 op,
                 table,
                 ux,
@@ -463,7 +369,7 @@ def _assign(statements, scene, seen, fits, served):
                     continue
                 p = weight[a, i] * weight[b, j]
                 if op != BETWEEN:
-                    p *= serve_pair(
+                    p *= pair_fit(
                         op, statements.table[s], ux, uy, statements.distance[s],
                         where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1],
                         scene.kind[seen.objects[eb]],

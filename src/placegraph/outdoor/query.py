@@ -16,7 +16,8 @@ from placegraph.outdoor.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.match import ME, TABLE, Statements, direction_table
+from placegraph.outdoor.fit import TABLE, direction_table
+from placegraph.outdoor.match import ME, Statements
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

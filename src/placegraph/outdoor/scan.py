@@ -5,19 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from placegraph.outdoor.fit import AREA, BETWEEN, DIRECTION, direction_fit, distance_fit
 from placegraph.outdoor.index import SIGHT
-from placegraph.outdoor.match import (
-    AREA,
-    BETWEEN,
-    DIRECTION,
-    HOPELESS,
-    ME,
-    SLACK,
-    _direction,
-    _distance,
-    in_sight,
-    likelihoods,
-)
+from placegraph.outdoor.match import HOPELESS, ME, SLACK, in_sight, likelihoods
 from placegraph.outdoor.raster import nearest_on_parts
 
 SHARP = 2.0
@@ -207,7 +197,7 @@ def distant(statements, scene, far, positions):
                 p = np.exp(-d / far.scale[s])
                 if statements.op[s] == DIRECTION:
                     wx, wy = (ux, uy) if forward else (-ux, -uy)
-                    p *= _direction(statements.table[s], wx, wy, x, y)
-                p *= _distance(statements.distance[s], d)
+                    p *= direction_fit(statements.table[s], wx, wy, x, y)
+                p *= distance_fit(statements.distance[s], d)
                 out[k, s] += far.share[s] * far.fits[i] * p
     return out

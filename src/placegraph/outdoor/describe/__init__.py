@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from placegraph.errors import DescriptionError
 from placegraph.outdoor.describe.build import Builder
-from placegraph.outdoor.describe.chunk import Chunker, NameFinder
+from placegraph.outdoor.describe.chunk import Chunker, NameFinder, Words
 from placegraph.outdoor.describe.clauses import clauses
+from placegraph.outdoor.describe.conflicts import conflicts
+from placegraph.outdoor.describe.model import LanguageModelDescriber
 from placegraph.outdoor.describe.parse import parse
+from placegraph.outdoor.describe.text import check
 from placegraph.outdoor.describe.words import normalise, scan, tokens
 from placegraph.outdoor.description import Description, Ignored
 
 if TYPE_CHECKING:
     from placegraph.outdoor.describe.nodes import Chunk
-    from placegraph.outdoor.vocabulary import Vocabulary
 
-__all__ = ["Describer", "NameFinder", "describe", "normalise", "tokens"]
-
-LONGEST_TEXT = 20_000
-"""Characters."""
+__all__ = [
+    "Describer",
+    "LanguageModelDescriber",
+    "NameFinder",
+    "Words",
+    "describe",
+    "normalise",
+    "tokens",
+]
 
 
 class Describer(Protocol):
@@ -29,7 +35,7 @@ class Describer(Protocol):
         self,
         text: str,
         *,
-        vocabulary: Vocabulary | None = None,
+        vocabulary: Words | None = None,
         names: NameFinder | None = None,
         heading: float | None = None,
     ) -> Description:
@@ -39,7 +45,7 @@ class Describer(Protocol):
 def describe(
     text: str,
     *,
-    vocabulary: Vocabulary | None = None,
+    vocabulary: Words | None = None,
     names: NameFinder | None = None,
     heading: float | None = None,
 ) -> Description:
@@ -86,6 +92,7 @@ def describe(
         tuple(builder.refer.mentions),
         tuple(builder.relator.statements),
         tuple(builder.ignored),
+        conflicts(builder.relator.statements, builder.refer.heads, builder.relator.goals),
     )
 
 
@@ -95,32 +102,3 @@ def _leads_the_way(sentence: list[Chunk]) -> bool:
     return any(chunk.type in ("YOU", "YOUR", "MEET") for chunk in sentence) or (
         bool(sentence) and sentence[0].type in orders
     )
-
-
-def check(text: str) -> None:
-    """Refuse what is no readable text.
-
-    Raises
-    ------
-    DescriptionError
-        Saying what is wrong and how to mend it.
-    """
-    if not isinstance(text, str):
-        raise DescriptionError(
-            f"The description is of type {type(text).__name__}, not text; pass a str."
-        )
-    if len(text) > LONGEST_TEXT:
-        raise DescriptionError(
-            f"The description has {len(text):,} characters, more than {LONGEST_TEXT:,};"
-            " keep what describes the place."
-        )
-    if not text.strip():
-        raise DescriptionError(
-            'The description is empty; say what stands around you, as in "A bakery is north of me."'
-        )
-    control = next((c for c in text if c < " " and c not in "\t\n\r"), None)
-    if control is not None or "\x7f" in text:
-        raise DescriptionError(
-            f"The description contains the control character {control or chr(127)!r};"
-            " is it a file that is not text? Remove it."
-        )

@@ -114,7 +114,7 @@ class Builder:
         self._say(after, heads, said)
 
     def _identity(self, heads: Sequence[int], thing: Thing, said: Said) -> None:
-        """ "It is the last pub on the block"."""
+        """Two names of one thing: "it is the last pub on the block"."""
         if thing.kind != "thing" or not (thing.senses or thing.name) or not heads:
             return
         if heads[0] == SPEAKER and not thing.determiner and not thing.name:
@@ -157,7 +157,7 @@ class Builder:
                 self.relator.reason = UNKNOWN
 
     def _sees(self, clause: Clause, said: Said, opens: bool) -> None:
-        """ "I see a church", "across the street you will find a bakery", "look for a bench"."""
+        """What can be seen: "I see a church", "across the street you will find a bakery", "look for a bench"."""
         things = [item for item in clause.before if isinstance(item, Thing)]
         seer = things[-1] if things else None
         places = tuple([item for item in clause.before if item is not seer])
@@ -191,7 +191,7 @@ class Builder:
         self._walk((*places, *clause.after), clause.travel, said)
 
     def _on_the_way(self, clause: Clause, said: Said) -> None:
-        """ "When you see the bank", "until you reach Penn Avenue", "if you pass the school"."""
+        """What is met on the way: "when you see the bank", "until you reach Penn Avenue", "if you pass the school"."""
         if clause.verb == "meets":
             self._meets(clause, said, False)
             return
@@ -227,7 +227,6 @@ class Builder:
             self.led_to = self.on_the_way
 
     def _leg(self, place: Place, said: Said) -> None:
-        assert place.direction is not None
         if place.direction.facing:
             self.relator.reason = "left and right of a walk say nothing on a map"
             return
@@ -253,9 +252,9 @@ class Builder:
             self.relator.add(said, Relation.NEAR, SPEAKER, node, certainty=ROUTE)
 
     def _too_far(self, clause: Clause, said: Said, _opens: bool) -> None:
-        """ "You've gone too far west": the place lies east of what was met."""
+        """Look back in "you\'ve gone too far west": the place lies east of what was met."""
         for item in clause.after:
-            if not isinstance(item, Place) or item.direction is None or item.direction.facing:
+            if not isinstance(item, Place) or item.how != "towards" or item.direction.facing:
                 continue
             if self.on_the_way is not None:
                 back: Direction = item.direction._replace(bearing=item.direction.bearing + pi)
@@ -287,32 +286,23 @@ class Builder:
         A thing without a place of its own joins the target before it ("north of the school and the
         church"); one with a place is spoken of anew ("a bakery to my east and a stop across ...").
         """
-        group = list(heads)
-        spoken = list(heads)
+        group, spoken = list(heads), list(heads)
         last: Place | None = None
         for i, item in enumerate(items):
             following = items[i + 1] if i + 1 < len(items) else None
-            if isinstance(item, Thing):
-                joins = last is not None and _joins(last, item)
-                if joins and not isinstance(following, Place):
-                    assert last is not None
-                    again = replace(last, targets=(*last.targets[:-1], item))
-                    self._relate_all(again, group, said)
-                    continue
-                node = self._new_head(item)
-                if node is None:
-                    continue
-                group = [*group, node] if last is None and i else [node]
-                spoken.append(node)
-                last = None
-            else:
+            if isinstance(item, Place):
                 said.shared = _shared(item, last, following)
                 group = self._relate_all(item, group or [SPEAKER], said)
                 last = item
+            elif last is not None and _joins(last, item) and not isinstance(following, Place):
+                again = replace(last, targets=(*last.targets[:-1], item))
+                self._relate_all(again, group, said)
+            elif (node := self._new_head(item)) is not None:
+                group = [*group, node] if last is None and i else [node]
+                spoken.append(node)
+                last = None
         self.heads = spoken if collect or len(spoken) <= 1 else spoken[:1]
-        if not collect and group and spoken and group[0] not in spoken:
-            spoken = group
-        return spoken
+        return spoken if collect or not group or group[0] in spoken else group
 
     def _new_head(self, thing: Thing) -> int | None:
         node = self.refer.resolve(thing)
@@ -335,7 +325,7 @@ def _has_no(item: Thing | Place) -> bool:
 
 
 def _arrived(item: Thing | Place) -> Thing | Place:
-    """ "Come to the garden" is meeting at the garden."""
+    """Take "come to the garden" as meeting at the garden."""
     return replace(item, word="AT") if isinstance(item, Place) and item.word == "TO" else item
 
 

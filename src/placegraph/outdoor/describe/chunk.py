@@ -215,7 +215,7 @@ class Chunker:
                 return 0
             at = i + 1  # "east carson street", "west avenue"
         if at + 1 < len(self.words) and self.lower[at] not in self.lists["street_suffixes"]:
-            plain = known is None and n_noun or self.lexicon.longest(self.lower, at)
+            plain = (known is None and n_noun) or self.lexicon.longest(self.lower, at)
             at = len(self.words) if plain else at + 1
         before = self.lower[i - 1] if i else ""
         if at >= len(self.words) or self.lower[at] not in self.lists["street_suffixes"]:

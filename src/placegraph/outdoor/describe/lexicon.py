@@ -28,6 +28,9 @@ class Direction(NamedTuple):
     certainty: float = 1.0
 
 
+NORTH = Direction(0.0)
+
+
 class Terminal(NamedTuple):
     """What a phrase stands for: a terminal of the grammar and what it carries."""
 

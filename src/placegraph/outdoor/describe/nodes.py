@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from placegraph.outdoor.describe.lexicon import NORTH, Direction
+
 if TYPE_CHECKING:
-    from placegraph.outdoor.describe.lexicon import Direction
     from placegraph.outdoor.description import Sense
 
 
@@ -62,7 +63,8 @@ class Place:
     targets: tuple[Thing, ...] = ()
     word: str = ""
     """Which preposition: ``ON IN AT TO``, or a relation of lexicon.toml."""
-    direction: Direction | None = None
+    direction: Direction = NORTH
+    """Of directions."""
     distance: float | None = None
     part: str = ""
     owner: str = ""

@@ -147,11 +147,11 @@ class _Build(Transformer[Any, Any]):
     # places
     def not_(self, children: list[Any]) -> Place:
         children[1].negated = True
-        return children[1]  # type: ignore[no-any-return]
+        return children[1]
 
     def no_thing(self, children: list[Any]) -> Thing:
         children[1].determiner = "NO"
-        return children[1]  # type: ignore[no-any-return]
+        return children[1]
 
     def measured(self, children: list[Any]) -> Place:
         measure: Chunk = children[0]
@@ -201,28 +201,19 @@ class _Build(Transformer[Any, Any]):
 
     def thing(self, children: list[Any]) -> Thing:
         thing = Thing("thing", children[0].start, children[-1].end)
-        nouns: list[Chunk] = []
+        nouns = [child for child in children if child.type == "NOUN"]
+        words = [child.words for child in children if child.type == "WORD"]
         for child in children:
             if child.type in _DETERMINERS:
-                if thing.determiner not in ("NO", "DET"):
-                    thing.determiner = child.type
-                if child.type == "NUM":
-                    thing.count = child.value
+                thing.determiner = thing.determiner or child.type
+                thing.count = child.value if child.type == "NUM" else None
             elif child.type == "NAME":
-                thing.name = child.value.name
-                if not thing.senses:
-                    thing.senses = child.value.senses
-            elif child.type == "NOUN":
-                nouns.append(child)
+                thing.name, thing.senses = child.value.name, child.value.senses
             elif child.type == "PART":
-                thing.part, thing.head = child.value, child.words
-            elif child.type == "WORD":
-                thing.head = f"{thing.head} {child.words}".strip()
-        if thing.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
-            thing.name = f"{thing.name} {' '.join(noun.words for noun in nouns[:-1])}"
-            del nouns[:-1]
+                thing.part = child.value
+        thing.head = " ".join(words)
         if nouns:
-            thing.senses, thing.head = _compound(nouns)
+            _take_nouns(thing, nouns)
         return thing
 
     def person(self, children: list[Any]) -> Thing:
@@ -231,12 +222,14 @@ class _Build(Transformer[Any, Any]):
         return Thing(kind, chunk.start, chunk.end)
 
 
-def _compound(nouns: list[Chunk]) -> tuple[Any, str]:
-    """Senses and head word of nouns in a row: "alcohol shop" is shop=alcohol, not any shop."""
+def _take_nouns(thing: Thing, nouns: list[Chunk]) -> None:
+    """Take the common nouns of a thing: "alcohol shop" is shop=alcohol, not any shop."""
+    if thing.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
+        thing.name = f"{thing.name} {' '.join(noun.words for noun in nouns[:-1])}"
+        nouns = nouns[-1:]
     head: Noun = nouns[-1].value
-    senses = head.senses
-    keys = {s.label.partition("=")[0] for s in senses if s.label.endswith(("=*", "=yes"))}
+    thing.senses, thing.head = head.senses, nouns[-1].words
+    keys = {s.label.partition("=")[0] for s in head.senses if s.label.endswith(("=*", "=yes"))}
     for noun in nouns[:-1]:
-        special = tuple(s for s in noun.value.senses if s.label.partition("=")[0] in keys)
-        senses = special or senses
-    return senses, nouns[-1].words
+        special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])
+        thing.senses = special or thing.senses

@@ -155,7 +155,6 @@ class Relator:
         return node
 
     def _towards(self, place: Place, source: int, said: Said) -> None:
-        assert place.direction is not None
         direction = place.direction
         thing = place.targets[0] if place.targets else said.shared
         if direction.facing:
@@ -176,8 +175,7 @@ class Relator:
         )  # fmt: skip
 
     def _side(self, place: Place, source: int, said: Said) -> None:
-        """ "On the north side of the street"."""
-        assert place.direction is not None
+        """Relate "on the north side of the street"."""
         if not place.targets:
             street = self.refer.street
             if place.direction.facing or street is None or source not in self.goals:
@@ -198,8 +196,7 @@ class Relator:
             self.add(said, Relation.NEAR, source, target)
 
     def _possessed(self, place: Place, source: int, said: Said) -> None:
-        """ "To my east", "on its north side", "to the garden's northeast"."""
-        assert place.direction is not None
+        """Relate "to my east", "on its north side", "to the garden's northeast"."""
         target: int | None
         if place.targets:
             target = self._target(place.targets[0], source)
@@ -220,7 +217,6 @@ class Relator:
             )
 
     def _faces(self, place: Place, source: int, _said: Said) -> None:
-        assert place.direction is not None
         if source in self.goals and not place.direction.facing and self.heading is None:
             self.heading = place.direction.bearing
         self.reason = "says which way one faces"
@@ -230,7 +226,8 @@ class Relator:
     def _at(self, place: Place, source: int, said: Said) -> int | None:
         thing = place.targets[0]
         if len(place.targets) > 1 and thing.part:
-            return self._part(place, source, said)
+            self._part(place, source, said)
+            return None
         target = self._target(thing, source)
         if target is None:
             return None
@@ -265,7 +262,7 @@ class Relator:
         return Relation.NEAR, WEAK if word == "TO" else 1.0
 
     def _part(self, place: Place, source: int, said: Said) -> None:
-        """ "At the end of the street", "in the middle of the park"."""
+        """Relate "at the end of the street", "in the middle of the park"."""
         part, whole = place.targets
         target = self._target(whole, source)
         if target is None:
@@ -359,14 +356,14 @@ class Relator:
             self.add(said, Relation.NEAR, source, known[0], certainty=WEAK)
 
     def _at_both(self, place: Place, source: int, said: Said) -> None:
-        """ "Where Penn Avenue meets 6th Street"."""
+        """Relate "where Penn Avenue meets 6th Street"."""
         for thing in place.targets:
             target = self._target(thing, source)
             if target is not None:
                 self.add(said, Relation.NEAR, source, target)
 
     def _with_(self, place: Place, source: int, said: Said) -> int | None:
-        """ "A park with a pond": what follows is said of the pond."""
+        """Relate "a park with a pond": what follows is said of the pond."""
         target = self._target(place.targets[0], source)
         if target is not None:
             self.add(said, Relation.NEAR, target, source, certainty=WEAK)
@@ -385,14 +382,14 @@ class Relator:
             )  # fmt: skip
 
     def _start(self, place: Place, source: int, said: Said) -> None:
-        """ "Two blocks from the station"; a bare "from the station" opens a walk."""
+        """Relate "two blocks from the station"; a bare "from the station" opens a walk."""
         if place.distance is None:
             self.reason = "where a walk starts"
             return
         self._of(place, source, said)
 
     def _away(self, place: Place, source: int, said: Said) -> None:
-        """ "Two blocks away"."""
+        """Relate "two blocks away"."""
         target = self._implied(source, said)
         if said.travel:
             self.reason = "a distance without a direction"

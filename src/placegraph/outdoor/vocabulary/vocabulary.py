@@ -221,11 +221,11 @@ class Vocabulary:
         if self._is_stop(form):
             return ()
         senses = self._known(token)
-        if not senses or senses[0].weight >= _CLEAR and form != token.lower():
-            return senses
-        if any(self._english.senses(word) for word in (form, singular(form))):
-            return senses if senses[0].weight >= _CLEAR else ()
-        return senses if len(token) >= _SHORTEST or not token.isascii() else ()
+        forms = (form, singular(form))
+        if any(word in self._words.english or self._english.senses(word) for word in forms):
+            return senses if senses and senses[0].weight >= _CLEAR else ()
+        foreign = len(form) >= _SHORTEST or not token.isascii() or form in self._words.others
+        return senses if foreign else ()
 
     def _is_stop(self, word: str) -> bool:
         """Tell whether a normal form without diacritics is an ordinary word."""
