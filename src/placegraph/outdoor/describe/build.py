@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from placegraph.outdoor.describe.nodes import Place, Thing
 from placegraph.outdoor.describe.refer import Referents
-from placegraph.outdoor.describe.relate import NO_MAP, ROUTE, UNKNOWN, Relator, Said
+from placegraph.outdoor.describe.relate import Relator
+from placegraph.outdoor.describe.statements import NO_MAP, ROUTE, UNKNOWN, Said
 from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ class Builder:
                 self.relator.reason = UNKNOWN
 
     def _sees(self, clause: Clause, said: Said, opens: bool) -> None:
-        """What can be seen: "I see a church", "across the street you will find a bakery", "look for a bench"."""
+        """What can be seen: "I see a church", "across the street you will find a bakery"."""
         things = [item for item in clause.before if isinstance(item, Thing)]
         seer = things[-1] if things else None
         places = tuple([item for item in clause.before if item is not seer])
@@ -191,7 +192,7 @@ class Builder:
         self._walk((*places, *clause.after), clause.travel, said)
 
     def _on_the_way(self, clause: Clause, said: Said) -> None:
-        """What is met on the way: "when you see the bank", "until you reach Penn Avenue", "if you pass the school"."""
+        """What is met on the way: "when you see the bank", "until you reach Penn Avenue"."""
         if clause.verb == "meets":
             self._meets(clause, said, False)
             return
@@ -252,7 +253,7 @@ class Builder:
             self.relator.add(said, Relation.NEAR, SPEAKER, node, certainty=ROUTE)
 
     def _too_far(self, clause: Clause, said: Said, _opens: bool) -> None:
-        """Look back in "you\'ve gone too far west": the place lies east of what was met."""
+        """Look back in "you've gone too far west": the place lies east of what was met."""
         for item in clause.after:
             if not isinstance(item, Place) or item.how != "towards" or item.direction.facing:
                 continue

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.outdoor.describe.lexicon import Direction
-from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation, Statement
+from placegraph.outdoor.describe.statements import (
+    BLOCK,
+    LISTENER_HEADING,
+    NO_TARGET,
+    ROUTE,
+    SIDE_SIGMA,
+    WEAK,
+    Said,
+    Statements,
+)
+from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.describe.nodes import Place, Thing
-    from placegraph.outdoor.describe.refer import Referents
-
-BLOCK = 100.0
-"""Metres in a block."""
-SIDE_SIGMA = 0.6
-"""How loosely "on the north side of" is meant [rad]."""
-ROUTE = 0.4
-"""Certainty of what only lies on the way."""
-WEAK = 0.7
-"""Certainty of a relation that a preposition only suggests: "the entrance of the park"."""
-
-NEEDS_HEADING = "needs a heading"
-LISTENER_HEADING = "needs the listener's heading"
-NO_MAP = "no map draws it"
-NO_TARGET = "does not say of what"
-UNKNOWN = "unknown word"
+    from placegraph.outdoor.describe.nodes import Place
 
 _SIMPLE = {
     "near": (Relation.NEAR, 1.0, None),
@@ -39,78 +33,8 @@ _SIMPLE = {
 """Relation, certainty and distance of prepositions that always mean the same."""
 
 
-@dataclass
-class Said:
-    """The clause at hand, as far as its places need it."""
-
-    text: str
-    certainty: float = 1.0
-    negated: bool = False
-    travel: bool = False
-    shared: Thing | None = None
-    """Target of a direction beside one that has none: "north and slightly west of you"."""
-
-
-class Relator:
-    """Makes statements of places.
-
-    Parameters
-    ----------
-    refer
-        The mentions.
-    heading
-        Bearing in which the speaker faces [rad], or None.
-    directive
-        Whether the text tells somebody the way: directions are then seen from them.
-    """
-
-    def __init__(self, refer: Referents, heading: float | None, *, directive: bool) -> None:
-        self.refer, self.heading, self.directive = refer, heading, directive
-        self.statements: list[Statement] = []
-        self.ignored: list[Ignored] = []
-        self.goals = {SPEAKER}
-        """Nodes that stand where the speaker stands."""
-        self.reason = ""
-        """Why the last place that became no statement did not."""
-
-    def add(
-        self,
-        said: Said,
-        relation: Relation,
-        source: int,
-        target: int,
-        *,
-        target2: int | None = None,
-        direction: Direction | None = None,
-        distance: float | None = None,
-        certainty: float = 1.0,
-        negated: bool = False,
-        far: bool = False,
-    ) -> None:
-        """Add a statement, unless it relates a thing to itself."""
-        if source == target or (source in self.goals and target in self.goals):
-            self.reason = "relates a thing to itself"
-            return
-        refer = self.refer
-        for node in (source, target, target2):
-            negated = negated or (node is not None and node in refer.negative)
-        self.statements.append(
-            Statement(
-                relation,
-                source,
-                target,
-                target2=target2,
-                bearing=None if direction is None else direction.bearing % (2.0 * pi),
-                bearing_sigma=0.5 if direction is None else direction.sigma,
-                distance=distance,
-                negated=negated or said.negated,
-                certainty=round(
-                    certainty * said.certainty * (direction.certainty if direction else 1.0), 3
-                ),
-                far=far or said.travel or LISTENER in (source, target),
-                text=said.text,
-            )
-        )
+class Relator(Statements):
+    """Makes statements of places."""
 
     def relate(self, place: Place, source: int, said: Said) -> int | None:
         """Add the statements of a place said of a source; return the node it now speaks of.
@@ -126,33 +50,6 @@ class Relator:
         return source if changed is None else changed
 
     # directions
-
-    def _implied(self, source: int, said: Said) -> int | None:
-        """What a direction is seen from where nothing is said of it."""
-        if not said.travel and source not in self.goals:
-            return SPEAKER
-        self.reason = NO_TARGET
-        return LISTENER if said.travel or self.directive else None
-
-    def _bearing(self, direction: Direction) -> Direction | None:
-        """Direction on the compass; None, with a reason, where the heading is needed but unknown."""
-        if not direction.facing:
-            return direction
-        if self.heading is None:
-            self.reason = NEEDS_HEADING
-            return None
-        return direction._replace(bearing=direction.bearing + self.heading, facing=False)
-
-    def _target(self, thing: Thing, source: int) -> int | None:
-        node = self.refer.resolve(thing)
-        if node == source and thing.kind == "thing":  # "the bench is north of the bench"
-            node = self.refer.resolve(thing, other_than=(source,))
-        if node is None:
-            self.reason = NO_MAP if thing.part else UNKNOWN
-        elif node == source:
-            self.reason = "relates a thing to itself"
-            return None
-        return node
 
     def _towards(self, place: Place, source: int, said: Said) -> None:
         direction = place.direction

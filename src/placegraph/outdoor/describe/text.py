@@ -1,0 +1,40 @@
+"""What can be read as a description at all."""
+
+from __future__ import annotations
+
+import re
+
+from placegraph.errors import DescriptionError
+
+LONGEST_TEXT = 20_000
+"""Characters."""
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\x80-\x84\x86-\x9f\ud800-\udfff]")
+
+
+def check(text: str) -> None:
+    """Refuse what is no readable text.
+
+    Raises
+    ------
+    DescriptionError
+        If it is empty, longer than `LONGEST_TEXT`, or no text; says how to mend it.
+    """
+    if not isinstance(text, str):
+        raise DescriptionError(
+            f"The description is of type {type(text).__name__}, not text; pass a str."
+        )
+    if len(text) > LONGEST_TEXT:
+        raise DescriptionError(
+            f"The description has {len(text):,} characters, more than {LONGEST_TEXT:,};"
+            " keep what describes the place."
+        )
+    if not text.strip():
+        raise DescriptionError(
+            'The description is empty; say what stands around you, as in "A bakery is north of me."'
+        )
+    control = _CONTROL.search(text)
+    if control is not None:
+        raise DescriptionError(
+            f"The description contains {control[0]!r}, which is no character of a text, at position"
+            f" {control.start()}; is it a file of another kind? Remove it."
+        )
