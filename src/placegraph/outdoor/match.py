@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
+from placegraph.outdoor.fit import AREA, BETWEEN, DIRECTION, me_fit, pair_fit
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
