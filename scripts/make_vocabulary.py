@@ -65,10 +65,10 @@ def variants(name: str) -> Iterator[str]:
     ['Train Station']
     """
     bare = re.sub(r"\s*[(（].*?[)）]\s*", " ", name).strip()
-    if bare != name:
-        yield bare
     parts = [part.strip() for part in re.split(r"\s+/\s+|\s*／\s*", bare)]
     if len(parts) == 1:
+        if bare != name:
+            yield bare
         return
     head, tail = parts[0].split()[:-1], parts[-1].split()[1:]
     for part in parts:
@@ -115,6 +115,27 @@ class Maker:
             if self.labels[name].count("=") == len(presets[name]["tags"])
         }
 
+        self.texts = {language: self.translation(language) for language in (*ENGLISH, *WORLD)}
+        self.donor = self.donors()
+
+    def translation(self, language: str) -> dict[str, dict[str, str]]:
+        """Names, aliases and terms of the presets in one language."""
+        body = self.read(f"translations/{language}")[language]
+        found: dict[str, dict[str, str]] = body.get("presets", {}).get("presets", {})
+        return found
+
+    def donors(self) -> dict[str, str]:
+        """Preset whose texts an unnamed preset takes: education/school for amenity/school."""
+        named: dict[str, list[str]] = defaultdict(list)
+        for name in self.labels:
+            if self.texts["en"].get(name, {}).get("name") and not name.startswith("building/"):
+                named[name.rpartition("/")[2]].append(name)
+        last = {name: named[name.rpartition("/")[2]] for name in self.labels}
+        return {
+            name: donors[0] if len(donors) == 1 and not self.texts["en"].get(name) else name
+            for name, donors in last.items()
+        }
+
     def read(self, name: str) -> Any:  # noqa: ANN401 (JSON)
         """Read a file of the package's dist folder."""
         path = self.package / "dist" / f"{name}.min.json"
@@ -138,12 +159,12 @@ class Maker:
         entries: Entries = defaultdict(lambda: defaultdict(set))
         names = sorted(names, key=lambda name: name.count("/"))  # plain presets name their labels
         for language, letter in zip(languages, LETTERS, strict=False):
-            texts = self.read(f"translations/{language}")[language]["presets"]["presets"]
+            texts = self.texts[language]
             known: dict[int, set[str]] = defaultdict(set)
             for name in names:
                 preset = number.setdefault(self.labels[name], len(number))
                 first = preset not in known
-                for form, kind in said(texts.get(name, {}), longest=longest):
+                for form, kind in said(texts.get(self.donor[name], {}), longest=longest):
                     if form not in known[preset] and not (form.isascii() and len(form) < shortest):
                         known[preset].add(form)
                         entries[form][preset, kind if first else kind.replace("n", "a")].add(letter)
@@ -170,7 +191,7 @@ class Maker:
     def world(self) -> str:
         """Make the lexicon of all other languages."""
         exact = [name for name in self.labels if name in self.exact]
-        return write(WORLD, *self.lexicon(WORLD, exact, longest=2, shortest=4))
+        return write(WORLD, *self.lexicon(WORLD, exact, longest=2, shortest=2))
 
 
 def write(languages: Sequence[str], labels: list[str], entries: Entries) -> str:
