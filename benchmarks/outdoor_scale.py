@@ -60,7 +60,7 @@ def build(osm: Path, city: Path, small: Path) -> dict[str, float]:
 
 
 def ask(city: Path, queries: Sequence[Query]) -> dict[str, Any]:
-    """Open a map and give it all texts, twice; the second round counts."""
+    """Open a map and give it all texts, after every tenth has warmed it."""
     import placegraph as pg
 
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
