@@ -8,6 +8,7 @@ from placegraph.outdoor.describe.build import Builder
 from placegraph.outdoor.describe.chunk import Chunker, NameFinder, Words
 from placegraph.outdoor.describe.clauses import clauses
 from placegraph.outdoor.describe.conflicts import conflicts
+from placegraph.outdoor.describe.labels import labels
 from placegraph.outdoor.describe.model import LanguageModelDescriber
 from placegraph.outdoor.describe.parse import parse
 from placegraph.outdoor.describe.text import check
@@ -74,7 +75,9 @@ def describe(
 
         vocabulary = Vocabulary.default()
     chunker = Chunker(text, vocabulary, names)
-    sentences = [chunker.chunks(sentence) for sentence in scan(text)]
+    sentences = [
+        chunker.chunks(sentence) for sentence in scan(text, labels(text, vocabulary, names))
+    ]
     directive = any(map(_leads_the_way, sentences))
     builder = Builder(text, vocabulary, heading, directive=directive)
     for sentence in sentences:

@@ -26,6 +26,9 @@ _OPEN = frozenset(
 _BEFORE_NOUN = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD"))
 
 
+_NOUN_AFTER = frozenset(("DET", "A", "ANOTHER", "NUM", "NO", "MY", "EXISTS", "HAVE", "SEE", "OF"))
+
+
 class Words(Protocol):
     """What the chunker needs of a vocabulary."""
 
@@ -104,10 +107,10 @@ class Chunker:
             return self._chunk("DIST", i, 1, word.metres)
         if word.kind == "comma":
             return self._chunk("AND", i, 1)
-        senses = self.vocabulary.senses(word.lower)
         name = self.text[word.start : word.end].replace("_", " ")
-        if senses and not (self.names and self._is_name(name)):
-            return self._chunk("NOUN", i, 1, Noun(senses))
+        senses = self.vocabulary.senses(word.lower)
+        if senses and not (word.capital and self._is_name(name)):
+            return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
         return self._chunk("NAME", i, 1, Noun(senses or self._kind_of_name(name), name))
 
     def _is_name(self, name: str) -> bool:
@@ -119,15 +122,15 @@ class Chunker:
         known = self.lexicon.longest(self.lower, i)
         n_known = known[0] if known else 0
         noun = None
+        before = found[-1].type if found else ""
         if known is None or known[1][0].type in _OPEN:
-            noun = self.vocabulary.longest_match(self.lower, i)
+            noun = self.vocabulary.longest_match(self.lower, i) or self._noun_here(i, before)
         n_noun = noun[0] if noun else 0
         n_name = self._name(i, known, n_known, n_noun)
         if n_name:
             name = self.text[self.words[i].start : self.words[i + n_name - 1].end]
             found.append(self._chunk("NAME", i, n_name, Noun(self._kind_of_name(name), name)))
             return n_name
-        before = found[-1].type if found else ""
         if noun and (
             n_noun > n_known or (n_noun == n_known and known and _is_noun_here(known[1][0], before))
         ):
@@ -139,6 +142,18 @@ class Chunker:
             )
             return n_known
         return self._other(i, found)
+
+    def _noun_here(self, i: int, before: str) -> tuple[int, tuple[Sense, ...]] | None:
+        """Return an ordinary word or phrase that names a thing where only a noun can stand."""
+        if before not in _NOUN_AFTER or (self.words[i].capital and not self.shouting):
+            return None
+        for n in (3, 2, 1):
+            last = self.lexicon.longest(self.lower, min(i + n, len(self.lower)) - 1)
+            if i + n <= len(self.lower) and (last is None or (n > 1 and last[1][0].type in _OPEN)):
+                senses = self.vocabulary.senses(" ".join(self.lower[i : i + n]))
+                if senses:
+                    return n, senses
+        return None
 
     def _other(self, i: int, found: list[Chunk]) -> int:
         """Append a number, a possessive, or a word that says nothing by itself."""

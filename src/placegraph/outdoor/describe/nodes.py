@@ -31,6 +31,8 @@ class Noun:
 
     senses: tuple[Sense, ...] = ()
     name: str = ""
+    exact: bool = False
+    """Whether it is a label as a map has it, and no English."""
 
 
 @dataclass(slots=True)
@@ -47,6 +49,10 @@ class Thing:
     senses: tuple[Sense, ...] = ()
     head: str = ""
     """Common noun, lower-case: "bakery"; the last unknown word where there is none."""
+    modifiers: tuple[str, ...] = ()
+    """Words before the noun: "grey", "main"."""
+    exact: bool = False
+    """Whether the noun is a label as a map has it, and no English."""
     name: str = ""
     part: str = ""
     """Of a part of a thing: ``corner middle block ...``."""

@@ -228,7 +228,8 @@ def _take_nouns(thing: Thing, nouns: list[Chunk]) -> None:
         thing.name = f"{thing.name} {' '.join(noun.words for noun in nouns[:-1])}"
         nouns = nouns[-1:]
     head: Noun = nouns[-1].value
-    thing.senses, thing.head = head.senses, nouns[-1].words
+    thing.modifiers = (*thing.head.split(), *[noun.words for noun in nouns[:-1]])
+    thing.senses, thing.head, thing.exact = head.senses, nouns[-1].words, head.exact
     keys = {s.label.partition("=")[0] for s in head.senses if s.label.endswith(("=*", "=yes"))}
     for noun in nouns[:-1]:
         special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])

@@ -38,6 +38,8 @@ class Referents:
         self.mentions: list[Mention] = [Mention(SPEAKER, "I"), Mention(LISTENER, "you")]
         self.heads: list[str] = ["", ""]
         """Common noun of every mention, in the singular."""
+        self.modifiers: list[frozenset[str]] = [frozenset(), frozenset()]
+        """Words before the noun."""
         self.negative: set[int] = set()
         """Mentions of what is said not to be there."""
         self.topic: int | None = None
@@ -56,7 +58,7 @@ class Referents:
                 return SPEAKER if self.topic is None else self.topic
         if thing.part and not thing.name:
             return None
-        head, senses = _lemma(thing.head.rpartition(" ")[2]), thing.senses
+        head, senses = _lemma(thing.head), thing.senses
         if not senses and not thing.name:
             head, senses = self._mended(thing.head)
             if not senses and not thing.determiner:
@@ -68,6 +70,9 @@ class Referents:
 
     def _mended(self, words: str) -> tuple[str, tuple[Sense, ...]]:
         """Noun and senses of unknown words: misspelt, or before a noun that says nothing."""
+        whole = self.vocabulary.senses(words)
+        if whole and " " in words:
+            return _lemma(words), whole
         rest, _, last = words.rpartition(" ")
         found = self.vocabulary.closest(last, cutoff=TYPING_ERROR)
         if found is None and rest and last in english().lists["generic"]:
@@ -86,9 +91,15 @@ class Referents:
         if thing.name:
             name = name_key(thing.name)
             return next((n for n in nodes if name_key(self.mentions[n].name) == name), None)
+        modifiers = _modifiers(thing)
         for n in nodes:
-            if self.heads[n] == head:
+            if (
+                _same_noun(self.heads[n], head, exact=thing.exact)
+                and modifiers <= self.modifiers[n]
+            ):
                 return n
+        if thing.exact:
+            return None
         if head in english().lists["roads"]:
             if self.street is not None and self.street not in skipped:
                 return self.street
@@ -107,6 +118,7 @@ class Referents:
         count = thing.count if thing.count is not None and thing.count >= 2 else None
         self.mentions.append(Mention(node, words, senses, thing.name, count, definite))
         self.heads.append(head)
+        self.modifiers.append(_modifiers(thing))
         if thing.determiner == "NO":
             self.negative.add(node)
         if self.is_road(node):
@@ -140,6 +152,15 @@ class Referents:
 def name_key(name: str) -> str:
     """Name in normal form, without an article."""
     return normalise(name).removeprefix("the ")
+
+
+def _modifiers(thing: Thing) -> frozenset[str]:
+    return frozenset(thing.modifiers) - {"same"}
+
+
+def _same_noun(known: str, noun: str, *, exact: bool) -> bool:
+    """Tell whether a noun can mean one known: "the lot" is the parking lot."""
+    return known == noun or (not exact and known.endswith(f" {noun}"))
 
 
 def _lemma(noun: str) -> str:

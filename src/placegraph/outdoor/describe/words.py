@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from placegraph.outdoor.describe.lexicon import english
 from placegraph.outdoor.describe.measures import MEASURE, metres
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 _SPELLINGS = {
     other: one
@@ -95,7 +98,7 @@ class Word(NamedTuple):
 _SCAN = re.compile(
     rf"""
     (?P<measure>{MEASURE})
-  | (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][\w'’&.-]*_[\w'’&.-]*\w)
+  | (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
   | (?P<word>[^\W_]+(?:['’`´][^\W_]+)*|&)
   | (?P<comma>[,:()\[\]–—/]|\s--?\s)
   | (?P<stop>[.!?;…]+|\n\s*\n)
@@ -110,10 +113,29 @@ _OPENS = re.compile(
 """What opens a new sentence even after a word that a full stop may shorten."""
 
 
-def scan(text: str) -> list[list[Word]]:
-    """Cut a text into sentences of words, distances and marks."""
+def scan(text: str, labels: Iterable[tuple[int, int]] = ()) -> list[list[Word]]:
+    """Cut a text into sentences of words, distances and marks.
+
+    Parameters
+    ----------
+    text
+        The text.
+    labels
+        (start, end) of stretches that are one label each, in order.
+    """
     sentences: list[list[Word]] = [[]]
-    for match in _SCAN.finditer(text):
+    at = 0
+    for start, end in (*labels, (len(text), len(text))):
+        _scan_between(text, at, start, sentences)
+        if end > start:
+            label = text[start:end]
+            sentences[-1].append(Word("label", label.lower(), label[0].isupper(), start, end))
+        at = end
+    return [sentence for sentence in sentences if sentence]
+
+
+def _scan_between(text: str, begin: int, stop: int, sentences: list[list[Word]]) -> None:
+    for match in _SCAN.finditer(text, begin, stop):
         kind, written = match.lastgroup or "", match.group()
         start, end = match.span()
         if kind == "stop":
@@ -123,7 +145,6 @@ def scan(text: str) -> list[list[Word]]:
         length = metres(written, match["number"]) if kind == "measure" else 0.0
         lower = written.lower().replace("’", "'")
         sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
-    return [sentence for sentence in sentences if sentence]
 
 
 def _ends_sentence(text: str, end: int, mark: str, sentence: list[Word]) -> bool:
