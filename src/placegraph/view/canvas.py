@@ -123,6 +123,8 @@ class Text:
     """What of the text stands at the place: its start (l), middle (m) or end (r)."""
     shift: tuple[float, float] = (0.0, 0.0)
     """Offset, right and down [px]."""
+    row: int = -1
+    """Row of the map object it names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +137,9 @@ class Glow:
     """West, south, east, north [m]."""
 
 
-Item = Area | Line | Dot | Stroke | Disc | Text | Glow
 MapItem = Area | Line | Dot
+Mark = Stroke | Disc | Text | Glow
+Item = MapItem | Mark
 
 
 def in_painters_order(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from placegraph.estimate import Estimate, Evidence, Place
+    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 
 HEAD, FOOT = 64, 30
@@ -176,7 +177,7 @@ def _marks(
 ) -> tuple[list[Item], Taken]:
     """Evidence of a mode, all modes, and the places these take."""
     taken = Taken()
-    marks: list[Item] = evidence_marks(city, mode) if mode else []
+    marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
     pins: list[Item] = []
     for number, other in enumerate(estimate.modes, 1):
         at = place_of(city, other)
@@ -195,11 +196,17 @@ def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: Taken) -> li
     for witness in seen:
         x, y = witness.at[0] * frame.scale, -witness.at[1] * frame.scale
         taken.claim([(x, y, 5.0)], force=True)
-    return [text for w in seen if (text := _beside(w.at, w.words, w.verdict, frame, face, taken))]
+    here = place_of(city, mode)
+    places = [w.middle if np.hypot(*(w.at - here)) < 1.0 else w.at for w in seen]
+    texts = [
+        _beside(at, w.words, w.verdict, frame, face, taken)
+        for w, at in zip(seen, places, strict=True)
+    ]
+    return [text for text in texts if text]
 
 
 def _beside(
-    at: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    at: Floats,
     words: str,
     ink: str,
     frame: Frame,

@@ -15,6 +15,8 @@ from placegraph.view.clip import clip_line, clip_ring
 from placegraph.view.style import POINT
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityObjects
     from placegraph.view.canvas import Bounds
@@ -23,18 +25,66 @@ COASTLINE = "natural=coastline"
 
 
 def sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
-    """Rings whose even-odd inside is the sea in a rectangle; empty where there is no sea."""
+    """Rings whose even-odd inside is the sea in a rectangle.
+
+    Empty where there is no sea, or where the coast is too fragmentary to tell.
+    """
     chains = _chains(objects)
+    if not chains:
+        return []
+    low, high = np.percentile(objects.center, (0.5, 99.5), axis=0)
+    known = (
+        max(bounds[0], float(low[0])),
+        max(bounds[1], float(low[1])),
+        min(bounds[2], float(high[0])),
+        min(bounds[3], float(high[1])),
+    )
+    for window in (bounds, known):  # beyond what an extract holds, chains may tangle
+        if window[0] < window[2] and window[1] < window[3]:
+            rings = _sea(chains, window)
+            if _agrees(rings, chains, window):
+                return rings
+    return []
+
+
+def _sea(chains: list[Floats], bounds: Bounds) -> list[Floats]:
     islands = [chain for chain in chains if (chain[0] == chain[-1]).all()]
     shores = [_prolonged(chain, bounds) for chain in chains if (chain[0] != chain[-1]).any()]
     pieces = [piece for shore in shores for piece in clip_line(shore, bounds)]
-    if pieces:
-        rings = _closed(pieces, bounds)
-    elif chains and _is_seaward(chains, ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)):
-        rings = [_corners(bounds)]
-    else:
-        return []
+    rings = _closed(pieces, bounds)
+    if not pieces:
+        corner = np.array([bounds[:2]])
+        if _is_seaward(chains, bounds[:2]) != _inside(islands, corner)[0]:
+            rings = [_corners(bounds)]
     return rings + [ring for island in islands if len(ring := clip_ring(island, bounds)) > 3]
+
+
+def _agrees(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
+    """Whether the rings hold the right hand of the coast in a rectangle, and not the left."""
+    start = np.concatenate([chain[:-1] for chain in chains])
+    delta = np.concatenate([np.diff(chain, axis=0) for chain in chains])
+    length = np.hypot(*delta.T)
+    middle = start + delta / 2
+    low, high = np.array(bounds[:2]) + 5.0, np.array(bounds[2:]) - 5.0
+    seen = np.flatnonzero(((middle > low) & (middle < high)).all(axis=1) & (length > 4.0))
+    seen = seen[:: 1 + len(seen) // 300]
+    if not len(seen):
+        return True
+    right = np.stack([delta[seen, 1], -delta[seen, 0]], axis=1) / length[seen, None]
+    wrong = ~_inside(rings, middle[seen] + right) | _inside(rings, middle[seen] - right)
+    return bool(wrong.mean() < 0.05)
+
+
+def _inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
+    """Whether points (N, 2) lie within rings, by the even-odd rule."""
+    odd = np.zeros(len(points), np.bool_)
+    for ring in rings:
+        (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
+        crosses = (y0 > points[:, 1:]) != (y1 > points[:, 1:])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = x0 + (points[:, 1:] - y0) / (y1 - y0) * (x1 - x0)
+        odd ^= (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
+    return odd
 
 
 def _chains(objects: CityObjects) -> list[Floats]:

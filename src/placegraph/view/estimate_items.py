@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.outdoor.raster import nearest_on_parts
-from placegraph.view.canvas import Bounds, Disc, Glow, Item, Stroke
+from placegraph.view.canvas import Bounds, Disc, Glow, Mark, Stroke
 from placegraph.view.city_items import common_name
 from placegraph.view.clip import clip_line, clip_ring
 from placegraph.view.style import AREA, LINE
@@ -140,7 +140,7 @@ def ellipse(city: CityMap, mode: Place) -> Floats:
     return ring
 
 
-def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float = 260.0) -> Bounds:
+def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float = 160.0) -> Bounds:
     """Rectangle that shows a mode and its evidence: west, south, east, north [m]."""
     at = place_of(city, mode)
     shown = [ellipse(city, mode), *(w.at[None] for w in witnesses(city, mode))]
@@ -150,10 +150,10 @@ def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float 
     return (*(at - half).tolist(), *(at + half).tolist())
 
 
-def evidence_marks(city: CityMap, mode: Place) -> list[Item]:
+def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
     """Lines from a mode to its witnesses, and marks on these."""
     at = place_of(city, mode)
-    marks: list[Item] = []
+    marks: list[Mark] = []
     for witness in reversed(witnesses(city, mode)):  # the weightiest on top
         color = VERDICT_COLOR[witness.verdict]
         dash = (5.0, 4.0) if witness.verdict == "against" else None
@@ -164,7 +164,7 @@ def evidence_marks(city: CityMap, mode: Place) -> list[Item]:
     return marks
 
 
-def _outline(objects: CityObjects, witness: Witness, at: Floats, color: str) -> list[Item]:
+def _outline(objects: CityObjects, witness: Witness, at: Floats, color: str) -> list[Mark]:
     """Outline of a witness that is a line or an area, near the mode."""
     if witness.row < 0 or objects.kind[witness.row] not in (LINE, AREA):
         return []

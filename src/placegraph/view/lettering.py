@@ -81,13 +81,26 @@ def letter(
     taken: Taken,
     *,
     skip: frozenset[int] = frozenset(),
+    already: Iterable[Text] = (),
 ) -> list[Text]:
     """Names for the items of a map drawn at `scale` [px/m], placed around what is `taken`.
 
     Parameters
     ----------
+    objects
+        What has names.
+    items
+        What is on the map.
+    scale
+        Pixels per metre.
+    face
+        Typeface, for the widths.
+    taken
+        Where nothing may stand; what is placed is added.
     skip
         Rows of objects that are lettered otherwise.
+    already
+        Names that stand there; streets are named again only far from them.
 
     """
     items = list(items)
@@ -97,9 +110,13 @@ def letter(
             taken.claim([(item.at[0] * scale, -item.at[1] * scale, 4.0)], force=True)
     placed: list[Text] = []
     streets: dict[str, list[Points]] = {}
-    for rank, _, name, item in wanted:
+    for text in already:
+        streets.setdefault(text.text, []).append(text.at)
+    for rank, extent, name, item in wanted:
         size = SIZES.get(rank, 11.0)
         width = face.width(name, size)
+        if isinstance(item, Line) and -extent * scale < width:
+            continue
         for text in _places(item, name, size, width, scale):
             near = (hypot(*(text.at - other)) * scale < REPEAT for other in streets.get(name, []))
             if isinstance(item, Line) and any(near):
@@ -147,20 +164,20 @@ def _places(item: MapItem, name: str, size: float, width: float, scale: float) -
     match item:
         case Dot(at):
             beside = PAINTS[item.paint].width / 2 + 4.0
-            yield Text(at, name, size, ink, anchor="l", shift=(beside, 0.0))
-            yield Text(at, name, size, ink, anchor="r", shift=(-beside, 0.0))
-            yield Text(at, name, size, ink, shift=(0.0, -beside - size / 2))
-            yield Text(at, name, size, ink, shift=(0.0, beside + size / 2))
+            yield Text(at, name, size, ink, 0.0, "l", (beside, 0.0), item.row)
+            yield Text(at, name, size, ink, 0.0, "r", (-beside, 0.0), item.row)
+            yield Text(at, name, size, ink, 0.0, "m", (0.0, -beside - size / 2), item.row)
+            yield Text(at, name, size, ink, 0.0, "m", (0.0, beside + size / 2), item.row)
         case Area(rings):
             box = np.ptp(rings[0], axis=0) * scale
             if width <= 1.1 * box[0] and size <= 0.8 * box[1]:
                 center = (rings[0].max(axis=0) + rings[0].min(axis=0)) / 2
-                yield Text(center, name, size, ink)
-                yield Text(center, name, size, ink, shift=(0.0, 1.6 * size))
+                yield Text(center, name, size, ink, row=item.row)
+                yield Text(center, name, size, ink, 0.0, "m", (0.0, 1.6 * size), item.row)
         case Line(parts):
             for part in parts:
                 for at, angle in _straight_stretches(part, (width + 8.0) / scale):
-                    yield Text(at, name, size, ink, angle)
+                    yield Text(at, name, size, ink, angle, row=item.row)
 
 
 def _straight_stretches(line: Points, length: float) -> Iterator[tuple[Floats, float]]:

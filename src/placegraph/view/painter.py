@@ -54,7 +54,7 @@ def paint_picture(
     Where it is not to be reduced yet, the picture is `SUPERSAMPLE` times as large.
     """
     large = _Painter(items, frame, dark=dark).paint(items)
-    return large.resize((frame.width, frame.height), Image.Resampling.LANCZOS) if reduce else large
+    return large.reduce(SUPERSAMPLE) if reduce else large
 
 
 class _Painter:
@@ -170,22 +170,22 @@ class _Painter:
     def dot(self, item: Dot, paint: Paint) -> None:
         at = self.frame.to_px(item.at)
         radius = paint.width / 2 * SUPERSAMPLE
-        if paint.shape == "tree":
+        if paint.form == "crown":
             radius = paint.width / 2 * self.frame.scale
             self.circle(at, max(radius, SUPERSAMPLE), self.color(paint.fill, 0.8))
             return
         # far out, symbols shrink rather than cover the map
         radius *= min(1.0, 0.4 + 0.6 * self.frame.scale / SUPERSAMPLE)
         if paint.edge:
-            self.symbol(at, radius + SUPERSAMPLE, paint.shape, self.color(paint.edge))
-        self.symbol(at, radius, paint.shape, self.color(paint.fill))
+            self.symbol(at, radius + SUPERSAMPLE, paint.form, self.color(paint.edge))
+        self.symbol(at, radius, paint.form, self.color(paint.fill))
 
-    def symbol(self, at: Points, radius: float, shape: str, color: RGBA) -> None:
+    def symbol(self, at: Points, radius: float, form: str, color: RGBA) -> None:
         x, y = at.tolist()
-        if shape == "square":
+        if form == "square":
             r = radius * 0.85
             self.draw.rounded_rectangle((x - r, y - r, x + r, y + r), r / 3, color)
-        elif shape == "cross":
+        elif form == "cross":
             arm = radius * 0.42
             self.draw.rectangle((x - radius, y - arm, x + radius, y + arm), color)
             self.draw.rectangle((x - arm, y - radius, x + arm, y + radius), color)

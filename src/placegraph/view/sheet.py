@@ -30,8 +30,7 @@ class Sheet:
     def save(self, path: str | Path) -> Path:
         """Write the sheet as a PNG."""
         path = Path(path)
-        small = self.image.resize((self.width, self.height), Image.Resampling.LANCZOS)
-        small.save(path, "PNG", optimize=True)
+        self.image.reduce(SUPERSAMPLE).save(path, "PNG", optimize=True)
         return path
 
     def paste(self, picture: Image.Image, corner: tuple[int, int]) -> None:

@@ -69,16 +69,15 @@ PALETTE: dict[str, tuple[str, str]] = {
 class Paint:
     """How one class of things is drawn. Colours are names of the palette; empty draws nothing."""
 
-    fill: str = ""
-    """Of areas, of lines and of points."""
+    form: str
+    """``area``, ``line``, ``crown`` (of a tree), or a symbol: ``disc``, ``square``, ``cross``."""
+    fill: str
     edge: str = ""
-    """Outline of areas, casing of lines, rim of points."""
+    """Outline of areas, casing of lines, rim of symbols."""
     width: float = 0.0
-    """Of lines [m]; diameter of points [px of the page]."""
+    """Width of lines, diameter of crowns [m]; diameter of symbols [px]."""
     dash: tuple[float, float] | None = None
     """Drawn and blank length of a dashed line [m]."""
-    shape: str = "disc"
-    """Of points: disc, square, cross, or tree (a crown, in metres)."""
     ink: str = "soft-ink"
     """Of lettering."""
     rank: int = 9
@@ -89,51 +88,51 @@ class Paint:
 
 PAINTS: dict[str, Paint] = {
     # areas, in painter's order
-    "sea": Paint("water", ink="water-ink"),
-    "urban": Paint("urban"),
-    "farm": Paint("farm"),
-    "grounds": Paint("grounds", rank=5),
-    "grass": Paint("grass"),
-    "cemetery": Paint("cemetery", ink="park-ink", rank=4),
-    "park": Paint("park", ink="park-ink", rank=2),
-    "wood": Paint("wood", ink="park-ink", rank=4),
-    "sand": Paint("sand"),
-    "rock": Paint("rock"),
-    "pitch": Paint("pitch", ink="park-ink", rank=6),
-    "water": Paint("water", "shore", ink="water-ink", rank=2),
-    "parking": Paint("parking"),
-    "plaza": Paint("plaza", "plaza-edge", rank=3),
+    "sea": Paint("area", "water", ink="water-ink"),
+    "urban": Paint("area", "urban"),
+    "farm": Paint("area", "farm"),
+    "grounds": Paint("area", "grounds", rank=5),
+    "grass": Paint("area", "grass"),
+    "cemetery": Paint("area", "cemetery", ink="park-ink", rank=4),
+    "park": Paint("area", "park", ink="park-ink", rank=2),
+    "wood": Paint("area", "wood", ink="park-ink", rank=4),
+    "sand": Paint("area", "sand"),
+    "rock": Paint("area", "rock"),
+    "pitch": Paint("area", "pitch", ink="park-ink", rank=6),
+    "water": Paint("area", "water", "shore", ink="water-ink", rank=2),
+    "parking": Paint("area", "parking"),
+    "plaza": Paint("area", "plaza", "plaza-edge", rank=3),
     # lines
-    "stream": Paint("water", "", 4.0, ink="water-ink", rank=5),
-    "river": Paint("water", "", 9.0, ink="water-ink", rank=2),
-    "shore": Paint("shore", "", 1.2),
-    "barrier": Paint("barrier", "", 0.6, since=0.4),
-    "path": Paint("path", "", 1.2, (3.0, 2.0), rank=7, since=0.15),
-    "steps": Paint("path", "", 2.4, (0.8, 0.8), rank=8, since=0.4),
-    "building": Paint("building", "building-edge"),
-    "landmark": Paint("landmark", "landmark-edge", rank=4),
-    "service": Paint("road", "road-edge", 3.6, rank=7, since=0.12),
-    "promenade": Paint("plaza", "plaza-edge", 5.5, rank=4),
-    "street": Paint("road", "road-edge", 6.5, rank=3),
-    "main-road": Paint("main-road", "main-road-edge", 9.0, rank=2),
-    "motorway": Paint("main-road", "main-road-edge", 12.0, rank=3),
-    "tram": Paint("rail", "", 1.4, since=0.2),
-    "rail": Paint("rail", "paper", 2.6, (5.0, 5.0)),
+    "stream": Paint("line", "water", "", 4.0, ink="water-ink", rank=5),
+    "river": Paint("line", "water", "", 9.0, ink="water-ink", rank=2),
+    "shore": Paint("line", "shore", "", 1.2),
+    "barrier": Paint("line", "barrier", "", 0.6, since=0.4),
+    "path": Paint("line", "path", "", 1.2, (3.0, 2.0), rank=7, since=0.15),
+    "steps": Paint("line", "path", "", 2.4, (0.8, 0.8), rank=8, since=0.4),
+    "building": Paint("area", "building", "building-edge"),
+    "landmark": Paint("area", "landmark", "landmark-edge", rank=4),
+    "service": Paint("line", "road", "road-edge", 3.6, rank=7, since=0.12),
+    "promenade": Paint("line", "plaza", "plaza-edge", 5.5, rank=4),
+    "street": Paint("line", "road", "road-edge", 6.5, rank=3),
+    "main-road": Paint("line", "main-road", "main-road-edge", 9.0, rank=2),
+    "motorway": Paint("line", "main-road", "main-road-edge", 12.0, rank=3),
+    "tram": Paint("line", "rail", "", 1.4, since=0.2),
+    "rail": Paint("line", "rail", "", 2.6, (5.0, 5.0)),
     # points
-    "tree": Paint("tree", "", 6.0, shape="tree", since=0.25),
-    "minor": Paint("minor", "", 4.0, since=1.2),
-    "furniture": Paint("minor", "paper", 6.0, shape="square", since=0.9),
-    "leisure": Paint("leisure", "paper", 8.0, rank=6, since=0.45),
-    "transit": Paint("transit", "paper", 9.0, shape="square", rank=5, since=0.45),
-    "shop": Paint("shop", "paper", 8.0, rank=6, since=0.45),
-    "health": Paint("health", "paper", 8.0, shape="cross", rank=5, since=0.45),
-    "civic": Paint("civic", "paper", 8.0, rank=5, since=0.45),
-    "food": Paint("food", "paper", 8.0, rank=6, since=0.45),
+    "tree": Paint("crown", "tree", "", 6.0, since=0.25),
+    "minor": Paint("disc", "minor", "", 4.0, since=1.2),
+    "furniture": Paint("square", "minor", "paper", 6.0, since=0.9),
+    "leisure": Paint("disc", "leisure", "paper", 8.0, rank=6, since=0.8),
+    "transit": Paint("square", "transit", "paper", 9.0, rank=5, since=0.6),
+    "shop": Paint("disc", "shop", "paper", 8.0, rank=6, since=0.8),
+    "health": Paint("cross", "health", "paper", 8.0, rank=5, since=0.8),
+    "civic": Paint("disc", "civic", "paper", 8.0, rank=5, since=0.8),
+    "food": Paint("disc", "food", "paper", 8.0, rank=6, since=0.8),
 }
 """Paints by name, in the order in which they are laid: the later lies on top."""
 
 LAYER = {name: layer for layer, name in enumerate(PAINTS)}
-CASED = frozenset(("service", "promenade", "street", "main-road", "motorway"))
+CASED = frozenset(name for name, paint in PAINTS.items() if paint.form == "line" and paint.edge)
 """Paints of roads: their edges lie below the surface of all of them, so that junctions are open."""
 
 RULES = {
@@ -187,7 +186,7 @@ tree        natural=tree
 minor       highway=crossing highway=give_way highway=stop highway=street_lamp
             highway=turning_circle highway=elevator entrance=* barrier=* power=*
             amenity=waste_basket amenity=vending_machine amenity=parking_entrance man_made=*
-            natural=* traffic_calming=* name=* emergency=* advertising=*
+            natural=* traffic_calming=* emergency=* advertising=*
 furniture   amenity=bench amenity=bicycle_parking amenity=recycling amenity=post_box
             amenity=telephone amenity=table amenity=parking amenity=shelter amenity=clock
             amenity=drinking_water amenity=bicycle_rental amenity=charging_station
@@ -201,7 +200,7 @@ health      amenity=pharmacy amenity=hospital amenity=doctors amenity=dentist am
 shop        shop=* craft=*
 leisure     leisure=* amenity=fountain
 civic       amenity=* tourism=* historic=* office=* club=* building=* military=* place=*
-minor       highway=* waterway=* landuse=*
+minor       highway=* waterway=* landuse=* name=*
 """,
 }
 """By kind of geometry: paints and the labels (or ``key=*``) they get; an indented line goes on."""
