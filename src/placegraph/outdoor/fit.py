@@ -35,14 +35,14 @@ def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def direction_fit(table, ux, uy, dx, dy):
-    """P(direction said) for a vector; vectors shorter than a few metres have no clear direction."""
+def direction_fit(table, ux, uy, dx, dy, blurred):
+    """P(direction said) for a vector; one not longer than its ends are uncertain has no direction."""
     d2 = dx * dx + dy * dy
     if d2 < 0.25:
         return np.float32(0.25)
     d = np.sqrt(d2)
     index = int(((dx * ux + dy * uy) / d + 1.0) * (0.5 * (TABLE - 1)) + 0.5)
-    blur = d2 / (d2 + BLUR)
+    blur = d2 / (d2 + blurred)
     return blur * table[min(TABLE - 1, max(0, index))] + (1.0 - blur) * np.float32(0.25)
 
 
@@ -69,7 +69,7 @@ def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     dx, dy = ax - bx, ay - by
     d = np.sqrt(dx * dx + dy * dy)
     if op == DIRECTION:
-        return direction_fit(table, ux, uy, dx, dy) * distance_fit(said, d)
+        return direction_fit(table, ux, uy, dx, dy, BLUR) * distance_fit(said, d)
     if op == NEAR:
         return _close(said, d)
     if op == ACROSS:
@@ -82,13 +82,13 @@ def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def me_fit(op, table, ux, uy, said, x, y, kind, forward):
+def me_fit(op, table, ux, uy, said, x, y, kind, forward, blurred):
     """P(geometry | the thing at (x, y) seen from v); `forward`: it is the source, v the target."""
     d = np.sqrt(x * x + y * y)
     if op == DIRECTION:
         if not forward:
             ux, uy = -ux, -uy
-        return direction_fit(table, ux, uy, x, y) * distance_fit(said, d)
+        return direction_fit(table, ux, uy, x, y, blurred) * distance_fit(said, d)
     if op == VISIBLE:
         return distance_fit(said, d)
     if op == NEAR:

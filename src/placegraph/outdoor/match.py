@@ -93,6 +93,8 @@ class InSight(NamedTuple):
     """Sum of `sight`."""
     pairs: float
     """Sum of `sight` products over ordered pairs of things that one does not stand in."""
+    blur: float
+    """Square of how uncertain the viewpoint itself is [m^2]."""
 
 
 class Fits(NamedTuple):
@@ -111,7 +113,7 @@ class Fits(NamedTuple):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def in_sight(scene, objects, at, sight, total, pairs, view):
+def in_sight(scene, objects, at, sight, total, pairs, blur, view):
     """`InSight` of the viewpoint `view` (2,) [m]."""
     stands = np.empty((len(objects), 2), np.float32)
     lies = np.ones(len(objects), np.bool_)
@@ -120,7 +122,7 @@ def in_sight(scene, objects, at, sight, total, pairs, view):
         if scene.kind[objects[e]] == AREA and at[e, 0] == 0.0 and at[e, 1] == 0.0:
             stands[e] = scene.center[objects[e]] - view
             lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL * SMALL
-    return InSight(objects, at, stands, lies, sight, total, pairs)
+    return InSight(objects, at, stands, lies, sight, total, pairs, blur)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -226,7 +228,7 @@ def _of_me(statements, s, scene, seen, fits):
             continue
         p = me_fit(
             op, statements.table[s], ux, uy, statements.distance[s],
-            where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward,
+            where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward, seen.blur,
         )  # fmt: skip
         fits.given[s, 0, i] = p
         mass += fits.fit[m, i] * p

@@ -36,10 +36,10 @@ FLOOR = 1e-7
 """Things cannot be rarer than this share of all things in sight."""
 CROWD = 30.0
 """Added to the number of pairs in sight, so that lonely places are not preferred."""
-MOST_FAR = 400
-"""Mentions of more objects than this are only looked for in sight."""
-RARE = 30
-"""Mentions of no more objects than this give candidates around them, out of sight."""
+MOST_FAR = 200
+"""Mentions of more objects than this are only looked for in sight, on a way as well."""
+RARE = 12
+"""Mentions of no more objects than this may be spoken of from out of sight."""
 NEARBY, FAR = 100.0, 350.0
 """Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
 SALIENT = 30.0
@@ -137,22 +137,20 @@ def _far(
 ) -> Far | None:
     """Objects of rare mentions, where a statement may be about things out of sight."""
     reaches = [s.far or s.distance is not None or SPEAKER in (s.source, s.target) for s in used]
-    if not any(reaches):
+    spoken = {n - 2 for s, r in zip(used, reaches, strict=True) if r for n in _things(s)}
+    walked = {n - 2 for s in used if s.far for n in _things(s)}
+    nothing = (np.zeros(0, np.int64), np.zeros(0, np.float32))
+    members = [
+        _members(*mention, city, most=MOST_FAR if m in walked else RARE) if m in spoken else nothing
+        for m, mention in enumerate(mentions)
+    ]
+    objects = np.concatenate([o for o, _ in members] or [nothing[0]])
+    if not len(objects):
         return None
-    members = [_members(tokens, weights, city) for tokens, weights in mentions]
-    spoken = {
-        n - 2
-        for s, r in zip(used, reaches, strict=True)
-        if r
-        for n in (s.source, s.target)
-        if n >= 2
-    }
-    rare = sorted(
-        (m for m in spoken if 0 < len(members[m][0]) <= RARE), key=lambda m: len(members[m][0])
-    )
+    few = sorted((o for o, _ in members if 0 < len(o) <= RARE), key=len)
     return Far(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
-        objects=np.concatenate([o for o, _ in members]),
+        objects=objects,
         fits=np.concatenate([f for _, f in members]),
         scale=np.array(
             [max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32
@@ -161,18 +159,24 @@ def _far(
             [(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)],
             np.float32,
         ),
-        anchors=np.concatenate([members[m][0] for m in rare] or [np.zeros(0, np.int64)]),
+        anchors=np.concatenate(few or [nothing[0]]),
     )
 
 
+def _things(statement: Statement) -> list[int]:
+    """Nodes of a statement that are things, not people."""
+    ends = (statement.source, statement.target)
+    return [node for node in ends if node not in (SPEAKER, LISTENER)]
+
+
 def _members(
-    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap
+    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap, *, most: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Objects of a mention and how well it fits them; none where there are too many to be rare."""
+    """Objects of a mention and how well it fits them; none where there are more than `most`."""
     starts, objects = city.token_objects
     tokens, weights = tokens[weights > KIND_ONLY], weights[weights > KIND_ONLY]
     sizes = starts[tokens + 1] - starts[tokens]
-    if not 0 < sizes.sum() <= MOST_FAR:
+    if not 0 < sizes.sum() <= most:
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
     found = np.concatenate([objects[starts[t] : starts[t + 1]] for t in tokens])
     fits = np.repeat(weights, sizes).astype(np.float32)

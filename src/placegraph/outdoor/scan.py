@@ -10,6 +10,8 @@ from placegraph.outdoor.index import SIGHT
 from placegraph.outdoor.match import HOPELESS, ME, SLACK, in_sight, likelihoods
 from placegraph.outdoor.raster import nearest_on_parts
 
+COARSE, FINE = 20.0, 5.0
+"""Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
 SHARP = 2.0
 """Width of the fall around `SIGHT` where positions are exact [m]."""
 
@@ -109,7 +111,7 @@ def score_views(statements, scene, views, words, chosen, bounds, far, together, 
         a, b = views.starts[v], views.starts[v + 1]
         seen = in_sight(
             scene, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
-            views.total[v], views.pairs[v], views.positions[v],
+            views.total[v], views.pairs[v], COARSE, views.positions[v],
         )  # fmt: skip
         scores[k] = likelihoods(
             statements, scene, words, seen, far[k], together, best - margin, each, nothing
@@ -152,7 +154,7 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
                 apart += sight[i]
                 squares += sight[i] * sight[i]
         pairs = max(apart * apart - squares, np.float32(0.0))
-        seen = in_sight(scene, nearby, where, sight, total, pairs, at[k].astype(np.float32))
+        seen = in_sight(scene, nearby, where, sight, total, pairs, FINE, at[k].astype(np.float32))
         scores[k] = likelihoods(
             statements, scene, words, seen, far[k], together, HOPELESS, each[k], served[k]
         )
@@ -197,7 +199,7 @@ def distant(statements, scene, far, positions):
                 p = np.exp(-d / far.scale[s])
                 if statements.op[s] == DIRECTION:
                     wx, wy = (ux, uy) if forward else (-ux, -uy)
-                    p *= direction_fit(statements.table[s], wx, wy, x, y)
+                    p *= direction_fit(statements.table[s], wx, wy, x, y, COARSE)
                 p *= distance_fit(statements.distance[s], d)
                 out[k, s] += far.share[s] * far.fits[i] * p
     return out

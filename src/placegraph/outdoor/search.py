@@ -27,7 +27,7 @@ MARGIN = 4.0
 """Viewpoints that must lie this far behind the best are not scored [nat]."""
 CLOSER = 10
 """This many of the best viewpoints are looked at more closely ..."""
-FAR_CANDIDATES = 8000
+FAR_CANDIDATES = 3000
 """At most this many where things out of sight are spoken of."""
 FAR_REACH = 400.0
 """Viewpoints up to this far from a rare thing spoken of from afar are candidates [m]."""
@@ -110,11 +110,8 @@ def _with_far(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Add viewpoints around rare things out of sight, and what those add to each statement."""
     views, statements = city.views, query.statements
-    anchors = city.objects.center[far.anchors]
-    around = [
-        np.flatnonzero(np.abs(views.positions - a).max(axis=1) < FAR_REACH)
-        for a in anchors[:MOST_ANCHORS]
-    ]
+    anchors = city.objects.center[far.anchors[:MOST_ANCHORS]]
+    around = [views.near(anchor, FAR_REACH) for anchor in anchors]
     if around:
         extra = np.setdiff1d(np.concatenate(around), chosen).astype(np.int32)
         extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
