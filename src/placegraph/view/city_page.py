@@ -46,7 +46,7 @@ def write_page(
 
     """
     path = Path(path)
-    title = title or f"Where am I? {city.source}"
+    title = title or f"Where am I? {city.source.partition('.')[0].replace('_', ' ')}"
     drawn = page_map(city, estimate)
 
     def at(longitude: float, latitude: float) -> str:

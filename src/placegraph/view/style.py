@@ -107,7 +107,7 @@ PAINTS: dict[str, Paint] = {
     "river": Paint("line", "water", "", 9.0, ink="water-ink", rank=2),
     "shore": Paint("line", "shore", "", 1.2),
     "barrier": Paint("line", "barrier", "", 0.6, since=0.4),
-    "path": Paint("line", "path", "", 1.2, (3.0, 2.0), rank=7, since=0.15),
+    "path": Paint("line", "path", "", 0.9, (2.6, 1.8), rank=7, since=0.15),
     "steps": Paint("line", "path", "", 2.4, (0.8, 0.8), rank=8, since=0.4),
     "building": Paint("area", "building", "building-edge"),
     "landmark": Paint("area", "landmark", "landmark-edge", rank=4),
