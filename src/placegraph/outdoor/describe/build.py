@@ -93,6 +93,8 @@ class Builder:
             self.refer.topic = max(goal, default=self.led_to)
         elif self.heads and self.heads[0] > LISTENER:
             self.refer.topic = self.heads[0]
+        elif goal:
+            self.refer.topic = max(goal)
         elif len(self.refer.mentions) > 2:
             self.refer.topic = len(self.refer.mentions) - 1
 

@@ -107,9 +107,11 @@ class Chunker:
             return self._chunk("DIST", i, 1, word.metres)
         if word.kind == "comma":
             return self._chunk("AND", i, 1)
-        name = self.text[word.start : word.end].replace("_", " ")
+        written = self.text[word.start : word.end]
+        name = written.replace("_", " ")
         senses = self.vocabulary.senses(word.lower)
-        if senses and not (word.capital and self._is_name(name)):
+        known = senses and "_" not in written and not self._is_name(name)
+        if known or not word.capital:
             return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
         return self._chunk("NAME", i, 1, Noun(senses or self._kind_of_name(name), name))
 
@@ -267,7 +269,7 @@ class Chunker:
     def _kind_of_name(self, name: str) -> tuple[Sense, ...]:
         """What a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
         words = [word.lower() for word in name.split()]
-        for n in (2, 1):
+        for n in (2, 1) if len(words) > 2 else (1,):
             senses = self.vocabulary.senses(" ".join(words[-n:]))
             if senses:
                 return tuple([Sense(s.label, NAMED_KIND * s.weight) for s in senses])

@@ -24,7 +24,7 @@ _SENTENCE = re.compile(
     re.MULTILINE,
 )
 _ENGLISH = re.compile(
-    r"\b(?:is|are|on|in|at|near|next|by|with|that|which|from|across|between|me|you|my|your|I)\b"
+    r"\b(?:is|are|on|in|at|near|next|by|with|that|which|from|across|between|me|you|my|your|I|the|a)\b"
 )
 """What makes a stretch of text more than a label."""
 
@@ -45,4 +45,4 @@ def _is_label(label: str, vocabulary: Words, names: NameFinder | None) -> bool:
         return True
     if _ENGLISH.search(label):
         return False
-    return label[:1].isupper() or bool(vocabulary.senses(label))
+    return label[:1].isupper() or " of " in label or bool(vocabulary.senses(label))

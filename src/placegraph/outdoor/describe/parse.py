@@ -209,7 +209,7 @@ class _Build(Transformer[Any, Any]):
                 thing.count = child.value if child.type == "NUM" else None
             elif child.type == "NAME":
                 thing.name, thing.senses = child.value.name, child.value.senses
-            elif child.type == "PART":
+            elif child.type == "PART" and not nouns:
                 thing.part = child.value
         thing.head = " ".join(words)
         if nouns:

@@ -118,6 +118,11 @@ def _not(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]
     return ()
 
 
+def _have(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """Drop the auxiliary of "have gone too far"."""
+    return () if _next(rest) == "TOOFAR" else (chunk,)
+
+
 def _go(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
     """Take "I am walking along" as where one is, "I am walking north" as where one faces."""
     if before != "BE":
@@ -202,6 +207,7 @@ _RULES = {
     "WHERE": _where,
     "NOT": _not,
     "GO": _go,
+    "HAVE": _have,
     "TO": _to,
     "A": _article,
     "ANOTHER": _article,
