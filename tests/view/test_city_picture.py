@@ -7,6 +7,9 @@ from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
 from placegraph.errors import OptionError
+from placegraph.estimate import Estimate, Evidence, ObjectRef, Place, Status
+from placegraph.outdoor.build import build_city
+from placegraph.synthetic.towns import Town
 from placegraph.view import draw_city, write_picture
 from placegraph.view.city_picture import length_words, round_length
 from placegraph.view.style import PALETTE
@@ -49,6 +52,18 @@ def test_a_dark_picture_is_dark(city, sure, tmp_path):
             brightness.append(np.asarray(image.convert("L")).mean())
     assert brightness[0] > 180
     assert brightness[1] < 90
+
+
+def test_names_that_no_face_draws_do_no_harm(tmp_path):
+    town = Town.parse("[drawing]\nB\n[legend]\nB: shop=bakery name=\U00012000\U00012001\n")
+    city = build_city(town.write_osm(tmp_path / "one.osm"), tmp_path / "one.city")
+    longitude, latitude = town.position("B")
+    ref = ObjectRef("node/1", "shop=bakery", "\U00012000\U00012001", longitude, latitude)
+    evidence = (Evidence("a bakery", "for", 1.0, (ref,)),)
+    mode = Place(longitude, latitude - 3e-4, 0.9, "", np.eye(2), evidence)
+    estimate = Estimate(Status.OK, (mode,), "Here.")
+    with Image.open(write_picture(city, estimate, tmp_path / "one.png")) as image:
+        assert ImageColor.getrgb(PALETTE["for"][0]) in colors(image)
 
 
 def test_a_city(city, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.view.canvas import Bounds, Disc, Frame, Item, Stroke, Text
-from placegraph.view.city_items import city_bounds, map_items
+from placegraph.view.city_items import city_bounds, common_name, map_items
 from placegraph.view.estimate_items import (
     ellipse,
     evidence_marks,
@@ -199,7 +199,9 @@ def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: Taken) -> li
     here = place_of(city, mode)
     places = [w.middle if np.hypot(*(w.at - here)) < 1.0 else w.at for w in seen]
     texts = [
-        _beside(at, w.words, w.verdict, frame, face, taken)
+        _beside(
+            at, face.drawable(w.words) or common_name(w.ref.label), w.verdict, frame, face, taken
+        )
         for w, at in zip(seen, places, strict=True)
     ]
     return [text for text in texts if text]
@@ -213,7 +215,7 @@ def _beside(
     face: Face,
     taken: Taken,
 ) -> Text | None:
-    size, words = 14.0, face.drawable(words)
+    size = 14.0
     width = face.width(words, size)
     x, _ = frame.to_px(at)
     sides = [("l", (9.0, 0.0)), ("r", (-9.0, 0.0)), ("m", (0.0, -15.0)), ("m", (0.0, 15.0))]
@@ -221,7 +223,7 @@ def _beside(
         sides = [*sides[1:], sides[0]]
     for anchor, shift in sides:
         text = Text(at, words, size, ink, anchor=anchor, shift=shift)
-        if words and taken.claim(covering(text, width + 4.0, frame.scale)):
+        if taken.claim(covering(text, width + 4.0, frame.scale)):
             return text
     return None
 

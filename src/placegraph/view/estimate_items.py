@@ -127,7 +127,8 @@ def rivals(estimate: Estimate, most: int) -> tuple[Place, ...]:
     if not estimate.modes:
         return ()
     least = 0.1 * estimate.modes[0].probability
-    return tuple(mode for mode in estimate.modes if mode.probability >= least)[:most]
+    others = (mode for mode in estimate.modes[1:] if mode.probability >= least)
+    return (estimate.modes[0], *others)[:most]
 
 
 def ellipse(city: CityMap, mode: Place) -> Floats:
