@@ -82,12 +82,14 @@ def read_osm(
     path = _check(Path(path))
     wanted = osmium.filter.KeyFilter(*sorted(keys))
     reader = _Reader(LeftOut() if left_out is None else left_out)
+    ending = next(s for s in SUFFIXES if path.name.lower().endswith(s))
+    file = osmium.io.File(path, ending.removeprefix("."))  # osmium knows lower case only
     try:
-        for item in osmium.FileProcessor(path).with_areas(wanted).with_filter(wanted):
+        for item in osmium.FileProcessor(file).with_areas(wanted).with_filter(wanted):
             element = reader.read(item)
             if element is not None:
                 yield element
-    except (RuntimeError, OSError, ValueError) as error:
+    except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         raise InputError(
             f"{path} cannot be read as OpenStreetMap data: {_one_line(error)}. "
             "It may be truncated or of another format; download or export it again."
@@ -170,7 +172,7 @@ def _check(path: Path) -> Path:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
 
 
 def is_area(tags: Mapping[str, str]) -> bool:
