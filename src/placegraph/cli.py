@@ -92,10 +92,7 @@ def build(
 
     words = Vocabulary.load(vocabulary) if vocabulary else None
     start = perf_counter()
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(
-        *columns, console=Console(stderr=True), disable=quiet or as_json, transient=True
-    ) as progress:
+    with _progress(hidden=quiet or as_json) as progress:
         task = progress.add_task("reading")
         city = build_city(
             file, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
@@ -312,13 +309,39 @@ def check(map_file: MapFile, as_json: AsJson = False) -> None:
 def fetch(
     place: Annotated[str, typer.Argument(help="Name of a place, such as 'Vaduz, Liechtenstein'.")],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="OpenStreetMap file to write (.osm or .osm.pbf).")
+        Path, typer.Option("--out", "-o", help="OpenStreetMap file to write: .osm or .osm.pbf.")
     ],
+    overpass_url: Annotated[
+        str | None, typer.Option(help="Another Overpass server than OSMnx's own.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Download a place's OpenStreetMap data from Overpass (extra `osmnx`)."""
+    """Download a place's OpenStreetMap data from Overpass (extra `osmnx`).
+
+    Example: placegraph city fetch "Vaduz, Liechtenstein" -o vaduz.osm
+    """
+    from dataclasses import asdict
+
     from placegraph.formats.overpass import fetch_osm
 
-    typer.echo(str(fetch_osm(place, out)))
+    with _progress(hidden=quiet or as_json) as progress:
+        task = progress.add_task("finding")
+        summary = fetch_osm(
+            place,
+            out,
+            overpass_url=overpass_url,
+            progress=lambda step, n: progress.update(task, description=f"{step} {n:,}"),
+        )
+    if as_json:
+        typer.echo(json.dumps(asdict(summary), ensure_ascii=False))
+    elif not quiet:
+        typer.echo(str(summary))
+
+
+def _progress(*, hidden: bool) -> Progress:
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    return Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True)
 
 
 @app.command("demo")

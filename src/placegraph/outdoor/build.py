@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.osm import LeftOut, OsmElement, read_osm
+from placegraph.formats.osm import LINE, LeftOut, OsmElement, read_osm
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap, CityObjects
 from placegraph.outdoor.simplify import centers, simplify
@@ -33,6 +33,8 @@ GRAIN = 0.5
 """Coordinates are stored in these steps [m]."""
 UNKNOWN = "name=*"
 """Label of things that have a name and no tag the vocabulary knows."""
+NOT_THINGS = frozenset({"boundary", "route", "type"})
+"""What carries such a key and no known tag is a line on the map, not a thing."""
 NAME_KEY = re.compile(
     r"(name|alt_name|official_name|short_name|loc_name|old_name|brand|name:[a-z]{2,3})$"
 )
@@ -147,9 +149,9 @@ def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
 def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]:
     """Labels of a thing known by its name alone; a name such as "parking lot" says what it is."""
     tags = element.tags
-    if "name" not in tags or "boundary" in tags or "route" in tags or "type" in tags:
+    if "name" not in tags or element.kind == LINE or not tags.keys().isdisjoint(NOT_THINGS):
         return ()
-    senses = vocabulary.senses(tags["name"]) if hasattr(vocabulary, "senses") else ()
+    senses = vocabulary.senses(tags["name"])
     best = [
         sense.label for sense in senses if sense.weight >= 0.9 and not sense.label.endswith("*")
     ]
@@ -160,8 +162,8 @@ def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
     n_parts = np.array([len(parts) for parts in columns.parts])
     flat = [part for parts in columns.parts for part in parts]
     lonlat = np.concatenate(flat)
-    low, high = lonlat.min(axis=0), lonlat.max(axis=0)
-    plane = LocalPlane(*(round(float(x), 4) for x in (low + high) / 2))
+    # the median: one far-off member of a clipped relation must not tilt the plane
+    plane = LocalPlane(*(round(float(x), 4) for x in np.median(lonlat, axis=0)))
     points, point_starts = simplify(
         plane.to_plane(lonlat), _starts([len(p) for p in flat]), TOLERANCE
     )

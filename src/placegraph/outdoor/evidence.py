@@ -9,7 +9,7 @@ import numpy as np
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor import scan
-from placegraph.outdoor.description import SPEAKER, Relation, Statement
+from placegraph.outdoor.description import LISTENER, SPEAKER, Relation, Statement
 from placegraph.outdoor.index import REACH
 from placegraph.outdoor.raster import nearest_on_parts
 
@@ -23,6 +23,16 @@ CERTAIN = 0.9
 """Prior that a mention means one thing: an explanation is one assignment."""
 TELLING = 0.25
 """A statement speaks for or against a place from this log-likelihood ratio on [nat]."""
+PHRASES = {
+    Relation.DIRECTION: "is in a direction of",
+    Relation.NEAR: "is near",
+    Relation.INSIDE: "is in",
+    Relation.ALONG: "is along",
+    Relation.ACROSS: "is across from",
+    Relation.BETWEEN: "is between",
+    Relation.VISIBLE: "is in sight of",
+    Relation.SAME: "is at",
+}
 WINDS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 
 
@@ -136,20 +146,23 @@ def reference(row: int, city: CityMap) -> ObjectRef:
 
 
 def said(statement: Statement, query: Query) -> str:
-    """A statement in its own words, or put into words."""
-    if statement.text:
+    """A statement in the text's own words; put into words where one sentence makes several."""
+    others = query.description.statements
+    if statement.text and sum(s.text == statement.text for s in others) == 1:
         return statement.text
     mentions = query.description.mentions
 
     def words(node: int | None) -> str:
-        if node is None or node <= 1:
-            return "you" if node else "me"
+        if node in (None, SPEAKER, LISTENER):
+            return "you" if node == LISTENER else "me"
         return mentions[node].name or mentions[node].words
 
-    how = (
-        wind(statement.bearing) + " of"
-        if statement.bearing is not None
-        else statement.relation.value
-    )
-    no = "not " if statement.negated else ""
-    return f"{words(statement.source)} {no}{how} {words(statement.target)}"
+    how = PHRASES[statement.relation]
+    if statement.bearing is not None:
+        how = f"is {wind(statement.bearing)} of"
+    if statement.negated:
+        how = how.replace("is ", "is not ", 1)
+    told = f"{words(statement.source)} {how} {words(statement.target)}"
+    if statement.relation is Relation.BETWEEN:
+        told += f" and {words(statement.target2)}"
+    return told.replace("me is", "I am").replace("you is", "you are")

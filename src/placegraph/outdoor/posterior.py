@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 TEMPER = 1.0
 """Exponent of the likelihood: statements about one place are not independent."""
-ELSEWHERE = 0.01
+ELSEWHERE = 0.03
 """Prior probability that the place is not on the map."""
 WITHIN = 50.0
 """A mode's probability is that of the true place lying within this distance [m]."""
@@ -40,21 +40,20 @@ def posterior(
     positions: NDArray[np.float64],
     scores: NDArray[np.float64],
     log_prior: NDArray[np.float64],
-    floor: float,
-    rest: float,
+    unscored: float,
 ) -> Posterior:
     """Bayes over viewpoints.
 
     `scores` (K,) are log-likelihood ratios against anywhere, `log_prior` (K,) log shares of the
-    viewpoints, `floor` the ratio of a viewpoint that was not scored, `rest` their prior share.
+    viewpoints, `unscored` the log of what all viewpoints together weigh that were not scored.
     """
-    weight = TEMPER * scores + log_prior + np.log1p(-ELSEWHERE)
-    unscored = TEMPER * floor + np.log(max(rest, 1e-12)) + np.log1p(-ELSEWHERE)
-    everything = np.concatenate((weight, [np.log(ELSEWHERE), unscored]))
-    log_total = np.logaddexp.reduce(everything)
-    return Posterior(
-        positions, np.exp(weight - log_total), float(np.exp(np.log(ELSEWHERE) - log_total))
+    here = TEMPER * scores + log_prior
+    log_total = np.logaddexp.reduce(
+        np.concatenate((here, [TEMPER * unscored])) + np.log1p(-ELSEWHERE)
     )
+    log_total = np.logaddexp(log_total, np.log(ELSEWHERE))
+    probabilities = np.exp(here + np.log1p(-ELSEWHERE) - log_total)
+    return Posterior(positions, probabilities, float(np.exp(np.log(ELSEWHERE) - log_total)))
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
         covariance = (weights[:, None] * delta).T @ delta / weights.sum()
         covariance += np.eye(2) * (spacing**2 / 12.0 + 1.0)
         mass = np.where(np.hypot(*delta.T) <= WITHIN, left, 0.0)
-        peaks.append(Mode(position, covariance, float(mass.sum())))
+        peaks.append(Mode(position, covariance, min(1.0, float(mass.sum()))))
         left = left - mass
         smooth[np.hypot(*delta.T) <= WITHIN] = 0.0
         smooth[near] = 0.0

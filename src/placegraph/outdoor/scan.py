@@ -12,45 +12,40 @@ from placegraph.outdoor.raster import nearest_on_parts
 
 COARSE, FINE = 20.0, 5.0
 """Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
+HIGHEST = 1e300
+"""Bounds are cut here: texts of a hundred statements must not overflow."""
 SHARP = 2.0
 """Width of the fall around `SIGHT` where positions are exact [m]."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def candidates(statements, mentions, views, most):
-    """Viewpoints (K,) worth scoring, the most promising first, and their bounds.
+def candidates(statements, mentions, views, weights, most):
+    """Viewpoints (K,) worth scoring, the most promising first, their bounds, and what is left out.
 
     Only viewpoints that have all things of at least one statement in sight are touched. The bound
-    is the likelihood ratio that the statements would have if every direction were right.
+    is the likelihood ratio that the statements would have if every direction were right (less what
+    `noise` grants them), times the prior `weights` (W,), all equal where empty. Left out is the sum
+    of the bounds of viewpoints that were touched but not returned.
     """
-    n_views, n_mentions = len(views.total), len(mentions.starts) - 1
-    mass = np.zeros((n_mentions, n_views), np.float32)
-    length = np.zeros(n_mentions, np.int64)
-    for m in range(n_mentions):
+    length = np.zeros(len(mentions.starts) - 1, np.int64)
+    for m in range(len(length)):
         for k in range(mentions.starts[m], mentions.starts[m + 1]):
-            token, weight = mentions.tokens[k], mentions.weights[k]
-            for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
-                mass[m, views.posting_views[p]] += weight * views.posting_mass[p]
+            token = mentions.tokens[k]
             length[m] += views.posting_starts[token + 1] - views.posting_starts[token]
-    bound = np.zeros(n_views, np.float32)
-    touched = np.empty(n_views, np.int32)
+    mass = _masses(statements, mentions, views, length)
+    bound = np.zeros(len(views.total))
+    touched = np.empty(len(views.total), np.int32)
     n_touched = 0
     for s in range(len(statements.op)):
-        if statements.negated[s]:
+        a, b = _scanned(statements, s, length)
+        if statements.negated[s] or a == ME:
             continue
-        a, b = statements.source[s], statements.target[s]
-        if statements.op[s] == BETWEEN and a == ME:
-            a = statements.target2[s]
-        if a == ME and b == ME:
-            continue
-        if a == ME or (b != ME and length[b] < length[a]):
-            a, b = b, a
         gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
         for k in range(mentions.starts[a], mentions.starts[a + 1]):
-            token = mentions.tokens[k]
+            token, weight = mentions.tokens[k], mentions.weights[k]
             for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
                 view = views.posting_views[p]
-                part = mentions.weights[k] * views.posting_mass[p]
+                part = weight * views.posting_mass[p]
                 if b == ME:
                     part /= views.total[view]
                 elif mass[b, view] > 0.0:
@@ -61,17 +56,52 @@ def candidates(statements, mentions, views, most):
                     bound[view] = 1.0
                     touched[n_touched] = view
                     n_touched += 1
-                bound[view] *= 1.0 + gain * min(part, np.float32(1.0))
-    return _heaviest(bound, touched[:n_touched], most)
+                bound[view] = min(HIGHEST, bound[view] * (1.0 + gain * min(part, np.float32(1.0))))
+    touched = touched[:n_touched]
+    total = 0.0
+    for view in touched:
+        if len(weights):
+            bound[view] *= weights[view]
+        total += bound[view]
+    chosen = _heaviest(bound, touched, most)
+    return chosen, bound[chosen], max(0.0, total - bound[chosen].sum())
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _scanned(statements, s, length):
+    """Mention whose viewpoints are scanned for a statement (the rarer one), and the one looked up."""
+    a, b = statements.source[s], statements.target[s]
+    if statements.op[s] == BETWEEN and a == ME:
+        a = statements.target2[s]
+    if a == ME or (b != ME and length[b] < length[a]):
+        a, b = b, a
+    return a, b
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _masses(statements, mentions, views, length):
+    """How much of each looked-up mention every viewpoint has in sight, (M, W) float32."""
+    mass = np.zeros((len(length), len(views.total)), np.float32)
+    needed = np.zeros(len(length), np.bool_)
+    for s in range(len(statements.op)):
+        _, b = _scanned(statements, s, length)
+        if b != ME and not statements.negated[s]:
+            needed[b] = True
+    for m in range(len(length)):
+        for k in range(mentions.starts[m], mentions.starts[m + 1] if needed[m] else 0):
+            token, weight = mentions.tokens[k], mentions.weights[k]
+            for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+                mass[m, views.posting_views[p]] += weight * views.posting_mass[p]
+    return mass
 
 
 @njit(cache=True, nogil=True)
 def _heaviest(bound, touched, most):
     """The `most` touched views of largest bound, largest first (buckets by the exponent's bits)."""
-    bits = bound.view(np.int32)
-    histogram = np.zeros(1 << 12, np.int64)
+    bits = bound.view(np.int64)
+    histogram = np.zeros(1 << 14, np.int64)
     for view in touched:
-        histogram[bits[view] >> 19] += 1
+        histogram[bits[view] >> 49] += 1
     floor, kept = len(histogram) - 1, histogram[-1]
     while floor > 0 and kept + histogram[floor - 1] <= most:
         floor -= 1
@@ -82,19 +112,19 @@ def _heaviest(bound, touched, most):
     chosen = np.empty(kept, np.int32)
     n = 0
     for view in touched:
-        if n < kept and bits[view] >> 19 >= floor:
+        if n < kept and bits[view] >> 49 >= floor:
             chosen[n] = view
             n += 1
-    order = np.argsort(-bound[chosen[:n]])
-    return chosen[:n][order], bound[chosen[:n]][order]
+    return chosen[:n][np.argsort(-bound[chosen[:n]])]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def score_views(statements, scene, views, words, chosen, bounds, far, together, margin):
+def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
     """Log-likelihood ratios (K,) of candidates, best bounds first.
 
-    Stops where a bound lies more than `margin` [nat] below the best score so far: nothing behind it
-    can matter. Rows not reached are `HOPELESS`.
+    `relative` (K,) is their log prior, against the largest. Stops where a bound lies more than
+    `margin` [nat] below the best so far: nothing behind it can matter. Rows not reached are
+    `HOPELESS`.
     """
     n_statements = len(statements.op)
     scores = np.full(len(chosen), HOPELESS, np.float32)
@@ -114,9 +144,17 @@ def score_views(statements, scene, views, words, chosen, bounds, far, together, 
             views.total[v], views.pairs[v], COARSE, views.positions[v],
         )  # fmt: skip
         scores[k] = likelihoods(
-            statements, scene, words, seen, far[k], together, best - margin, each, nothing
+            statements,
+            scene,
+            words,
+            seen,
+            far[k],
+            together,
+            best - margin - relative[k],
+            each,
+            nothing,
         )
-        best = max(best, scores[k])
+        best = max(best, scores[k] + relative[k])
     return scores
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.index import ViewIndex
     from placegraph.outdoor.query import Far, Query
 
 MOST_CANDIDATES = 800
@@ -52,6 +53,11 @@ class Prior:
     bearings: tuple[tuple[float, float, float], ...] = ()
     """... and what was said of the way from there: bearing [rad], sigma [rad], certainty."""
 
+    @property
+    def informative(self) -> bool:
+        """Whether anything is known."""
+        return self.near is not None or self.listener is not None
+
     def log(self, positions: NDArray[np.float64], n_views: int) -> NDArray[np.float64]:
         """Log prior probability (K,) of viewpoints; uniform where nothing is known."""
         prior = np.full(len(positions), -np.log(n_views))
@@ -77,37 +83,83 @@ def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     """Score the viewpoints of a city."""
-    views, scene = city.views, city.scene
-    statements = query.statements
+    views, statements = city.views, query.statements
+    n_views = len(views.positions)
+    log_prior = prior.log(views.positions, n_views) if prior.informative else np.zeros(0)
+    highest = float(log_prior.max()) if prior.informative else -float(np.log(n_views))
+    weights = np.exp(log_prior - highest)
+    if not query.used:
+        return _by_prior(views, log_prior)
     words = query.words(len(views.posting_starts) - 1)
     most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
-    columns = views.columns
-    chosen, bounds = scan.candidates(statements, query.mentions, columns, most)
+    chosen, bounds, left_out = scan.candidates(
+        statements, query.mentions, views.columns, weights, most
+    )
     far = np.zeros((len(chosen), len(statements.op)), np.float32)
     if query.far:
-        chosen, bounds, far = _with_far(query, query.far, city, prior, chosen, bounds)
+        chosen, bounds, far = _with_far(query, query.far, city, weights, chosen, bounds)
+    relative = log_prior[chosen] - highest if prior.informative else np.zeros(len(chosen))
     scores = scan.score_views(
-        statements, scene, columns, words, chosen, bounds, far, TOGETHER, MARGIN
+        statements,
+        city.scene,
+        views.columns,
+        words,
+        chosen,
+        bounds,
+        relative,
+        far,
+        TOGETHER,
+        MARGIN,
     )
-    reached = scores > 0.5 * HOPELESS
-    chosen, scores, far = chosen[reached], scores[reached], far[reached]
-    positions = views.positions[chosen].astype(np.float64)
-    log_prior = prior.log(positions, len(views.positions))
-    best = np.argsort(-(scores + log_prior), kind="stable")[:CLOSER]
-    rest = 1.0 - len(chosen) / len(views.positions)
-    positions, scores, log_prior = _closer(query, city, words, chosen, far, scores, log_prior, best)
     floor = float(np.log(statements.noise[~statements.negated]).sum())
-    return posterior(positions, scores.astype(np.float64), log_prior, floor, rest)
+    tail = slice(2 * len(chosen) // 3, None)
+    kept = np.exp(scores[tail] + relative[tail]).sum() / max(bounds[tail].sum(), 1e-300)
+    unscored = highest + np.log(kept * left_out + 1e-300)
+    reached = scores > 0.5 * HOPELESS
+    found = _Scored(
+        views.positions[chosen[reached]].astype(np.float64),
+        scores[reached],
+        relative[reached] + highest,
+        far[reached],
+    )
+    found = _closer(query, city, words, chosen[reached], found)
+    unseen = floor + np.log(max(1e-12, 1.0 - len(chosen) / n_views))
+    return posterior(
+        found.positions,
+        found.scores.astype(np.float64),
+        found.log_prior,
+        np.logaddexp(unscored, unseen),
+    )
+
+
+class _Scored(NamedTuple):
+    positions: NDArray[np.float64]
+    """(K, 2) [m]"""
+    scores: NDArray[np.float32]
+    """(K,) log-likelihood ratios."""
+    log_prior: NDArray[np.float64]
+    """(K,)"""
+    far: NDArray[np.float32]
+    """(K, S) what things out of sight add."""
+
+
+def _by_prior(views: ViewIndex, log_prior: NDArray[np.float64]) -> Posterior:
+    """Posterior where nothing but the way to the place was told."""
+    likely = np.argsort(-log_prior, kind="stable")[:FAR_CANDIDATES]
+    rest = np.log(max(1e-12, 1.0 - np.exp(log_prior[likely]).sum() / np.exp(log_prior).sum()))
+    norm = np.logaddexp.reduce(log_prior)
+    positions = views.positions[likely].astype(np.float64)
+    return posterior(positions, np.zeros(len(likely)), log_prior[likely] - norm, float(rest))
 
 
 def _with_far(
     query: Query,
     far: Far,
     city: CityMap,
-    prior: Prior,
+    weights: NDArray[np.float64],
     chosen: NDArray[np.int32],
-    bounds: NDArray[np.float32],
-) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    bounds: NDArray[np.float64],
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float32]]:
     """Add viewpoints around rare things out of sight, and what those add to each statement."""
     views, statements = city.views, query.statements
     anchors = city.objects.center[far.anchors[:MOST_ANCHORS]]
@@ -116,14 +168,12 @@ def _with_far(
         extra = np.setdiff1d(np.concatenate(around), chosen).astype(np.int32)
         extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
         chosen = np.concatenate([chosen, extra])
-        bounds = np.concatenate([bounds, np.ones(len(extra), np.float32)])
+        bounds = np.concatenate([bounds, weights[extra] if len(weights) else np.ones(len(extra))])
     added = scan.distant(statements, city.scene, far, views.positions[chosen])
     gain = (1.0 - statements.noise) / (statements.noise * statements.background)
-    total = np.log(bounds) + np.log1p(gain * added).sum(axis=1)
-    rank = total + prior.log(views.positions[chosen].astype(np.float64), len(views.positions))
-    order = np.argsort(-rank, kind="stable")[:MOST_CANDIDATES]
-    order = order[np.argsort(-total[order], kind="stable")]
-    return chosen[order], np.exp(np.minimum(total[order], 80.0)).astype(np.float32), added[order]
+    total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(gain * added).sum(axis=1)
+    order = np.argsort(-total, kind="stable")[:MOST_CANDIDATES]
+    return chosen[order], np.exp(np.minimum(total[order], 690.0)), added[order]
 
 
 def _closer(
@@ -131,35 +181,29 @@ def _closer(
     city: CityMap,
     words: NDArray[np.float32],
     chosen: NDArray[np.int32],
-    far: NDArray[np.float32],
-    scores: NDArray[np.float32],
-    log_prior: NDArray[np.float64],
-    best: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64]]:
+    found: _Scored,
+) -> _Scored:
     """Replace the best viewpoints by finer positions around them."""
-    positions = city.views.positions[chosen].astype(np.float64)
-    views, scene = city.views, city.scene
-    fine_at, fine_scores, fine_prior = [], [], []
+    views = city.views
+    best = np.argsort(-(found.scores + found.log_prior), kind="stable")[:CLOSER]
+    rest = np.setdiff1d(np.arange(len(chosen)), best)
+    parts = [
+        _Scored(found.positions[rest], found.scores[rest], found.log_prior[rest], found.far[rest])
+    ]
     for k in best:
         v = chosen[k]
         nearby = views.objects[views.starts[v] : views.starts[v + 1]]
-        at = positions[k] + FINE
-        again, _, _ = scan.look_again(
-            query.statements,
-            scene,
-            words,
-            at,
-            nearby,
-            np.tile(far[k], (len(at), 1)),
-            TOGETHER,
-            False,
+        at = found.positions[k] + FINE
+        far = np.tile(found.far[k], (len(at), 1))
+        scores, _, _ = scan.look_again(
+            query.statements, city.scene, words, at, nearby, far, TOGETHER, False
         )
-        fine_at.append(at)
-        fine_scores.append(again)
-        fine_prior.append(np.full(len(at), log_prior[k] - np.log(len(at))))
-    rest = np.setdiff1d(np.arange(len(chosen)), best)
-    return (
-        np.concatenate([positions[rest], *fine_at]),
-        np.concatenate([scores[rest], *fine_scores]),
-        np.concatenate([log_prior[rest], *fine_prior]),
+        parts.append(
+            _Scored(at, scores, np.full(len(at), found.log_prior[k] - np.log(len(at))), far)
+        )
+    return _Scored(
+        np.concatenate([part.positions for part in parts]),
+        np.concatenate([part.scores for part in parts]),
+        np.concatenate([part.log_prior for part in parts]),
+        np.concatenate([part.far for part in parts]),
     )

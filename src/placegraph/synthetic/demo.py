@@ -12,9 +12,10 @@ if TYPE_CHECKING:
 
 TOWN = "hafenstadt"
 SENTENCES = {
-    "clear": "",
-    "ambiguous": "",
-    "impossible": "",
+    "clear": "I'm on Lange Straße. A bakery is north of me, a tram stop is south of me, "
+    "and the church is to the southeast.",
+    "ambiguous": "I am standing on a square. There is a fountain north of me and a café to my east.",
+    "impossible": "A lighthouse is north of me and a zoo is to the south.",
 }
 
 
