@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +33,8 @@ TOLERANCE = 0.75
 """Outlines and lines are simplified to this error [m]: directions between things do not feel it."""
 GRAIN = 0.5
 """Coordinates are stored in these steps [m]."""
+LONGEST = 50_000.0
+"""Things longer than this, and longer than the city, are left out [m]: meridians, sea lanes."""
 UNKNOWN = "name=*"
 """Label of things that have a name and no tag the vocabulary knows."""
 NOT_THINGS = frozenset({"boundary", "route", "type"})
@@ -89,6 +93,8 @@ def build_city(
         Somebody else is writing the same map.
 
     """
+    if os.path.realpath(osm_path) == os.path.realpath(out_path):
+        raise OptionError(f"{osm_path} would be overwritten by its map; name another file.")
     stride = cell_size if stride is None else stride
     edge_distance = cell_size if edge_distance is None else edge_distance
     for name, value in (
@@ -105,10 +111,12 @@ def build_city(
     left_out = LeftOut()
     elements = read_osm(osm_path, {*vocabulary.keys, "name"}, left_out)
     columns = _label(elements, vocabulary, progress or (lambda _step, _n: None))
+    if columns.elements:
+        columns = _without_longest(columns, left_out)
     if not columns.elements:
         raise InputError(
-            f"{osm_path} holds nothing worth naming (roads, buildings, shops ...). "
-            "Choose a larger extract, or extend the vocabulary."
+            f"{osm_path} holds nothing worth naming (roads, buildings, shops ...); left out: "
+            f"{left_out}. Choose a larger extract, or extend the vocabulary."
         )
     plane, objects = _objects(columns)
     city = CityMap.create(
@@ -158,12 +166,32 @@ def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]
     return tuple(best[:3]) or (UNKNOWN,)
 
 
+def _without_longest(columns: _Columns, left_out: LeftOut) -> _Columns:
+    """Leave out what would stretch the map far beyond the city."""
+    lonlat = np.concatenate([part for parts in columns.parts for part in parts])
+    at = _plane(lonlat).to_plane(lonlat)
+    first = _starts([sum(map(len, parts)) for parts in columns.parts])[:-1]
+    span = np.maximum.reduceat(at, first) - np.minimum.reduceat(at, first)
+    city = np.ptp(np.percentile(at[first], (1, 99), axis=0), axis=0).max()
+    keep = span.max(axis=1) <= max(LONGEST, city)
+    if keep.all():
+        return columns
+    left_out.counts["things longer than the city"] += int((~keep).sum())
+    fields = (columns.elements, columns.labels, columns.names, columns.parts)
+    return _Columns(*(list(compress(field, keep)) for field in fields))
+
+
+def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
+    """Plane at the median: one far-off member of a clipped relation must not tilt it."""
+    median = np.percentile(lonlat, 50, axis=0, method="lower")  # of a point: dates have a line
+    return LocalPlane(*(round(float(x), 4) for x in median))
+
+
 def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
     n_parts = np.array([len(parts) for parts in columns.parts])
     flat = [part for parts in columns.parts for part in parts]
     lonlat = np.concatenate(flat)
-    # the median: one far-off member of a clipped relation must not tilt the plane
-    plane = LocalPlane(*(round(float(x), 4) for x in np.median(lonlat, axis=0)))
+    plane = _plane(lonlat)
     points, point_starts = simplify(
         plane.to_plane(lonlat), _starts([len(p) for p in flat]), TOLERANCE
     )

@@ -9,10 +9,10 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Estimate, Place, Status
-from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Relation, Statement
+from placegraph.outdoor.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.evidence import evidence_at
 from placegraph.outdoor.posterior import Mode, Posterior, modes, status_of
-from placegraph.outdoor.query import Query, compile_query
+from placegraph.outdoor.query import Query, compile_query, ends, standing_at
 from placegraph.outdoor.search import Prior, search
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ def locate(
     for answer in answers:
         description = answer.added_to(description)
     way, rest = _split(description, known=listener_at is not None)
-    query = compile_query(replace(description, statements=rest), city)
+    to_somebody = any(LISTENER in ends(s) for s in description.statements)
+    query = compile_query(replace(description, statements=rest), city, on_a_way=to_somebody)
     prior = Prior(near_at, radius, listener_at, way)
     if not query.used and not way:
         return Estimate(Status.LOST, (), _why_nothing(description, query), description)
@@ -97,11 +98,7 @@ def _split(
 
     Whatever the speaker stands at lies where the speaker does.
     """
-    here = {SPEAKER} | {
-        s.target
-        for s in description.statements
-        if s.relation is Relation.SAME and s.source == SPEAKER
-    }
+    here = standing_at(description.statements)
     way, rest = [], []
     for s in description.statements:
         if known and s.relation is Relation.DIRECTION and s.bearing is not None and not s.negated:

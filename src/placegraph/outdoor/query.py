@@ -20,6 +20,8 @@ from placegraph.outdoor.fit import TABLE, direction_table
 from placegraph.outdoor.match import ME, Statements
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from placegraph.outdoor.city import CityMap
@@ -104,8 +106,12 @@ class Query:
         return table
 
 
-def compile_query(description: Description, city: CityMap) -> Query:
-    """Compile a description against a map (Eq. 3-4 meet Eq. 7-8)."""
+def compile_query(description: Description, city: CityMap, *, on_a_way: bool = False) -> Query:
+    """Compile a description against a map (Eq. 3-4 meet Eq. 7-8).
+
+    `on_a_way` says that it describes the way to a place for somebody elsewhere: then more things
+    are out of sight.
+    """
     mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
     views = city.views
     share = [views.frequency(tokens, weights) for tokens, weights in mentions]
@@ -126,7 +132,7 @@ def compile_query(description: Description, city: CityMap) -> Query:
             np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
             np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
         ),
-        _far(used, mentions, city),
+        _far(used, mentions, city, on_a_way=on_a_way),
     )
 
 
@@ -134,14 +140,20 @@ def _far(
     used: list[Statement],
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
     city: CityMap,
+    *,
+    on_a_way: bool,
 ) -> Far | None:
     """Objects of rare mentions, where a statement may be about things out of sight."""
-    reaches = [s.far or s.distance is not None or SPEAKER in (s.source, s.target) for s in used]
-    spoken = {n - 2 for s, r in zip(used, reaches, strict=True) if r for n in _things(s)}
-    walked = {n - 2 for s in used if s.far for n in _things(s)}
+    here = standing_at(used)
+    on_a_way = any(s.far for s in used) or on_a_way
+    reaches = [s.far or s.distance is not None or not here.isdisjoint(ends(s)) for s in used]
+    spoken = {
+        n - 2 for s, r in zip(used, reaches, strict=True) if r for n in ends(s) if n not in here
+    }
     nothing = (np.zeros(0, np.int64), np.zeros(0, np.float32))
+    most = MOST_FAR if on_a_way else RARE
     members = [
-        _members(*mention, city, most=MOST_FAR if m in walked else RARE) if m in spoken else nothing
+        _members(*mention, city, most=most) if m in spoken else nothing
         for m, mention in enumerate(mentions)
     ]
     objects = np.concatenate([o for o, _ in members] or [nothing[0]])
@@ -163,10 +175,15 @@ def _far(
     )
 
 
-def _things(statement: Statement) -> list[int]:
-    """Nodes of a statement that are things, not people."""
-    ends = (statement.source, statement.target)
-    return [node for node in ends if node not in (SPEAKER, LISTENER)]
+def ends(statement: Statement) -> tuple[int, int]:
+    """Source and target of a statement."""
+    return statement.source, statement.target
+
+
+def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
+    """Nodes that are where the speaker is: the speaker, and what they stand at."""
+    at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
+    return frozenset(at | {SPEAKER})
 
 
 def _members(

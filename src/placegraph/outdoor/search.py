@@ -85,7 +85,9 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     """Score the viewpoints of a city."""
     views, statements = city.views, query.statements
     n_views = len(views.positions)
-    log_prior = prior.log(views.positions, n_views) if prior.informative else np.zeros(0)
+    log_prior = (
+        prior.log(views.positions.astype(np.float64), n_views) if prior.informative else np.zeros(0)
+    )
     highest = float(log_prior.max()) if prior.informative else -float(np.log(n_views))
     weights = np.exp(log_prior - highest)
     if not query.used:
