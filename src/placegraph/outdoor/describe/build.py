@@ -135,6 +135,8 @@ class Builder:
         if isinstance(owner, Thing):
             places = clause.before[1:]
             if owner.kind == "thing" and clause.after and isinstance(clause.after[0], Thing):
+                if not self.directive:
+                    self.refer.topic = self.refer.resolve(owner)
                 has = Place("at", owner.start, owner.end, (owner,), "TO")
                 places = (*places, has)  # "the street has a bakery"
         self._shown((*clause.after[:1], *places, *clause.after[1:]), said)
@@ -274,6 +276,8 @@ class Builder:
             self._say(items, [SPEAKER] if opens else self.heads, said)
         elif all(_is_person(item) for item in items):
             self.relator.reason = "says nothing about where things stand"
+        elif _is_bare_word(items):
+            self.relator.reason = UNKNOWN  # "Hello", "Qué": a capital alone makes no name
         else:
             bare = len(items) == 1 and not _has_no(items[0])
             sure = (LED if self.directive else MENTIONED) if bare else 1.0
@@ -297,10 +301,12 @@ class Builder:
                 said.shared = _shared(item, last, following)
                 group = self._relate_all(item, group or [SPEAKER], said)
                 last = item
-            elif last is not None and _joins(last, item) and not isinstance(following, Place):
+            elif last is not None and _joins(last, item, heads, following):
                 again = replace(last, targets=(*last.targets[:-1], item))
                 self._relate_all(again, group, said)
             elif (node := self._new_head(item)) is not None:
+                if spoken and not self.directive:
+                    self.refer.topic = spoken[-1]  # "a bakery ..., and a kiosk next to it"
                 group = [*group, node] if last is None and i else [node]
                 spoken.append(node)
                 last = None
@@ -327,19 +333,33 @@ def _has_no(item: Thing | Place) -> bool:
     return isinstance(item, Thing) and item.determiner == "NO"
 
 
+def _is_bare_word(items: Items) -> bool:
+    """Tell whether a clause is one word with a capital that nothing is known of."""
+    thing = items[0]
+    return (
+        len(items) == 1
+        and isinstance(thing, Thing)
+        and bool(thing.name)
+        and not thing.senses
+        and " " not in thing.name
+    )
+
+
 def _arrived(item: Thing | Place) -> Thing | Place:
     """Take "come to the garden" as meeting at the garden."""
     return replace(item, word="AT") if isinstance(item, Place) and item.word == "TO" else item
 
 
-def _joins(last: Place, thing: Thing) -> bool:
-    """Tell whether a thing after a place can be one more of its targets."""
-    return bool(
-        last.targets
-        and last.targets[-1].kind == "thing"
-        and thing.kind == "thing"
-        and last.how != "between"
+def _joins(
+    last: Place, thing: Thing, heads: Sequence[int], following: Thing | Place | None
+) -> bool:
+    """Tell whether a thing after a place is one more of its targets."""
+    mine = isinstance(following, Place) and (
+        following.owner == "MY" or any(thing.kind == "ME" for thing in following.targets)
     )
+    listed = not mine and (bool(heads) or not isinstance(following, Place))
+    things = bool(last.targets) and last.targets[-1].kind == thing.kind == "thing"
+    return listed and things and last.how != "between"
 
 
 def _shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 NAMED_KIND = 0.5
 """Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
+LONGEST_NOUN = 80
+"""Characters of a phrase that may name a kind of thing."""
 _ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
 _OPEN = frozenset(
     ("WORD", "GO", "PASS", "CROSS", "PART", "ADVERB", "PREP", "FACE", "SEE", "BE", "REACH", "SPOT")
@@ -102,6 +104,10 @@ class Chunker:
         self.name_at = {i: k for k, i in enumerate(at)}
         self.name_ends = at
 
+    def _senses(self, phrase: str) -> tuple[Sense, ...]:
+        """Senses of a phrase; none if it is longer than any that names a thing."""
+        return self.vocabulary.senses(phrase) if len(phrase) <= LONGEST_NOUN else ()
+
     def _mark(self, i: int, word: Word) -> Chunk:
         if word.kind == "measure":
             return self._chunk("DIST", i, 1, word.metres)
@@ -109,7 +115,7 @@ class Chunker:
             return self._chunk("AND", i, 1)
         written = self.text[word.start : word.end]
         name = written.replace("_", " ")
-        senses = self.vocabulary.senses(word.lower)
+        senses = self._senses(word.lower)
         known = senses and "_" not in written and not self._is_name(name)
         if known or not word.capital:
             return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
@@ -126,13 +132,16 @@ class Chunker:
         noun = None
         before = found[-1].type if found else ""
         if known is None or known[1][0].type in _OPEN:
-            noun = self.vocabulary.longest_match(self.lower, i) or self._noun_here(i, before)
+            noun = self.vocabulary.longest_match(self.lower, i)
         n_noun = noun[0] if noun else 0
         n_name = self._name(i, known, n_known, n_noun)
         if n_name:
             name = self.text[self.words[i].start : self.words[i + n_name - 1].end]
             found.append(self._chunk("NAME", i, n_name, Noun(self._kind_of_name(name), name)))
             return n_name
+        if noun is None and (known is None or known[1][0].type in _OPEN):
+            noun = self._noun_here(i, before)
+            n_noun = noun[0] if noun else 0
         if noun and (
             n_noun > n_known or (n_noun == n_known and known and _is_noun_here(known[1][0], before))
         ):
@@ -151,8 +160,13 @@ class Chunker:
             return None
         for n in (3, 2, 1):
             last = self.lexicon.longest(self.lower, min(i + n, len(self.lower)) - 1)
-            if i + n <= len(self.lower) and (last is None or (n > 1 and last[1][0].type in _OPEN)):
-                senses = self.vocabulary.senses(" ".join(self.lower[i : i + n]))
+            plain = all(word.kind == "word" for word in self.words[i : i + n])
+            if (
+                plain
+                and i + n <= len(self.lower)
+                and (last is None or (n > 1 and last[1][0].type in _OPEN))
+            ):
+                senses = self._senses(" ".join(self.lower[i : i + n]))
                 if senses:
                     return n, senses
         return None
@@ -166,7 +180,7 @@ class Chunker:
             return 1
         owner, apostrophe, _ = lower.partition("'")
         if apostrophe:
-            senses = self.vocabulary.senses(owner)
+            senses = self._senses(owner)
             if senses:
                 found.append(self._chunk("NOUN", i, 1, Noun(senses)))
                 found[-1].words = owner
@@ -189,6 +203,9 @@ class Chunker:
         capital = self.words[i].capital and not self.shouting
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
+        if known and known[1][0].type == "DET" and not spelt:  # "the bench" is no "The Bench"
+            n_noun = 1 + (self.vocabulary.longest_match(self.lower, i + 1) or (0, ()))[0]
+            mapped = mapped if mapped > n_noun else 0
         if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
             return spelt
         return max(mapped, spelt)
@@ -212,6 +229,8 @@ class Chunker:
         end = self._span(i)
         if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
             return 0  # "Find the", "Disregard the"
+        if end == i + 1 and word.lower in COUNTS:
+            return 0
         if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
             return 0  # "Bakery north of me", "the Cathedral"
         if n_noun >= end - i:
@@ -270,7 +289,7 @@ class Chunker:
         """What a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
         words = [word.lower() for word in name.split()]
         for n in (2, 1) if len(words) > 2 else (1,):
-            senses = self.vocabulary.senses(" ".join(words[-n:]))
+            senses = self._senses(" ".join(words[-n:]))
             if senses:
                 return tuple([Sense(s.label, NAMED_KIND * s.weight) for s in senses])
         return ()

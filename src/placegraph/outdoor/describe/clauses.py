@@ -86,7 +86,7 @@ class _Cutter:
             subject = self.current.pop()
         if self.has_verb and (subject is not None or kind in _STARTS):
             self.cut()  # "head south | meet me at the park"
-        if kind in _STARTS:
+        if kind in _STARTS or (kind == "BE" and subject is None):
             self._drop_joints()  # "to the north, there is"
         if subject is not None:
             if self.current and self.current[-1].type not in ("AND", "COND"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from placegraph.outdoor.describe.chunk import LONGEST_NOUN
 from placegraph.outdoor.describe.lexicon import english
 from placegraph.outdoor.describe.words import normalise, tokens
 from placegraph.outdoor.description import LISTENER, SPEAKER, Mention, Sense
@@ -70,6 +71,8 @@ class Referents:
 
     def _mended(self, words: str) -> tuple[str, tuple[Sense, ...]]:
         """Noun and senses of unknown words: misspelt, or before a noun that says nothing."""
+        if len(words) > LONGEST_NOUN:
+            return words, ()
         whole = self.vocabulary.senses(words)
         if whole and " " in words:
             return _lemma(words), whole

@@ -11,6 +11,7 @@ from placegraph.outdoor.describe.statements import (
     BLOCK,
     LISTENER_HEADING,
     NO_TARGET,
+    PASSED,
     ROUTE,
     SIDE_SIGMA,
     WEAK,
@@ -27,6 +28,7 @@ _SIMPLE = {
     "along": (Relation.ALONG, 1.0, None),
     "inside": (Relation.INSIDE, 1.0, None),
     "opposite": (Relation.ACROSS, 1.0, None),
+    "behind": (Relation.NEAR, WEAK, None),
     "same_block": (Relation.NEAR, 0.8, BLOCK),
     "on_top": (Relation.SAME, 1.0, None),
 }
@@ -170,7 +172,7 @@ class Relator(Statements):
             self.reason = "a side of a street without a direction"
         elif self.refer.is_line(target):
             self.add(said, Relation.ALONG, source, target, distance=place.distance)
-        elif part.part == "middle":
+        elif part.part in ("middle", "floor"):
             self.add(said, Relation.INSIDE, source, target)
         else:
             self.add(said, Relation.NEAR, source, target, distance=place.distance)
@@ -194,11 +196,16 @@ class Relator(Statements):
         elif word == "surrounded":
             self.add(said, Relation.NEAR, target, source)
         elif word in ("past", "before", "toward"):
-            near = place.distance is not None and not said.travel
+            far = said.travel or word == "toward"
             self.add(
-                said, Relation.NEAR, source, target,
-                distance=place.distance, certainty=0.8 if near else ROUTE, far=not near,
-            )  # fmt: skip
+                said,
+                Relation.NEAR,
+                source,
+                target,
+                distance=place.distance,
+                certainty=ROUTE if far else 0.8 if place.distance else PASSED,
+                far=far,
+            )
         else:
             relation, certainty, distance = _SIMPLE.get(word, (Relation.NEAR, 1.0, None))
             if relation is Relation.ALONG and not self.refer.is_line(target):
@@ -230,7 +237,7 @@ class Relator(Statements):
             self.add(
                 said, Relation.ACROSS, source, SPEAKER, target2=between, distance=place.distance
             )
-        elif between is not None and not self.refer.is_road(between):
+        elif self.directive and between is not None and not self.refer.is_road(between):
             self.add(said, Relation.ACROSS, source, LISTENER, target2=between, certainty=0.6)
         else:
             self.reason = NO_TARGET
@@ -244,7 +251,8 @@ class Relator(Statements):
     def _between(self, place: Place, source: int, said: Said) -> None:
         things = place.targets
         if len(things) == 1 and things[0].count == 2:  # "between two churches"
-            things = (replace(things[0], count=None), replace(things[0], count=None))
+            one = replace(things[0], count=None)
+            things = (one, replace(one, determiner="ANOTHER"))
         nodes = [self._target(thing, source) for thing in things]
         known = [node for node in nodes if node is not None]
         if len(known) == 2 and known[0] != known[1]:

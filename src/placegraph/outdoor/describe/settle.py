@@ -118,9 +118,9 @@ def _not(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]
     return ()
 
 
-def _have(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the auxiliary of "have gone too far"."""
-    return () if _next(rest) == "TOOFAR" else (chunk,)
+def _have(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """Drop the verb of "have gone too far", "we're having coffee at"."""
+    return () if before == "BE" or _next(rest) == "TOOFAR" else (chunk,)
 
 
 def _go(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
@@ -150,6 +150,14 @@ def _its(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]
     if chunk.words == "it's" and before in _LEADS:
         return (replace(chunk, type="ITS"),)
     return (chunk,)
+
+
+def _its_own(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """Read "its next to a school" as "it is next to a school"."""
+    owned = ("NOUN", "NAME", "WORD", "DIR", "PART", "NUM", "")
+    if chunk.words != "its" or before not in ("", *JOINTS) or _next(rest) in owned:
+        return (chunk,)
+    return replace(chunk, type="IT"), replace(chunk, type="BE")
 
 
 def _be(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
@@ -213,6 +221,7 @@ _RULES = {
     "ANOTHER": _article,
     "OF": _article,
     "IT": _its,
+    "ITS": _its_own,
     "BE": _be,
     "CALLED": _called,
     "LETS": _lets,

@@ -19,6 +19,8 @@ SIDE_SIGMA = 0.6
 """How loosely "on the north side of" is meant [rad]."""
 ROUTE = 0.4
 """Certainty of what only lies on the way."""
+PASSED = 0.6
+"""Certainty that what is "past" a thing is close to it."""
 WEAK = 0.7
 """Certainty of a relation that a preposition only suggests: "the entrance of the park"."""
 

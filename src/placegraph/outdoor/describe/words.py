@@ -51,17 +51,16 @@ _SPELLINGS = {
     for other in others.split()
 }
 _NAME_WORD = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|&")
-_APOSTROPHES = str.maketrans("", "", "'’`´")
 
 
 def fold(word: str) -> str:
     """Normal form of one word of a name: "Theatre" -> "theater", "Café" -> "cafe", "N" -> "north"."""
     if word == "&":
         return "and"
-    word = word.lower().translate(_APOSTROPHES)
-    if not word.isascii():
-        parts = unicodedata.normalize("NFKD", word)
-        word = "".join([c for c in parts if not unicodedata.combining(c)])
+    word = word.casefold()
+    if not word.isalnum() or not word.isascii():
+        parts = unicodedata.normalize("NFKD", word).casefold()
+        word = "".join([c for c in parts if c.isalnum()])
     return _SPELLINGS.get(word, word)
 
 
@@ -72,7 +71,7 @@ def tokens(text: str) -> list[str]:
     spelling for what is often shortened: ``"Ripley's_Aquarium"`` -> ``["ripleys", "aquarium"]``,
     ``"E Carson Street"`` -> ``["east", "carson", "st"]``.
     """
-    return [fold(word) for word in _NAME_WORD.findall(text)]
+    return [word for written in _NAME_WORD.findall(text) if (word := fold(written))]
 
 
 def normalise(text: str) -> str:
