@@ -177,8 +177,12 @@ def _without_longest(columns: _Columns, left_out: LeftOut) -> _Columns:
     if keep.all():
         return columns
     left_out.counts["things longer than the city"] += int((~keep).sum())
-    fields = (columns.elements, columns.labels, columns.names, columns.parts)
-    return _Columns(*(list(compress(field, keep)) for field in fields))
+    return _Columns(
+        list(compress(columns.elements, keep)),
+        list(compress(columns.labels, keep)),
+        list(compress(columns.names, keep)),
+        list(compress(columns.parts, keep)),
+    )
 
 
 def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
