@@ -7,9 +7,10 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from placegraph.outdoor.ask import Question
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.description import Description

@@ -38,13 +38,13 @@ FLOOR = 1e-7
 """Things cannot be rarer than this share of all things in sight."""
 CROWD = 30.0
 """Added to the number of pairs in sight, so that lonely places are not preferred."""
-MOST_FAR = 200
+MOST_FAR = 400
 """Mentions of more objects than this are only looked for in sight, on a way as well."""
 RARE = 12
 """Mentions of no more objects than this may be spoken of from out of sight."""
-NEARBY, FAR = 100.0, 350.0
+NEARBY, FAR = 80.0, 350.0
 """Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
-SALIENT = 30.0
+SALIENT = 20.0
 """About so many things out of sight come to mind."""
 GEOMETRY = {
     Relation.DIRECTION: 0.25,

@@ -34,7 +34,7 @@ FAR_REACH = 400.0
 """Viewpoints up to this far from a rare thing spoken of from afar are candidates [m]."""
 MOST_ANCHORS = 40
 """At most this many such things give candidates."""
-WALK = 600.0
+WALK = 800.0
 """Scale of the distance from a listener to the place they are told of [m]."""
 FINE = np.array([(x, y) for x in (-6.67, 0.0, 6.67) for y in (-6.67, 0.0, 6.67)])
 """... at these positions around them, east and north [m]."""
