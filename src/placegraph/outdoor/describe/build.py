@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from placegraph.outdoor.describe.nodes import Place, Thing
 from placegraph.outdoor.describe.refer import Referents
 from placegraph.outdoor.describe.relate import Relator
-from placegraph.outdoor.describe.statements import NO_MAP, ROUTE, UNKNOWN, Said
+from placegraph.outdoor.describe.statements import LEGS, NO_MAP, ROUTE, UNKNOWN, Said
 from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from placegraph.outdoor.describe.nodes import Clause
 
 Items = tuple[Thing | Place, ...]
-LEGS = (0.5, 0.25, 0.15)
-"""Certainty that the place lies in the direction of the first, second, third leg of a walk."""
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""
 LED = 0.5
@@ -65,7 +63,7 @@ class Builder:
     def take(self, clause: Clause, certainty: float, *, opens: bool) -> None:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
         words = self.text[clause.start : clause.end]
-        said = Said(words, certainty, clause.negated)
+        said = Said(words, certainty, clause.negated, walked=self.legs > 0)
         before = len(self.relator.statements), len(self.ignored)
         self.relator.reason = "says nothing about where things stand"
         if clause.condition:
@@ -229,7 +227,8 @@ class Builder:
         )
         to = place.word in ("TO", "AT") and len(place.targets) == 1
         if to and self.on_the_way is not None and not self.refer.is_line(self.on_the_way):
-            self.led_to = self.on_the_way
+            mention = self.refer.mentions[self.on_the_way]
+            self.led_to = self.on_the_way if mention.senses or mention.name else self.led_to
 
     def _leg(self, place: Place, said: Said) -> None:
         if place.direction.facing:

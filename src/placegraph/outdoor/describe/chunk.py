@@ -139,7 +139,7 @@ class Chunker:
             name = self.text[self.words[i].start : self.words[i + n_name - 1].end]
             found.append(self._chunk("NAME", i, n_name, Noun(self._kind_of_name(name), name)))
             return n_name
-        if noun is None and (known is None or known[1][0].type in _OPEN):
+        if noun is None and (known is None or known[1][0].type == "PART"):
             noun = self._noun_here(i, before)
             n_noun = noun[0] if noun else 0
         if noun and (
@@ -159,17 +159,24 @@ class Chunker:
         if before not in _NOUN_AFTER or (self.words[i].capital and not self.shouting):
             return None
         for n in (3, 2, 1):
-            last = self.lexicon.longest(self.lower, min(i + n, len(self.lower)) - 1)
-            plain = all(word.kind == "word" for word in self.words[i : i + n])
-            if (
-                plain
-                and i + n <= len(self.lower)
-                and (last is None or (n > 1 and last[1][0].type in _OPEN))
-            ):
-                senses = self._senses(" ".join(self.lower[i : i + n]))
-                if senses:
-                    return n, senses
+            words = self.words[i : i + n]
+            if len(words) < n or any(word.kind != "word" for word in words):
+                continue
+            last = self.lexicon.longest(self.lower, i + n - 1)
+            if last and (n == 1 or last[1][0].type not in _OPEN):
+                continue
+            senses = self._senses(" ".join(self.lower[i : i + n]))
+            if senses and not self._cuts(i, n):
+                return n, senses
         return None
+
+    def _cuts(self, i: int, n: int) -> bool:
+        """Tell whether a noun that begins within n words ends beyond them: "large | parking lot"."""
+        for j in range(i + 1, i + n):
+            inner = self.vocabulary.longest_match(self.lower, j)
+            if inner and j + inner[0] > i + n:
+                return True
+        return False
 
     def _other(self, i: int, found: list[Chunk]) -> int:
         """Append a number, a possessive, or a word that says nothing by itself."""
@@ -259,10 +266,12 @@ class Chunker:
         return 0 if at == i or before in self.lists["articles"] else at + 1 - i
 
     def _numbered(self, i: int) -> bool:
-        """Tell whether a name begins with the number at word i: "16th Street", "5th avenue"."""
-        if i + 1 >= len(self.words) or not _ORDINAL.fullmatch(self.lower[i]):
+        """Tell whether a name begins with the number at word i: "16th Street", "7-Eleven"."""
+        if i + 1 >= len(self.words):
             return False
         following = self.words[i + 1]
+        if not _ORDINAL.fullmatch(self.lower[i]):
+            return following.capital and self.text[self.words[i].end : following.start] == "-"
         return following.capital or following.lower in self.lists["suffixes"]
 
     def _span(self, i: int) -> int:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from placegraph.outdoor.describe.lexicon import Direction
 from placegraph.outdoor.describe.statements import (
     BLOCK,
+    FROM_YOU,
+    LEGS,
     LISTENER_HEADING,
     NO_TARGET,
     PASSED,
@@ -67,7 +69,9 @@ class Relator(Statements):
         seen = self._bearing(direction)
         if target is None or seen is None:
             return
-        sure = 1.0 if thing is not None or target == SPEAKER else 0.8
+        sure = 1.0 if thing is not None or target == SPEAKER else FROM_YOU
+        if sure < 1.0 and (said.walked or self.from_listener()):
+            sure = LEGS[-1]  # "your destination is to the north": of where the walk has led
         self.add(
             said, Relation.DIRECTION, source, target,
             direction=seen, distance=place.distance, certainty=sure, far=target == LISTENER,

@@ -138,11 +138,10 @@ def _to(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
 
 
 def _article(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop what stands before a distance: "a 2 minute walk", "for another 5 m"."""
-    after = [other.type for other in rest[:2]]
-    if after[:1] == ["DIST"] or (chunk.type == "OF" and after == ["ANOTHER", "DIST"]):
-        return ()
-    return (chunk,)
+    """Drop what stands before a measure: "a 2 minute walk", "for another 5 m", "a bit south of"."""
+    after = [other.type for other in rest[:4] if other.type != "ADVERB"][:2]
+    measured = after[:1] == ["DIST"] or (chunk.type == "OF" and after == ["ANOTHER", "DIST"])
+    return () if measured or (chunk.type == "A" and after == ["DIR", "OF"]) else (chunk,)
 
 
 def _its(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:

@@ -17,6 +17,10 @@ BLOCK = 100.0
 """Metres in a block."""
 SIDE_SIGMA = 0.6
 """How loosely "on the north side of" is meant [rad]."""
+FROM_YOU = 0.8
+"""Certainty that a direction of which nothing more is said is seen from the listener."""
+LEGS = (0.5, 0.25, 0.15)
+"""Certainty that the place lies in the direction of the first, second, third leg of a walk."""
 ROUTE = 0.4
 """Certainty of what only lies on the way."""
 PASSED = 0.6
@@ -39,6 +43,8 @@ class Said:
     certainty: float = 1.0
     negated: bool = False
     travel: bool = False
+    walked: bool = False
+    """Whether directions for a walk came before."""
     shared: Thing | None = None
     """Target of a direction beside one that has none: "north and slightly west of you"."""
 
@@ -130,3 +136,10 @@ class Statements:
             self.reason = "relates a thing to itself"
             return None
         return node
+
+    def from_listener(self) -> bool:
+        """Tell whether a direction from the listener has been said already."""
+        return any(
+            s.relation is Relation.DIRECTION and s.target == LISTENER and s.certainty >= FROM_YOU
+            for s in self.statements
+        )
