@@ -26,6 +26,12 @@ BESIDE = 15.0
 """Points and areas closer than this to a line stand "along" it [m]."""
 
 
+class UnknownCellError(OptionError, KeyError):
+    """There is no such cell; a `KeyError` too, so that `in` and `get` work as of any mapping."""
+
+    __str__ = Exception.__str__
+
+
 @dataclass(frozen=True)
 class Cell:
     """A square of the grid that holds at least two objects."""
@@ -51,14 +57,14 @@ class Cells(Mapping[str, Cell]):
     """(C,) grid points that are cells, ``row * columns + column``, ascending."""
 
     @cached_property
-    def _known(self) -> frozenset[int]:
-        return frozenset(self.points.tolist())
+    def _points(self) -> dict[str, int]:
+        return {self._id(point): point for point in self.points.tolist()}
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __iter__(self) -> Iterator[str]:
-        return (self._id(int(point)) for point in self.points)
+        return iter(self._points)
 
     def __getitem__(self, cell: str) -> Cell:
         lonlat = self.plane.to_lonlat(self.center(cell))
@@ -78,8 +84,8 @@ class Cells(Mapping[str, Cell]):
             or reach > self.size / 2
         ):
             return None
-        point = row * self.grid.columns + column
-        return self._id(point) if point in self._known else None
+        cell = self._id(row * self.grid.columns + column)
+        return cell if cell in self._points else None
 
     def nearest(self, east_north: NDArray[np.float64]) -> str:
         """Id of the cell that covers a position, else of the cell whose centre is nearest."""
@@ -107,14 +113,11 @@ class Cells(Mapping[str, Cell]):
 
     def point(self, cell: str) -> int:
         """Grid point of a cell; raises `OptionError` where there is no such cell."""
-        column, _, row = cell.removeprefix("c").partition("r")
-        if column.isdecimal() and row.isdecimal():
-            point = int(row) * self.grid.columns + int(column)
-            if point in self._known and self._id(point) == cell:
-                return point
-        raise OptionError(
-            f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
-        )
+        if cell not in self._points:
+            raise UnknownCellError(
+                f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
+            )
+        return self._points[cell]
 
     def _id(self, point: int) -> str:
         row, column = divmod(point, self.grid.columns)
@@ -203,13 +206,14 @@ def _relations(
         yield "near"
     kind = objects.kind[rows[target]]
     if kind in (LINE, AREA):
+        areas = kind == AREA == objects.kind[rows[source]]  # neighbours touch at their wall
         _, _, d2 = nearest_on_parts(
             objects.part_starts,
             objects.point_starts,
             objects.points,
             kind,
             rows[target],
-            *at[source],
+            *(objects.center[rows[source]] if areas else at[source]),
         )
         if kind == AREA and d2 == 0.0 and not _holds(objects, rows[source], rows[target]):
             yield "inside"
