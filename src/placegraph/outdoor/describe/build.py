@@ -83,6 +83,7 @@ class Builder:
             mention = self.refer.mentions[self.led_to]
             said = Said(mention.words)
             self.relator.add(said, Relation.SAME, SPEAKER, self.led_to, certainty=LED)
+            self.relator.goals.add(self.led_to)
 
     def _remember(self) -> None:
         """Decide what "it" will mean in the next clause."""
@@ -179,7 +180,8 @@ class Builder:
         if places and isinstance(places[0], Thing):  # "meet me the garden"
             thing = places[0]
             places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
-        if not places and self.led_to is not None:  # "go to the bank to meet me"
+        if not places:  # "you will see a bank. Meet me there."
+            self.led_to = self.heads[0] if self.heads and self.heads[0] > LISTENER else self.led_to
             self.finish()
             return
         self._say((*[_arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)
@@ -192,6 +194,8 @@ class Builder:
             return
         places = tuple(item for item in clause.before if isinstance(item, Place))
         self._walk((*places, *clause.after), clause.travel, said)
+        if clause.travel == "REACH":  # "get to the entrance"
+            self.led_to = self.on_the_way
 
     def _on_the_way(self, clause: Clause, said: Said) -> None:
         """What is met on the way: "when you see the bank", "until you reach Penn Avenue"."""
@@ -225,7 +229,7 @@ class Builder:
         self.on_the_way = self.refer.resolve(
             replace(place.targets[0], determiner="DET", count=None)
         )
-        to = place.word in ("TO", "AT") and len(place.targets) == 1
+        to = place.word in ("TO", "AT", "IN") and len(place.targets) == 1
         if to and self.on_the_way is not None and not self.refer.is_line(self.on_the_way):
             mention = self.refer.mentions[self.on_the_way]
             self.led_to = self.on_the_way if mention.senses or mention.name else self.led_to

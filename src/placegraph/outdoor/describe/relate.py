@@ -48,7 +48,9 @@ class Relator(Statements):
         before, self.reason = len(self.statements), "says nothing about where things stand"
         changed: int | None = getattr(self, f"_{place.how}")(place, source, said)
         if len(self.statements) == before:
-            self.ignored.append(Ignored(self.refer.text[place.start : place.end], self.reason))
+            left_out = Ignored(self.refer.text[place.start : place.end], self.reason)
+            if left_out not in self.ignored[-1:]:
+                self.ignored.append(left_out)
         elif place.negated:
             self.statements[before:] = [replace(s, negated=True) for s in self.statements[before:]]
         return source if changed is None else changed

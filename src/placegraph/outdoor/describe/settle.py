@@ -159,9 +159,11 @@ def _its_own(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, .
     return replace(chunk, type="IT"), replace(chunk, type="BE")
 
 
-def _be(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the verb of "at it's end"."""
-    return () if chunk.words == "it's" and before == "ITS" else (chunk,)
+def _be(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """Drop the verb of "at it's end" and of "you are too far"."""
+    return (
+        () if (chunk.words == "it's" and before == "ITS") or _next(rest) == "TOOFAR" else (chunk,)
+    )
 
 
 def _called(_chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
@@ -180,6 +182,9 @@ def _lets(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...
         if other.type in JOINTS:
             break
         if other.type in ("AT", "IN", "ON") or (other.type == "PREP" and other.value == "near"):
+            place = i
+            break
+        if other.type in ("DET", "THIS"):  # "let's visit the museum"
             place = i
             break
         if other.type in _DETERMINED and place == len(rest):
