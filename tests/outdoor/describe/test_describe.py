@@ -6,6 +6,7 @@ import time
 from math import pi, radians
 
 import pytest
+from rapidfuzz import fuzz
 
 from placegraph.errors import DescriptionError
 from placegraph.outdoor.describe import describe, normalise, tokens
@@ -49,8 +50,10 @@ class Names:
         lengths = [len(n) for n in self.names if tuple(words[start : start + len(n)]) == n]
         return max(lengths, default=0)
 
-    def closest_name(self, _phrase):
-        return None
+    def closest_name(self, phrase):
+        words = " ".join(tokens(phrase))
+        found = [(" ".join(n), fuzz.ratio(words, " ".join(n)) / 100) for n in self.names]
+        return max(found, key=lambda pair: pair[1], default=None)
 
 
 def test_names_of_the_map_are_found_in_small_letters():
@@ -71,6 +74,25 @@ def test_common_nouns_stay_nouns_though_the_map_has_such_names():
     names = Names("Park", "The Bench", "Bus Stop", "North")
     things = describe("The park is north of the bench and a bus stop.", names=names).mentions[2:]
     assert [m.name for m in things] == ["", "", ""]
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("Ripleys Acquarium of Canada", "ripleys aquarium of canada"),
+        ("Smalman Street", "smallman st"),
+        ("Quite Another Cafe", "Quite Another Cafe"),
+        ("4th Street", "4th Street"),
+        ("East Canal Street", "East Canal Street"),
+    ],
+)
+def test_misspelt_names_are_mended_where_the_map_tells(written, name):
+    names = Names(
+        "Ripley's Aquarium of Canada", "Smallman Street", "14th Street", "West Canal Street"
+    )
+    description = describe(f"I'm near the {written}.", names=names)
+    assert description.mentions[2].name == name
+    assert written in description.mentions[2].words
 
 
 def test_the_longest_name_wins():

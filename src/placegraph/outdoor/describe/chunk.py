@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 NAMED_KIND = 0.5
 """Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
+MISSPELT_NAME = 0.9
+"""Similarity from which a name is a misspelt one of the map."""
 LONGEST_NOUN = 80
 """Characters of a phrase that may name a kind of thing."""
 _ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
@@ -136,8 +138,9 @@ class Chunker:
         n_noun = noun[0] if noun else 0
         n_name = self._name(i, known, n_known, n_noun)
         if n_name:
-            name = self.text[self.words[i].start : self.words[i + n_name - 1].end]
-            found.append(self._chunk("NAME", i, n_name, Noun(self._kind_of_name(name), name)))
+            written = self.text[self.words[i].start : self.words[i + n_name - 1].end]
+            noun_of = Noun(self._kind_of_name(written), self._spelt_as_on_the_map(written))
+            found.append(self._chunk("NAME", i, n_name, noun_of))
             return n_name
         if noun is None and (known is None or known[1][0].type == "PART"):
             noun = self._noun_here(i, before)
@@ -153,6 +156,20 @@ class Chunker:
             )
             return n_known
         return self._other(i, found)
+
+    def _spelt_as_on_the_map(self, name: str) -> str:
+        """Return the map's spelling of a misspelt name, or the name as written."""
+        if self.names is None or self._is_name(name):
+            return name
+        close = self.names.closest_name(name)
+        if close is None or close[1] < MISSPELT_NAME:
+            return name
+        # "4th Street" is not "14th Street", and "East Street" is no misspelt "West Street"
+        telling = [
+            {word for word in tokens(one) if word in self.lexicon.compass or not word.isalpha()}
+            for one in (name, close[0])
+        ]
+        return close[0] if telling[0] == telling[1] else name
 
     def _noun_here(self, i: int, before: str) -> tuple[int, tuple[Sense, ...]] | None:
         """Return an ordinary word or phrase that names a thing where only a noun can stand."""
