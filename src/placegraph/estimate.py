@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from placegraph.outdoor.ask import Question
@@ -59,7 +62,11 @@ class Evidence:
     """What spoke against it, or why it was not used."""
 
 
-@dataclass(frozen=True, slots=True)
+def _no_evidence() -> tuple[Evidence, ...]:
+    return ()
+
+
+@dataclass(frozen=True, eq=False)
 class Place:
     """A mode of an outdoor estimate: a position, how sure it is, and why."""
 
@@ -73,7 +80,13 @@ class Place:
     """Id of the map's cell that holds the mode."""
     covariance: NDArray[np.float64]
     """(2, 2) float64, east-north [m^2]."""
-    evidence: tuple[Evidence, ...] = ()
+    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
+    """Finds the evidence."""
+
+    @cached_property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """What each statement says of this place; found when first asked for."""
+        return self.explain()
 
 
 @dataclass(frozen=True)

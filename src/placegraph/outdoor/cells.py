@@ -56,6 +56,17 @@ class Cells(Mapping[str, Cell]):
     points: NDArray[np.int64]
     """(C,) grid points that are cells, ``row * columns + column``, ascending."""
 
+    def check(self) -> None:
+        """Raise `ValueError` where this is no grid (a damaged or hand-made map)."""
+        sizes = (self.grid.stride, self.size, self.edge_distance)
+        if not all(0.0 < size < 1e6 for size in sizes):
+            raise ValueError(f"sizes {sizes}")
+        if not np.isfinite(self.grid).all() or (np.abs(self.grid[:2]) > 1e9).any():
+            raise ValueError(f"grid {self.grid}")
+        last = self.grid.columns * self.grid.rows
+        if (np.diff(self.points, prepend=-1, append=last) < 1).any():
+            raise ValueError("cells are not in order")
+
     @cached_property
     def _points(self) -> dict[str, int]:
         return {self._id(point): point for point in self.points.tolist()}

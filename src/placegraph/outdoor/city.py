@@ -97,10 +97,11 @@ class CityObjects:
         ):
             if len(starts) != n + 1:
                 raise ValueError(f"{name} are of {len(starts) - 1} objects instead of {n}")
-        if (n and np.diff(self.label_starts).min() < 1) or np.diff(self.point_starts).min(
-            initial=1
-        ) < 1:
-            raise ValueError("an object lacks a label or a point")
+        starts_of_all = (self.label_starts, self.part_starts, self.point_starts)
+        if not n or any(np.diff(starts).min(initial=1) < 1 for starts in starts_of_all):
+            raise ValueError("there is no object, or one lacks a label or a point")
+        if max(self.kind.max(), self.osm_type.max()) > 2:
+            raise ValueError("an object is of no known kind")
         for values, table, name in (
             (self.label_values, self.labels, "label_values"),
             (self.name_values, self.names, "name_values"),
@@ -200,6 +201,8 @@ class CityMap:
             meta = file.meta
             plane = LocalPlane(*map(float, meta["origin"]))
             grain = float(meta["grain"])
+            if not (0.0 < grain <= 1e3 and abs(plane.longitude) <= 180 and abs(plane.latitude) <= 90):
+                raise ValueError(f"grain {grain}, {plane}")
             kind = file.array("kind", "u1")
             part_starts = _starts(file.array("part_counts", "<u2"))
             point_starts = _starts(file.array("point_counts", "<u4"))
@@ -225,9 +228,10 @@ class CityMap:
             grid = Grid(float(east), float(north), float(grid_stride), int(columns), int(rows))
             size, edge = float(meta["cell_size"]), float(meta["edge_distance"])
             cells = Cells(plane, grid, size, edge, file.array("cells", "<i8"))
-            left_out = {str(k): int(v) for k, v in meta["left_out"].items()}
+            cells.check()
+            left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
             source = str(meta["source"])
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise MapError(
                 f"{path}: its columns contradict each other ({error}). Build it again."
             ) from error
@@ -344,4 +348,8 @@ class CityMap:
 
 
 def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
-    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64))).astype(np.int32)
+    """Bounds of counted entries; `ValueError` where they do not fit, which compiled code believes."""
+    starts = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+    if starts[-1] > np.iinfo(np.int32).max:
+        raise ValueError("counts are too large")
+    return starts.astype(np.int32)

@@ -30,7 +30,7 @@ FADE = 3.5
 """Width of the fall around `SIGHT` [m]."""
 REACH = 38.0
 """Beyond this distance a thing is not listed at a viewpoint [m]."""
-ENOUGH = 1.5
+ENOUGH = 2.0
 """A viewpoint needs this much in sight (sum of `sight`), or a point object close by."""
 SECOND_LABEL = (1.0, 0.35, 0.2)
 """How readily a thing is called by its first, second, third ... label."""
@@ -49,6 +49,7 @@ class ViewColumns(NamedTuple):
     posting_starts: NDArray[np.int64]
     posting_views: NDArray[np.int32]
     posting_mass: NDArray[np.float32]
+    posting_boxes: NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,8 @@ class ViewIndex:
     """Viewpoint, ascending within a token."""
     posting_mass: NDArray[np.float32]
     """Sum of `sight` times token weight over the viewpoint's objects of this token."""
+    posting_boxes: NDArray[np.int32]
+    """(P,) ends of the offsets of these objects [m]: west, south, east, north, a byte each."""
 
     @classmethod
     def build(cls, objects: CityObjects) -> ViewIndex:
@@ -107,7 +110,7 @@ class ViewIndex:
         )
         tokens = _tokens(objects)
         n_tokens = len(objects.labels) + len(objects.names)
-        postings = _postings(seen.starts, seen.objects, sight, *tokens, n_tokens)
+        postings = _postings(seen.starts, seen.objects, seen.offsets, sight, *tokens, n_tokens)
         return cls(
             positions.astype(np.float32),
             seen.starts,
@@ -188,8 +191,34 @@ def _tokens(
     return starts, values, weights
 
 
+EMPTY_BOX = 0x7F7F8181 - (1 << 32) if 0x7F7F8181 >= 1 << 31 else 0x7F7F8181
+"""Packed box that contains nothing: west and south 127, east and north -127."""
+
+
+@njit(cache=True, nogil=True, inline="always")
+def pack_box(west, south, east, north):
+    """Four numbers from -127 to 127 in one int32."""
+    low = ((west & 255) << 24) | ((south & 255) << 16) | ((east & 255) << 8) | (north & 255)
+    return np.int32(low if low < 1 << 31 else low - (1 << 32))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def unpack_box(box):
+    """West, south, east and north of a packed box."""
+    box = np.int64(box)
+    return box >> 24, (box << 40) >> 56, (box << 48) >> 56, (box << 56) >> 56
+
+
+@njit(cache=True, nogil=True, inline="always")
+def join_boxes(a, b):
+    """Smallest packed box around two."""
+    aw, as_, ae, an = unpack_box(a)
+    bw, bs, be, bn = unpack_box(b)
+    return pack_box(min(aw, bw), min(as_, bs), max(ae, be), max(an, bn))
+
+
 @njit(cache=True, nogil=True)
-def _postings(starts, objects, sight, token_starts, token_values, token_weights, n_tokens):
+def _postings(starts, objects, offsets, sight, token_starts, token_values, token_weights, n_tokens):
     sizes = np.zeros(n_tokens + 1, np.int64)
     last = np.full(n_tokens, -1, np.int64)
     for view in range(len(starts) - 1):
@@ -203,6 +232,7 @@ def _postings(starts, objects, sight, token_starts, token_values, token_weights,
     fill = bounds[:-1].copy()
     views = np.empty(bounds[-1], np.int32)
     mass = np.zeros(bounds[-1], np.float32)
+    boxes = np.empty(bounds[-1], np.int32)
     last[:] = -1
     for view in range(len(starts) - 1):
         for e in range(starts[view], starts[view + 1]):
@@ -211,6 +241,11 @@ def _postings(starts, objects, sight, token_starts, token_values, token_weights,
                 if last[token] != view:
                     last[token] = view
                     views[fill[token]] = view
+                    boxes[fill[token]] = EMPTY_BOX
                     fill[token] += 1
-                mass[fill[token] - 1] += sight[e] * token_weights[t]
-    return bounds, views, mass
+                p = fill[token] - 1
+                mass[p] += sight[e] * token_weights[t]
+                west, south = int(np.floor(offsets[e, 0])), int(np.floor(offsets[e, 1]))
+                east, north = int(np.ceil(offsets[e, 0])), int(np.ceil(offsets[e, 1]))
+                boxes[p] = join_boxes(boxes[p], pack_box(west, south, east, north))
+    return bounds, views, mass, boxes

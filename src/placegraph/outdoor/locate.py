@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -131,7 +132,7 @@ def _place(mode: Mode, city: CityMap, query: Query) -> Place:
         mode.probability,
         city.cells.nearest(mode.position),
         mode.covariance,
-        evidence_at(mode.position, city, query),
+        partial(evidence_at, mode.position, city, query),
     )
 
 

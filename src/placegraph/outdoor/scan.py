@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from placegraph.outdoor.fit import AREA, BETWEEN, DIRECTION, direction_fit, distance_fit
-from placegraph.outdoor.index import SIGHT
+from placegraph.outdoor.fit import AREA, BETWEEN, DIRECTION, TABLE, direction_fit, distance_fit
+from placegraph.outdoor.index import SIGHT, join_boxes, unpack_box
 from placegraph.outdoor.match import HOPELESS, ME, SLACK, in_sight, likelihoods
 from placegraph.outdoor.raster import nearest_on_parts
 
@@ -32,31 +32,25 @@ def candidates(statements, mentions, views, weights, most):
         for k in range(mentions.starts[m], mentions.starts[m + 1]):
             token = mentions.tokens[k]
             length[m] += views.posting_starts[token + 1] - views.posting_starts[token]
-    mass = _masses(statements, mentions, views, length)
+    mass = np.zeros(len(views.total), np.float32)
+    boxes = np.empty(len(views.total), np.int32)
     bound = np.zeros(len(views.total))
     touched = np.empty(len(views.total), np.int32)
     n_touched = 0
-    for s in range(len(statements.op)):
-        a, b = _scanned(statements, s, length)
-        if statements.negated[s] or a == ME:
-            continue
-        gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
-        for k in range(mentions.starts[a], mentions.starts[a + 1]):
-            token, weight = mentions.tokens[k], mentions.weights[k]
-            for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
-                view = views.posting_views[p]
-                part = weight * views.posting_mass[p]
-                if b == ME:
-                    part /= views.total[view]
-                elif mass[b, view] > 0.0:
-                    part *= mass[b, view] / (views.pairs[view] + statements.crowd)
-                else:
-                    continue
-                if bound[view] == 0.0:
-                    bound[view] = 1.0
-                    touched[n_touched] = view
-                    n_touched += 1
-                bound[view] = min(HIGHEST, bound[view] * (1.0 + gain * min(part, np.float32(1.0))))
+    for b in range(ME, len(length)):
+        filled = False
+        for s in range(len(statements.op)):
+            scanned, looked_up = _scanned(statements, s, length)
+            if statements.negated[s] or scanned == ME or looked_up != b:
+                continue
+            if b != ME and not filled:
+                _fill(mass, boxes, mentions, views, b)
+                filled = True
+            n_touched = _scan(
+                statements, s, scanned, b, mentions, views, mass, boxes, bound, touched, n_touched
+            )
+        if filled:
+            _clear(mass, mentions, views, b)
     touched = touched[:n_touched]
     total = 0.0
     for view in touched:
@@ -65,6 +59,36 @@ def candidates(statements, mentions, views, weights, most):
         total += bound[view]
     chosen = _heaviest(bound, touched, most)
     return chosen, bound[chosen], max(0.0, total - bound[chosen].sum())
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _scan(statements, s, a, b, mentions, views, mass, boxes, bound, touched, n_touched):
+    """Multiply the bounds of all viewpoints that see the things of one statement; a is scanned."""
+    gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
+    ux, uy = statements.bearing[s]
+    if a != statements.source[s]:
+        ux, uy = -ux, -uy
+    directed = statements.op[s] == DIRECTION
+    wrong = statements.table[s, TABLE // 2]
+    for k in range(mentions.starts[a], mentions.starts[a + 1]):
+        token, weight = mentions.tokens[k], mentions.weights[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            view = views.posting_views[p]
+            part = weight * views.posting_mass[p]
+            if b == ME:
+                part /= views.total[view]
+            elif mass[view] > 0.0:
+                part *= mass[view] / (views.pairs[view] + statements.crowd)
+                if directed and not _may_lie(ux, uy, views.posting_boxes[p], boxes[view]):
+                    part *= wrong
+            else:
+                continue
+            if bound[view] == 0.0:
+                bound[view] = 1.0
+                touched[n_touched] = view
+                n_touched += 1
+            bound[view] = min(HIGHEST, bound[view] * (1.0 + gain * min(part, np.float32(1.0))))
+    return n_touched
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -79,20 +103,38 @@ def _scanned(statements, s, length):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _masses(statements, mentions, views, length):
-    """How much of each looked-up mention every viewpoint has in sight, (M, W) float32."""
-    mass = np.zeros((len(length), len(views.total)), np.float32)
-    needed = np.zeros(len(length), np.bool_)
-    for s in range(len(statements.op)):
-        _, b = _scanned(statements, s, length)
-        if b != ME and not statements.negated[s]:
-            needed[b] = True
-    for m in range(len(length)):
-        for k in range(mentions.starts[m], mentions.starts[m + 1] if needed[m] else 0):
-            token, weight = mentions.tokens[k], mentions.weights[k]
-            for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
-                mass[m, views.posting_views[p]] += weight * views.posting_mass[p]
-    return mass
+def _fill(mass, boxes, mentions, views, m):
+    """How much of a mention every viewpoint has in sight, and the box it lies in."""
+    for k in range(mentions.starts[m], mentions.starts[m + 1]):
+        token, weight = mentions.tokens[k], mentions.weights[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            view = views.posting_views[p]
+            box = views.posting_boxes[p]
+            boxes[view] = box if mass[view] == 0.0 else join_boxes(boxes[view], box)
+            mass[view] += weight * views.posting_mass[p]
+
+
+@njit(cache=True, nogil=True)
+def _clear(mass, mentions, views, m):
+    """Undo `_fill`."""
+    for k in range(mentions.starts[m], mentions.starts[m + 1]):
+        token = mentions.tokens[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            mass[views.posting_views[p]] = 0.0
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _may_lie(ux, uy, box_a, box_b):
+    """Whether anything in one box may lie, seen from something in the other, near the direction u."""
+    west_a, south_a, east_a, north_a = unpack_box(box_a)
+    west_b, south_b, east_b, north_b = unpack_box(box_b)
+    west, east = np.float32(west_a - east_b), np.float32(east_a - west_b)
+    south, north = np.float32(south_a - north_b), np.float32(north_a - south_b)
+    ahead = max(west * ux, east * ux) + max(south * uy, north * uy)
+    left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
+    right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
+    aside = max(left, -right, np.float32(0.0))
+    return ahead > 0.0 and aside < np.float32(1.4) * ahead + np.float32(2.0)
 
 
 @njit(cache=True, nogil=True)

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from placegraph.outdoor.index import ViewIndex
     from placegraph.outdoor.query import Far, Query
 
-MOST_CANDIDATES = 800
+MOST_CANDIDATES = 400
 """At most this many viewpoints are scored."""
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""
 MARGIN = 4.0
 """Viewpoints that must lie this far behind the best are not scored [nat]."""
-CLOSER = 10
+CLOSER = 8
 """This many of the best viewpoints are looked at more closely ..."""
 FAR_CANDIDATES = 3000
 """At most this many where things out of sight are spoken of."""
