@@ -201,8 +201,7 @@ class CityMap:
             meta = file.meta
             plane = LocalPlane(*map(float, meta["origin"]))
             grain = float(meta["grain"])
-            if not (0.0 < grain <= 1e3 and abs(plane.longitude) <= 180 and abs(plane.latitude) <= 90):
-                raise ValueError(f"grain {grain}, {plane}")
+            _check_frame(plane, grain)
             kind = file.array("kind", "u1")
             part_starts = _starts(file.array("part_counts", "<u2"))
             point_starts = _starts(file.array("point_counts", "<u4"))
@@ -345,6 +344,11 @@ class CityMap:
 
     def __repr__(self) -> str:
         return f"CityMap({self.source!r}, {len(self.objects):,} objects, {len(self.cells):,} cells)"
+
+
+def _check_frame(plane: LocalPlane, grain: float) -> None:
+    if not (0.0 < grain <= 1e3 and abs(plane.longitude) <= 180.0 and abs(plane.latitude) <= 90.0):
+        raise ValueError(f"grain {grain}, {plane}")
 
 
 def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:

@@ -1,0 +1,305 @@
+"""The city map: what is saved is what is opened, and what is damaged is refused."""
+
+import json
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import placegraph as pg
+from placegraph.errors import InputError, MapError, PlacegraphError
+from placegraph.maps import open_map
+from placegraph.outdoor.city import KIND, VERSION, CityMap
+from placegraph.store import read_map, write_map
+
+TEXT = "I am next to a bench. A bakery is north of me. A church is east of the bakery."
+
+
+@pytest.fixture(scope="module")
+def stored(harbour_file):
+    """Metadata and columns of a sound map."""
+    file = read_map(harbour_file, KIND, VERSION)
+    return file.meta, file.arrays
+
+
+@pytest.fixture
+def forge(stored, tmp_path):
+    """Write a map whose checksums are right, but whose metadata or columns are changed."""
+
+    def write(meta=None, **arrays):
+        path = tmp_path / "forged.city"
+        columns = {k: v for k, v in (stored[1] | arrays).items() if v is not None}
+        write_map(path, KIND, VERSION, {**stored[0], **(meta or {})}, columns)
+        return path
+
+    return write
+
+
+def changed(column, index, value):
+    column = column.copy()
+    column.flat[index] = value
+    return column
+
+
+# --- sound maps ---
+
+
+def test_what_the_map_says_of_itself(harbour, stored):
+    meta, arrays = stored
+    assert meta["cell_size"] == 50.0
+    assert meta["source"] == "town.osm"
+    assert meta["left_out"] == {}
+    assert len(arrays["osm_id"]) == len(harbour.objects) > 200
+    assert "town.osm" in repr(harbour)
+    assert f"{len(harbour.cells)} cells" in repr(harbour)
+
+
+def test_every_object_can_be_asked(real_city):
+    o = real_city.objects
+    o.check()
+    for i in range(0, len(o), 7):
+        kind, number = o.osm(i).split("/")
+        assert kind in ("node", "way", "relation")
+        assert int(number) == o.osm_id[i]
+        assert o.label(i) in o.labels
+        assert o.name(i) == "" or o.name(i) in o.names
+        parts = o.parts(i)
+        assert parts
+        assert all(part.shape[1] == 2 and len(part) for part in parts)
+        if o.kind[i] == 2:
+            assert all((part[0] == part[-1]).all() for part in parts)
+        if o.kind[i] == 0:
+            np.testing.assert_array_equal(parts[0][0], o.center[i])
+
+
+def test_labels_are_found_by_label_and_by_key(harbour):
+    labels, index = harbour.objects.labels, harbour.label_index
+    for row, label in enumerate(labels):
+        assert index[label] == [row] or label.endswith("=*")
+        assert row in index[label.partition("=")[0] + "=*"]
+
+
+def test_objects_of_a_token(real_city):
+    starts, objects = real_city.token_objects
+    o = real_city.objects
+    for row, label in list(enumerate(o.labels))[::40]:
+        owners = {
+            i
+            for i in range(len(o))
+            if row in o.label_values[o.label_starts[i] : o.label_starts[i + 1]]
+        }
+        assert set(objects[starts[row] : starts[row + 1]].tolist()) == owners, label
+    shift = len(o.labels)
+    for row in range(0, len(o.names), 11):
+        found = objects[starts[shift + row] : starts[shift + row + 1]]
+        assert len(found)
+        for i in found:
+            names = o.name_values[o.name_starts[i] : o.name_starts[i + 1]]
+            assert row in names
+
+
+def test_a_map_is_what_open_map_opens(harbour_file):
+    assert isinstance(pg.open_map(harbour_file), pg.CityMap)
+    assert isinstance(pg.open_map(str(harbour_file)), pg.CityMap)
+    assert pg.open_map(harbour_file).locate(TEXT).best is not None
+
+
+def test_opening_twice_and_locating_is_the_same(harbour, harbour_file):
+    one, two = (open_map(harbour_file).locate(TEXT) for _ in range(2))
+    assert one.to_dict() == two.to_dict() == harbour.locate(TEXT).to_dict()
+
+
+def test_derived_columns_are_derived_once_by_all_threads(harbour_file):
+    city, seen = open_map(harbour_file), []
+    threads = [
+        threading.Thread(target=lambda: seen.append(city.locate(TEXT).to_dict())) for _ in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(seen) == 8
+    assert all(found == seen[0] for found in seen)
+
+
+def test_columns_of_an_open_map_cannot_be_written(harbour_file):
+    city = open_map(harbour_file)
+    with pytest.raises(AttributeError):
+        city.source = "other"
+    with pytest.raises(AttributeError):
+        city.objects.labels = ()
+
+
+# --- damaged and foreign maps ---
+
+
+def test_damage_anywhere_is_refused(harbour_file, tmp_path, rng):
+    whole = harbour_file.read_bytes()
+    path = tmp_path / "damaged.city"
+    for at in rng.integers(0, len(whole), 60):
+        content = bytearray(whole)
+        content[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content)
+        with pytest.raises((MapError, InputError), match=r"damaged\.city"):
+            open_map(path)
+    for end in [*range(1, 30), *rng.integers(30, len(whole), 40).tolist()]:
+        path.write_bytes(whole[:end])
+        with pytest.raises(MapError, match=r"damaged\.city"):
+            open_map(path)
+
+
+def test_a_damaged_column_is_named(harbour_file, tmp_path):
+    content = bytearray(harbour_file.read_bytes())
+    header = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    start = 20 + int.from_bytes(content[12:16], "little")
+    path = tmp_path / "damaged.city"
+    for block in header["arrays"]:
+        if not block["length"]:
+            continue
+        bad = content.copy()
+        bad[start + block["offset"] + block["length"] // 2] ^= 0xFF
+        path.write_bytes(bad)
+        with pytest.raises(MapError, match=f"column '{block['name']}'"):
+            open_map(path)
+
+
+@pytest.mark.parametrize(
+    "meta",
+    [
+        {"grain": 0}, {"grain": -1}, {"grain": 1e300}, {"grain": "wide"}, {"grain": None},
+        {"origin": [0]}, {"origin": [0, 0, 0]}, {"origin": [400, 0]}, {"origin": [0, 91]},
+        {"origin": "here"}, {"grid": [0, 0, 0, 1, 1]}, {"grid": [0, 0, 50, -3, 2]},
+        {"grid": [0, 0, 50, 0, 0]}, {"grid": [0, 0, 50, 1, 1]}, {"grid": [1e300, 0, 50, 40, 40]},
+        {"grid": [0, 0, 50]}, {"grid": {}}, {"cell_size": 0}, {"cell_size": -5},
+        {"edge_distance": -1}, {"cell_size": None}, {"left_out": {"nodes": "many"}},
+        {"left_out": 7}, {"left_out": None},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_metadata_that_make_no_sense(meta, forge):
+    with pytest.raises(MapError, match=r"forged\.city.* contradict each other.*Build it again"):
+        open_map(forge(meta))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["osm_type", "osm_id", "kind", "label_counts", "label_values", "name_counts", "name_values",
+     "part_counts", "point_counts", "points"],
+)  # fmt: skip
+@pytest.mark.parametrize("how", ["missing", "shorter", "longer", "empty", "float"])
+def test_columns_that_do_not_fit_each_other(name, how, forge, stored):
+    column = stored[1][name]
+    bad = {
+        "missing": None,
+        "shorter": column[:-1],
+        "longer": np.concatenate([column, column[:1]]),
+        "empty": column[:0],
+        "float": column.astype(np.float64),
+    }[how]
+    with pytest.raises(MapError, match=r"forged\.city"):
+        open_map(forge(**{name: bad}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("kind", 3), ("kind", 255), ("osm_type", 3), ("label_values", -1), ("label_values", 1 << 30),
+     ("name_values", -1), ("name_values", 1 << 30), ("part_counts", 0), ("point_counts", 0),
+     ("label_counts", 0), ("cells", -1), ("cells", 1 << 40)],
+)  # fmt: skip
+def test_values_that_point_nowhere(name, value, forge, stored):
+    with pytest.raises(MapError, match=r"forged\.city"):
+        open_map(forge(**{name: changed(stored[1][name], 3, value)}))
+
+
+def test_counts_that_overflow_do_not_reach_compiled_code(forge, stored):
+    """Three counts whose sum is right modulo 2^32: read as they are, they end the process."""
+    arrays = stored[1]
+    three = {name: arrays[name][:3] for name in ("osm_type", "osm_id", "kind", "label_values")}
+    counts = [2**31 - 1, 2**31 - 1, 2 + len(arrays["points"])]
+    path = forge(
+        **three,
+        label_counts=np.ones(3, np.uint8),
+        name_counts=np.zeros(3, np.uint16),
+        name_values=np.zeros(0, np.int32),
+        part_counts=np.ones(3, np.uint16),
+        point_counts=np.array(counts, np.uint32),
+    )
+    code = "import sys, placegraph; placegraph.open_map(sys.argv[1])"
+    run = subprocess.run(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", code, path], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 1, run.stderr
+    assert "MapError" in run.stderr
+    assert "counts are too large" in run.stderr
+
+
+def test_a_map_of_nothing_is_refused(forge, stored):
+    empty = {name: column[:0] for name, column in stored[1].items()}
+    with pytest.raises(MapError, match=r"forged\.city"):
+        open_map(forge(**empty))
+
+
+@given(data=st.data())
+def test_any_change_is_refused_or_harmless(data, stored, tmp_path_factory):
+    """A forged map may lie, but it must not crash whoever locates in it."""
+    meta, arrays = stored
+    arrays = dict(arrays)
+    name = data.draw(st.sampled_from(sorted(set(arrays) - {"points"})))
+    column = arrays[name]
+    values = st.integers(
+        *(int(x) for x in (np.iinfo(column.dtype).min, np.iinfo(column.dtype).max))
+    )
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(column) - 1))
+        column = changed(column, at, data.draw(values | st.integers(0, 3)))
+    path = tmp_path_factory.getbasetemp() / "any.city"
+    write_map(path, KIND, VERSION, meta, arrays | {name: column})
+    try:
+        city = open_map(path)
+    except PlacegraphError as error:
+        assert str(path) in str(error)  # noqa: PT017
+        return
+    assert city.locate("I am next to a bench.").status
+    for cell in list(city.cells)[:2]:
+        city.graph(cell)
+
+
+def test_checks_name_the_column(harbour):
+    o = harbour.objects
+    for column, name in (("kind", "kind"), ("points", "points"), ("osm_type", "osm_type")):
+        with pytest.raises(ValueError, match=name):
+            replace(o, **{column: getattr(o, column)[:-1]}).check()
+    with pytest.raises(ValueError, match="label_values point outside"):
+        replace(o, labels=o.labels[:-1]).check()
+
+
+def test_other_kinds_and_newer_versions(stored, tmp_path):
+    meta, arrays = stored
+    path = tmp_path / "a.city"
+    write_map(path, "scene", 1, meta, arrays)
+    with pytest.raises(MapError, match=r"a\.city is a scene map"):
+        open_map(path)
+    with pytest.raises(MapError, match=r"a\.city is a scene map, not a city map"):
+        CityMap.open(path)
+    write_map(path, KIND, VERSION + 1, meta, arrays)
+    with pytest.raises(MapError, match="update placegraph"):
+        open_map(path)
+
+
+def test_no_map_at_all(tmp_path):
+    (tmp_path / "empty.city").touch()
+    (tmp_path / "text.city").write_text("hello, map")
+    (tmp_path / "folder.city").mkdir()
+    for name, error in (
+        ("missing", InputError),
+        ("empty", InputError),
+        ("folder", InputError),
+        ("text", MapError),
+    ):
+        with pytest.raises(error, match=rf"{name}\.city"):
+            open_map(tmp_path / f"{name}.city")
