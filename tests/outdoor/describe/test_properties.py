@@ -24,7 +24,7 @@ LABELS = [
     "bench", "steps", "residential", "bicycle_parking", "fast_food", "grass", "tree", "stop",
     "traffic signals", "access road", "block of flats", "art", "Ripley's_Aquarium_of_Canada",
     "Café_de_Paris", "I_♥_Hats", "CNR_/_BCR", "St._Mary's_Church", "7-Eleven_(closed)",
-    "17e_Avenue", "Is_This_A_Shop?_Yes", "Ripley's Aquarium of Canada", "Rue Grimaldi",
+    "17e_Avenue", "479._Sokak", "Is_This_A_Shop?_Yes", "Ripley's Aquarium of Canada", "Rue Grimaldi",
     "West North Ave", "Hôtel Port Palace",
 ]  # fmt: skip
 TALK = """

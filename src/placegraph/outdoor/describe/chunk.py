@@ -116,10 +116,13 @@ class Chunker:
         if word.kind == "comma":
             return self._chunk("AND", i, 1)
         written = self.text[word.start : word.end]
-        name = written.replace("_", " ")
+        name, joined = written.replace("_", " "), "_" in written
         senses = self._senses(word.lower)
-        known = senses and "_" not in written and not self._is_name(name)
-        if known or not word.capital:
+        if word.capital:
+            common = bool(senses) and not joined and not self._is_name(name)
+        else:
+            common = bool(senses) or not (joined or name[0].isdigit())  # "479._Sokak"
+        if common:
             return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
         return self._chunk("NAME", i, 1, Noun(senses or self._kind_of_name(name), name))
 
@@ -142,7 +145,7 @@ class Chunker:
             noun_of = Noun(self._kind_of_name(written), self._spelt_as_on_the_map(written))
             found.append(self._chunk("NAME", i, n_name, noun_of))
             return n_name
-        if noun is None and (known is None or known[1][0].type == "PART"):
+        if noun is None and (known is None or known[1][0].type in ("PART", "GO", "CROSS")):
             noun = self._noun_here(i, before)
             n_noun = noun[0] if noun else 0
         if noun and (
