@@ -141,7 +141,7 @@ def _rasterize(segments: Floats, low: Floats, nx: int, ny: int) -> tuple[Ints, I
 
 
 @njit(cache=True)
-def _inside(x: float, y: float, segments: Floats) -> bool:
+def holds(x: float, y: float, segments: Floats) -> bool:
     """Whether (x, y) lies within rings given by their segments (even-odd rule)."""
     odd = False
     for s in range(len(segments)):
@@ -207,7 +207,7 @@ def _nearest_around(
         x, y = viewpoints[v]
         for o in _candidates(x, y, radius, grid, starts, owners):
             own = segments[segment_starts[o] : segment_starts[o + 1]]
-            if is_area[o] and _inside(x, y, own):
+            if is_area[o] and holds(x, y, own):
                 px, py = center[o]
                 d2 = (px - x) ** 2 + (py - y) ** 2
             else:

@@ -23,7 +23,6 @@ from placegraph.outdoor.description import (
     Statement,
 )
 from placegraph.outdoor.index import STRIDE
-from placegraph.outdoor.posterior import Posterior, modes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 YES, NO, UNKNOWN = "yes", "no", "don't know"
 NONE = "none of these"
 WINDS = {"north": 0.0, "east": np.pi / 2, "south": np.pi, "west": 1.5 * np.pi}
-MOST_MODES = 12
+MOST_PLACES = 600
 """So many places are told apart at a time."""
 ASKED_WITHIN = 35.0
 """What is farther away than this need not be in sight [m]."""
@@ -130,70 +129,81 @@ def next_question(
     estimate: Estimate, city: CityMap, vocabulary: Vocabulary | None = None
 ) -> Question | None:
     """Question with the largest expected information gain over the estimate's places, or None."""
+    worth = (q for q in possible_questions(estimate, city, vocabulary) if q.gain > WORTH)
+    return max(worth, key=lambda q: (q.gain, q.text), default=None)
+
+
+def possible_questions(
+    estimate: Estimate, city: CityMap, vocabulary: Vocabulary | None = None
+) -> list[Question]:
+    """All questions about what is around the estimate's places that were not asked yet."""
     if vocabulary is None:
         from placegraph.outdoor.vocabulary import Vocabulary as Shipped
 
         vocabulary = Shipped.default()
-    places = _places(estimate, city)
-    if len(places) < 2:
-        return None
-    weights = np.array([probability for _, probability in places])
-    weights /= weights.sum()
-    around = [_around(city, position) for position, _ in places]
-    asked = " ".join(s.text for s in estimate.understood.statements) if estimate.understood else ""
-    questions = [
+    heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MOST_PLACES]
+    weights = estimate.support[heaviest, 2]
+    if not weights.sum() > 0.0:
+        return []
+    weights = weights / weights.sum()
+    around = _Around.of(city, city.plane.to_plane(estimate.support[heaviest, :2]))
+    asked = {s.text for s in estimate.understood.statements} if estimate.understood else set()
+    return [
         q
         for q in (*_yes_or_no(weights, around, vocabulary), *_which(weights, around))
-        if q.gain > WORTH and q.text not in asked
+        if not asked & {f"{q.text} {YES}", f"{q.text} {NO}"}
     ]
-    return max(questions, key=lambda q: (q.gain, q.text), default=None)
-
-
-def _places(estimate: Estimate, city: CityMap) -> list[tuple[NDArray[np.float64], float]]:
-    """Positions [m] and probabilities of the places that still fit."""
-    if not len(estimate.support):
-        return []
-    found = Posterior(city.plane.to_plane(estimate.support[:, :2]), estimate.support[:, 2], 0.0)
-    return [(m.position, m.probability) for m in modes(found, MOST_MODES, 1.0)]
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What is around a place: expected number by (label, wind), and by name."""
+class _Around:
+    """What is around K places: expected numbers by label and wind, and by name."""
 
-    labels: dict[tuple[str, str], float]
-    names: dict[str, float]
+    labels: dict[tuple[str, str], NDArray[np.float64]]
+    """(K,) of (label, wind); the wind is empty for any direction."""
+    names: dict[str, NDArray[np.float64]]
+    """(K,)"""
 
-
-def _around(city: CityMap, position: NDArray[np.float64]) -> _Seen:
-    views, objects = city.views, city.objects
-    view = int(next(iter(views.near(position, STRIDE)), -1))
-    labels: dict[tuple[str, str], float] = defaultdict(float)
-    names: dict[str, float] = defaultdict(float)
-    for entry in range(views.starts[view], views.starts[view + 1]) if view >= 0 else ():
-        delta = views.positions[view] + views.offsets[entry] - position
-        distance = float(np.hypot(*delta))
+    @classmethod
+    def of(cls, city: CityMap, positions: NDArray[np.float64]) -> _Around:
+        """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
+        views, objects = city.views, city.objects
+        nearest = [int(next(iter(views.near(p, STRIDE)), 0)) for p in positions]
+        counts = np.array([views.starts[v + 1] - views.starts[v] for v in nearest])
+        entries = np.concatenate([np.arange(views.starts[v], views.starts[v + 1]) for v in nearest])
+        place = np.repeat(np.arange(len(positions)), counts)
+        rows = views.objects[entries]
+        delta = (
+            views.positions[np.repeat(nearest, counts)] + views.offsets[entries] - positions[place]
+        )
+        distance = np.hypot(*delta.T)
         sure = 1.0 / (1.0 + np.exp((distance - ASKED_WITHIN) / 6.0))
-        row = int(views.objects[entry])
-        label = objects.label(row)
-        labels[label, ""] += sure
-        if distance > 5.0:
-            for wind, angle in WINDS.items():
-                cosine = (delta[0] * np.sin(angle) + delta[1] * np.cos(angle)) / distance
-                labels[label, wind] += sure / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1))
-        if name := objects.name(row):
-            names[name] += sure
-    return _Seen(labels, names)
+        label = objects.label_values[objects.label_starts[rows]]
+        shares = {"": sure}
+        for wind, angle in WINDS.items():
+            cosine = (delta @ (np.sin(angle), np.cos(angle))) / np.maximum(distance, 1e-3)
+            clear = distance > 5.0  # nearer than that a direction is a guess [m]
+            shares[wind] = sure * clear / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1))
+        size = (len(objects.labels), len(positions))
+        labels: dict[tuple[str, str], NDArray[np.float64]] = {}
+        for wind, share in shares.items():
+            table = np.bincount(label * size[1] + place, share, size[0] * size[1]).reshape(size)
+            for k in np.flatnonzero(table.any(axis=1)):
+                labels[objects.labels[k], wind] = table[k]
+        names: dict[str, NDArray[np.float64]] = defaultdict(lambda: np.zeros(len(positions)))
+        for row, at, share in zip(rows.tolist(), place.tolist(), sure.tolist(), strict=True):
+            if name := objects.name(row):
+                names[name][at] += share
+        return cls(labels, dict(names))
 
 
 def _yes_or_no(
-    weights: NDArray[np.float64], around: list[_Seen], vocabulary: Vocabulary
+    weights: NDArray[np.float64], around: _Around, vocabulary: Vocabulary
 ) -> list[Question]:
     questions = []
-    for label, wind in sorted({key for seen in around for key in seen.labels}):
+    for (label, wind), expected in sorted(around.labels.items(), key=lambda item: item[0]):
         if label.endswith("*"):
             continue
-        expected = np.array([seen.labels.get((label, wind), 0.0) for seen in around])
         yes = MISTAKE + (1.0 - 2.0 * MISTAKE) * -np.expm1(-2.0 * expected)
         words = vocabulary.spoken(label)
         article = "an" if words[:1].lower() in "aeiou" else "a"
@@ -209,28 +219,26 @@ def _yes_or_no(
     return questions
 
 
-def _which(weights: NDArray[np.float64], around: list[_Seen]) -> list[Question]:
-    """At most one choice question: a telling name for each of the likeliest places."""
-    share: dict[str, float] = defaultdict(float)
-    for weight, seen in zip(weights, around, strict=True):
-        for name, sure in seen.names.items():
-            share[name] += weight * min(1.0, sure)
+def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
+    """At most one choice question: names that together cover the likeliest places."""
+    left = weights.copy()
     chosen: list[str] = []
-    for seen in around:
-        telling = [n for n, sure in seen.names.items() if sure > 0.5 and n not in chosen]
-        if telling and not any(n in chosen for n in seen.names):
-            chosen.append(min(telling, key=lambda n: (share[n], n)))
-    chosen = chosen[:MOST_NAMES]
-    if len(chosen) < 2:
+    while len(chosen) < MOST_NAMES and around.names:
+        share = {name: float(left @ np.minimum(sure, 1.0)) for name, sure in around.names.items()}
+        telling = max(share, key=lambda name: (share[name], name))
+        if share[telling] < 0.02:  # the rest is too unlikely to be asked about
+            break
+        chosen.append(telling)
+        left = left * (1.0 - np.minimum(around.names[telling], 1.0))
+    if len(chosen) < 2:  # that would be a yes/no question
         return []
-    present = np.array([[min(1.0, seen.names.get(n, 0.0)) for seen in around] for n in chosen])
+    present = np.minimum(1.0, np.stack([around.names[name] for name in chosen]))
     none = np.prod(1.0 - 0.95 * present, axis=0)
     said = np.vstack([present / np.maximum(present.sum(axis=0), 1e-9) * (1.0 - none), none])
     said = MISTAKE / len(said) + (1.0 - MISTAKE) * said
-    listed = ", ".join(chosen)
     return [
         Question(
-            f"Which of these is within sight: {listed}?",
+            f"Which of these is within sight: {', '.join(chosen)}?",
             (*chosen, NONE),
             tuple(Thing(name) for name in chosen),
             _gain(weights, said),

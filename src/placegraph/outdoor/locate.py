@@ -12,6 +12,7 @@ from placegraph.errors import OptionError
 from placegraph.estimate import Estimate, Place, Status
 from placegraph.outdoor.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.evidence import evidence_at
+from placegraph.outdoor.index import REACH
 from placegraph.outdoor.posterior import Mode, Posterior, modes, status_of
 from placegraph.outdoor.query import Query, compile_query, ends, standing_at
 from placegraph.outdoor.search import Prior, search
@@ -42,12 +43,14 @@ def locate(
     answers: Sequence[Answer] = (),
 ) -> Estimate:
     """Locate a description in a city; see `CityMap.locate`."""
-    if not isinstance(top, int) or top < 1:
+    if not isinstance(top, int | np.integer) or top < 1:
         raise OptionError(f"top is {top!r}; ask for at least one mode.")
-    if near is not None and len(near) == 3:
+    if near is not None and np.size(near) == 3:
         near, radius = near[:2], near[2]
-    if not radius > 0.0:
-        raise OptionError(f"radius is {radius} m; give a positive one.")
+    if not 1.0 <= (within := _number(radius)) <= 1e7:
+        raise OptionError(f"radius is {radius!r} m; choose between 1 and 10,000,000 m.")
+    if heading is not None and not np.isfinite(heading := _number(heading)):
+        raise OptionError(f"heading is {heading!r}; give an angle in radians.")
     near_at, listener_at = _position(city, near, "near"), _position(city, listener, "listener")
     description = read(city, text, heading=heading)
     for answer in answers:
@@ -55,9 +58,12 @@ def locate(
     way, rest = _split(description, known=listener_at is not None)
     to_somebody = any(LISTENER in ends(s) for s in description.statements)
     query = compile_query(replace(description, statements=rest), city, on_a_way=to_somebody)
-    prior = Prior(near_at, radius, listener_at, way)
+    prior = Prior(near_at, within, listener_at, way)
     if not query.used and not way:
         return Estimate(Status.LOST, (), _why_nothing(description, query), description)
+    if near_at is not None and not len(city.views.near(near_at, 4.0 * within + REACH)):
+        reason = f"The map does not reach the surroundings of {near}."
+        return Estimate(Status.LOST, (), reason, description)
     found = search(query, city, prior)
     peaks = modes(found, top, SPACING)
     status, reason = status_of(found, peaks)
@@ -80,16 +86,25 @@ def read(city: CityMap, text: str | Description, *, heading: float | None = None
     return describe(text, vocabulary=Vocabulary.default(), names=city.name_index, heading=heading)
 
 
+def _number(value: object) -> float:
+    """A number, or NaN where it is none."""
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return float("nan")
+
+
 def _position(
     city: CityMap, lonlat: Sequence[float] | None, name: str
 ) -> NDArray[np.float64] | None:
     if lonlat is None:
         return None
-    if len(lonlat) != 2 or not (abs(lonlat[0]) <= 180.0 and abs(lonlat[1]) <= 90.0):
+    numbers = [_number(x) for x in lonlat] if np.iterable(lonlat) else []
+    if len(numbers) != 2 or not (abs(numbers[0]) <= 180.0 and abs(numbers[1]) <= 90.0):
         raise OptionError(
-            f"{name} is {tuple(lonlat)}; give longitude and latitude in degrees, in this order."
+            f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
         )
-    return city.plane.to_plane(lonlat)
+    return city.plane.to_plane(numbers)
 
 
 def _split(

@@ -6,12 +6,14 @@ import numpy as np
 from numba import njit
 
 from placegraph.outdoor.fit import AREA, BETWEEN, DIRECTION, TABLE, direction_fit, distance_fit
-from placegraph.outdoor.index import SIGHT, join_boxes, unpack_box
+from placegraph.outdoor.index import SIGHT, join_boxes, pack_box, unpack_box
 from placegraph.outdoor.match import HOPELESS, ME, SLACK, in_sight, likelihoods
 from placegraph.outdoor.raster import nearest_on_parts
 
 COARSE, FINE = 20.0, 5.0
 """Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
+HERE = pack_box(-8, -8, 8, 8)
+"""Where the speaker may stand around a viewpoint."""
 HIGHEST = 1e300
 """Bounds are cut here: texts of a hundred statements must not overflow."""
 SHARP = 2.0
@@ -52,6 +54,9 @@ def candidates(statements, mentions, views, weights, most):
         if filled:
             _clear(mass, mentions, views, b)
     touched = touched[:n_touched]
+    for s in range(len(statements.op)):
+        if statements.negated[s] and statements.target[s] == ME:
+            _deny(statements, s, mentions, views, bound)
     total = 0.0
     for view in touched:
         if len(weights):
@@ -77,6 +82,8 @@ def _scan(statements, s, a, b, mentions, views, mass, boxes, bound, touched, n_t
             part = weight * views.posting_mass[p]
             if b == ME:
                 part /= views.total[view]
+                if directed and not _may_lie(ux, uy, views.posting_boxes[p], HERE):
+                    part *= wrong
             elif mass[view] > 0.0:
                 part *= mass[view] / (views.pairs[view] + statements.crowd)
                 if directed and not _may_lie(ux, uy, views.posting_boxes[p], boxes[view]):
@@ -100,6 +107,30 @@ def _scanned(statements, s, length):
     if a == ME or (b != ME and length[b] < length[a]):
         a, b = b, a
     return a, b
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _deny(statements, s, mentions, views, bound):
+    """Lower the bounds of viewpoints that see what is said to be absent."""
+    m, noise = statements.source[s], statements.noise[s]
+    ux, uy = statements.bearing[s]
+    for k in range(mentions.starts[m], mentions.starts[m + 1] if m != ME else 0):
+        token, weight = mentions.tokens[k], mentions.weights[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            box = views.posting_boxes[p]
+            if statements.op[s] != DIRECTION or _must_lie(ux, uy, box):
+                absent = np.exp(-2.0 * weight * views.posting_mass[p])
+                bound[views.posting_views[p]] *= (1.0 - noise) * absent + noise
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _must_lie(ux, uy, box):
+    """Whether all of a box lies near the direction u from the viewpoint."""
+    west, south, east, north = unpack_box(box)
+    ahead = min(west * ux, east * ux) + min(south * uy, north * uy)
+    left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
+    right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
+    return ahead > 8.0 and max(-left, right) < 0.7 * ahead
 
 
 @njit(cache=True, nogil=True, fastmath=True)

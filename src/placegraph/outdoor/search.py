@@ -58,17 +58,22 @@ class Prior:
         """Whether anything is known."""
         return self.near is not None or self.listener is not None
 
-    def log(self, positions: NDArray[np.float64], n_views: int) -> NDArray[np.float64]:
-        """Log prior probability (K,) of viewpoints; uniform where nothing is known."""
-        prior = np.full(len(positions), -np.log(n_views))
+    def log(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log prior probability (W,) of all viewpoints of a map; uniform where nothing is known.
+
+        `near` shifts probability within the map; it puts none off the map but where the map ends
+        before it.
+        """
+        prior = np.full(len(positions), -np.log(len(positions)))
         if self.near is not None:
-            sigma = self.radius / 1.1774  # of a round Gaussian, half lies within 1.1774 sigma
-            density = STRIDE**2 / (2.0 * np.pi * sigma**2)
-            prior = np.log(density) - 0.5 * (((positions - self.near) / sigma) ** 2).sum(axis=1)
+            # of a round Gaussian, half lies within 1.1774 sigma; viewpoints stand in for their square
+            sigma = np.hypot(self.radius / 1.1774, STRIDE / 2)
+            off = -0.5 * (((positions - self.near) / sigma) ** 2).sum(axis=1)
+            prior = off - np.logaddexp.reduce(off) + off.max()
         if self.listener is not None:
             delta = positions - self.listener
-            distance = np.hypot(*delta.T)
-            prior += np.log(_walk(distance) * n_views * STRIDE**2 / 1e6 + 1e-3)
+            area = len(positions) * STRIDE**2 / 1e6
+            prior += np.log(_walk(np.hypot(*delta.T)) * area + 1e-3)
             for said, sigma, certainty in self.bearings:
                 off = angle_between(bearing(delta), said)
                 fits = np.exp(-0.5 * (off / (1.2 * sigma)) ** 2) * 2.0
@@ -85,9 +90,7 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     """Score the viewpoints of a city."""
     views, statements = city.views, query.statements
     n_views = len(views.positions)
-    log_prior = (
-        prior.log(views.positions.astype(np.float64), n_views) if prior.informative else np.zeros(0)
-    )
+    log_prior = prior.log(views.positions.astype(np.float64)) if prior.informative else np.zeros(0)
     highest = float(log_prior.max()) if prior.informative else -float(np.log(n_views))
     weights = np.exp(log_prior - highest)
     if not query.used:
