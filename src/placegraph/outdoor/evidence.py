@@ -76,6 +76,8 @@ def _evidence(
     query: Query,
 ) -> Evidence:
     verdict = "for" if ratio > TELLING else "against" if ratio < -TELLING else "silent"
+    if rows and not statement.negated and _off(statement, rows, position, city) > np.pi / 2:
+        verdict = "against"  # it is rare enough to speak for the place, but it lies the other way
     if verdict == "for" and not rows and not statement.negated:
         rows = _from_afar(statement, position, city, query)
     note = ""
@@ -112,16 +114,31 @@ def _against(
     """What spoke against a statement, as people would say it."""
     if statement.negated:
         return "but it is there"
-    if statement.relation is not Relation.DIRECTION or statement.bearing is None or not rows:
+    if statement.relation is not Relation.DIRECTION or not rows:
         return "nothing in sight serves it"
-    stands = [position + _nearest(city, row, position) for row in rows]
-    if len(rows) == 1:
-        delta = stands[0] - position if statement.target == SPEAKER else position - stands[0]
-    else:
-        delta = stands[0] - stands[1]
-    if float(angle_between(bearing(delta), statement.bearing)) < np.pi / 4:
+    if _off(statement, rows, position, city) < np.pi / 4:
         return "it fits, but no better than elsewhere"
-    return f"there it lies to the {wind(float(bearing(delta)))}"
+    return f"there it lies to the {wind(float(bearing(_delta(statement, rows, position, city))))}"
+
+
+def _off(
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+) -> float:
+    """Angle [rad] by which a direction is wrong; 0 where none was said, or where there is none."""
+    delta = _delta(statement, rows, position, city)
+    if statement.bearing is None or np.hypot(*delta) < 1.0:
+        return 0.0
+    return float(angle_between(bearing(delta), statement.bearing))
+
+
+def _delta(
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+) -> NDArray[np.float64]:
+    """Vector (2,) [m] from what served as the target to what served as the source."""
+    stands = [_nearest(city, row, position) for row in rows]
+    if len(rows) == 1:
+        return stands[0] if statement.target == SPEAKER else -stands[0]
+    return stands[0] - stands[1]
 
 
 def _nearest(city: CityMap, row: int, position: NDArray[np.float64]) -> NDArray[np.float64]:
