@@ -1,15 +1,34 @@
 """Cities to be lost in: drawn in ASCII, given in metres, and real ones."""
 
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
 import pytest
 
 from placegraph.geometry import LocalPlane
 from placegraph.maps import open_map
+from placegraph.outdoor import scan
 from placegraph.outdoor.build import build_city
+from placegraph.outdoor.description import Description, Mention, Relation, Sense, Statement
+from placegraph.outdoor.index import REACH
+from placegraph.outdoor.query import compile_query
+from placegraph.outdoor.search import TOGETHER
 from placegraph.synthetic.towns import Town
 
 PLANE = LocalPlane(10.0, 50.0)
+
+
+def _forget_stale_kernels():
+    """Drop compiled code older than any kernel: numba looks only at the file of the caller."""
+    folder = Path(scan.__file__).parent
+    newest = max(p.stat().st_mtime for p in folder.glob("*.py") if "njit" in p.read_text("utf-8"))
+    for cached in (folder / "__pycache__").glob("*.nb[ic]"):
+        if cached.stat().st_mtime < newest:
+            cached.unlink(missing_ok=True)
+
+
+_forget_stale_kernels()
 
 
 def _xml(kind, i, attributes, inner, tags):
@@ -109,3 +128,85 @@ def toronto(shared, tmp_path_factory):
 def real_city(request):
     """Each of the two small real cities, and the shipped town."""
     return request.getfixturevalue(request.param)
+
+
+WINDS = {
+    wind: i * np.pi / 4
+    for i, wind in enumerate(
+        ["north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest"]
+    )
+}
+
+
+def _said(*statements):
+    """Description of statements (source, how, target, options).
+
+    Things are "me", "you", a label such as "shop=bakery", or a name; a "#2" behind tells two of a
+    kind apart. `how` is a wind, a bearing [rad] or a relation; options are fields of `Statement`,
+    and `count` of the source.
+    """
+    mentions = {"me": Mention(0, "me"), "you": Mention(1, "you")}
+    found = []
+
+    def node(thing, count=None):
+        if thing not in mentions:
+            what = thing.partition("#")[0]
+            label = "=" in what
+            mentions[thing] = Mention(
+                len(mentions),
+                what.partition("=")[2] if label else what,
+                (Sense(what, 1.0),) if label else (),
+                "" if label else what,
+                count,
+            )
+        return mentions[thing].id
+
+    for source, how, target, *more in statements:
+        options = dict(more[0]) if more else {}
+        ends = node(source, options.pop("count", None)), node(target)
+        if "target2" in options:
+            options["target2"] = node(options["target2"])
+        direction = how in WINDS or isinstance(how, float)
+        relation = Relation.DIRECTION if direction else Relation(how)
+        bearing = WINDS.get(how, how) if direction else None
+        found.append(Statement(relation, *ends, bearing=bearing, **options))
+    return Description("", tuple(mentions.values()), tuple(found))
+
+
+@pytest.fixture(scope="session")
+def said():
+    """Make a description of statements (source, how, target, options)."""
+    return _said
+
+
+def _score(city, description, positions, together=TOGETHER):
+    """Log-likelihood ratios of a description at positions (K, 2) [m], as a closer look sees them."""
+    query = compile_query(description, city)
+    words = query.words(len(city.objects.labels) + len(city.objects.names))
+    views, found = city.views, []
+    for position in np.atleast_2d(np.asarray(positions, np.float64)):
+        at = position[None]
+        far = np.zeros((1, len(query.used)), np.float32)
+        if query.far is not None:
+            far = scan.distant(query.statements, city.scene, query.far, at.astype(np.float32))
+        seen = [
+            views.objects[views.starts[v] : views.starts[v + 1]]
+            for v in views.near(position, REACH)
+        ]
+        nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
+        found.append(
+            scan.look_again(query.statements, city.scene, words, at, nearby, far, together, True)
+        )
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+
+
+@pytest.fixture(scope="session")
+def score():
+    """Score a description at positions: totals (K,), of each statement (K, S), served (K, S, 2)."""
+    return _score
+
+
+@pytest.fixture
+def at():
+    """East and north on a city's own plane of east and north around 10 E, 50 N [m]."""
+    return lambda city, east_north: city.plane.to_plane(PLANE.to_lonlat(east_north))

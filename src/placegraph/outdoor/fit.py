@@ -48,10 +48,15 @@ def direction_fit(table, ux, uy, dx, dy, blurred):
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
 def distance_fit(said, d):
-    """How well a distance d fits what was said [m]; 1 where nothing was said."""
+    """How well a distance d fits what was said [m]; 1 where nothing was said.
+
+    What is much nearer than was said fits by the ratio: nobody calls 5 m "about 60 m".
+    """
     if said <= 0.0:
         return 1.0
-    z = (d - said) / (0.35 * said + 5.0)
+    nearer = np.log((said + 5.0) / (d + 5.0)) / 0.5
+    farther = (d - said) / (0.35 * said + 5.0)
+    z = nearer if d < said else farther
     return np.exp(-0.5 * z * z)
 
 

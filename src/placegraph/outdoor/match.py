@@ -201,11 +201,12 @@ def _ratio(statements, s, scene, seen, fits, far):
         expected = _of_me(statements, s, scene, seen, fits)
         p = expected / (seen.total + LONELY)
     else:
-        p = _of_pair(statements, s, scene, seen, fits) / (seen.pairs + statements.crowd)
+        expected = _of_pair(statements, s, scene, seen, fits)
+        p = expected / (seen.pairs + statements.crowd)
     p = min(1.0, p + far)
     noise = statements.noise[s]
     if statements.negated[s]:
-        absent = np.exp(-2.0 * expected) if b == ME else 1.0 - p
+        absent = 1.0 - p if op == BETWEEN else np.exp(-2.0 * expected)
         return np.log((1.0 - noise) * absent + noise)
     if statements.number[s] > 0.0 and expected > 0.0:
         k = statements.number[s]
