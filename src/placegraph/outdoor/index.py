@@ -161,10 +161,13 @@ def _worth_standing(
 ) -> tuple[Sightings, NDArray[np.float32]]:
     """Drop viewpoints from which too little is seen to be told from their neighbours."""
     total = np.add.reduceat(sight, seen.starts[:-1])
-    lone = (kind[seen.objects] == POINT) & (np.hypot(*seen.offsets.T) < STRIDE)
+    close = np.hypot(*seen.offsets.T) < STRIDE
+    lone = (kind[seen.objects] == POINT) & close
     keep = (total >= ENOUGH) | np.logical_or.reduceat(lone, seen.starts[:-1])
-    if not keep.any():  # a map of one thing
-        keep[:] = True
+    found = np.zeros(len(kind), np.bool_)
+    found[seen.objects[np.repeat(keep, np.diff(seen.starts))]] = True
+    hut = ~found[seen.objects] & close  # in the hills: nothing else is in sight
+    keep |= np.logical_or.reduceat(hut, seen.starts[:-1])
     entries = np.repeat(keep, np.diff(seen.starts))
     starts = np.concatenate(([0], np.cumsum(np.diff(seen.starts)[keep])))
     kept = Sightings(seen.points[keep], starts, seen.objects[entries], seen.offsets[entries])
