@@ -46,6 +46,10 @@ def main() -> None:
             f"placegraph: {error}", style="red", markup=False, highlight=False
         )
         sys.exit(error.exit_code)
+    except OSError as error:  # an output that cannot be written
+        name = f"{error.filename} " if error.filename else ""
+        typer.echo(f"placegraph: {name}cannot be written or read: {error.strerror}.", err=True)
+        sys.exit(InputError.exit_code)
 
 
 @app.callback(invoke_without_command=True)

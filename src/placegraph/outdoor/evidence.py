@@ -11,6 +11,7 @@ from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor import scan
 from placegraph.outdoor.description import LISTENER, SPEAKER, Relation, Statement
 from placegraph.outdoor.index import REACH
+from placegraph.outdoor.query import ends
 from placegraph.outdoor.raster import nearest_on_parts
 
 if TYPE_CHECKING:
@@ -86,6 +87,9 @@ def _evidence(
         rows = rows if statement.negated or note.startswith("there it") else []
     elif not rows and not statement.negated:
         note = "nothing in sight serves it"
+    elif unknown := query.by_kind.intersection(ends(statement)):
+        names = " and ".join(query.description.mentions[n].name for n in sorted(unknown))
+        note = f"the map knows no {names}; one of its kind serves"
     return Evidence(
         said(statement, query), verdict, ratio, tuple(reference(o, city) for o in rows), note
     )

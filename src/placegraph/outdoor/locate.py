@@ -10,6 +10,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Estimate, Place, Status
+from placegraph.geometry import angle_between
 from placegraph.outdoor.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.evidence import evidence_at
 from placegraph.outdoor.index import REACH
@@ -54,12 +55,17 @@ def locate(
     near_at, listener_at = _position(city, near, "near"), _position(city, listener, "listener")
     description = read(city, text, heading=heading)
     for answer in answers:
+        if not hasattr(answer, "added_to"):
+            raise OptionError(
+                f"answers holds {answer!r}; answer questions by `question.answer(option)`."
+            )
         description = answer.added_to(description)
     way, rest = _split(description, known=listener_at is not None)
     to_somebody = any(LISTENER in ends(s) for s in description.statements)
     query = compile_query(replace(description, statements=rest), city, on_a_way=to_somebody)
     prior = Prior(near_at, within, listener_at, way)
-    if not query.used and not way:
+    positive = any(not s.negated for s in query.used)
+    if not positive and not way:
         return Estimate(Status.LOST, (), _why_nothing(description, query), description)
     if near_at is not None and not len(city.views.near(near_at, 4.0 * within + REACH)):
         reason = f"The map does not reach the surroundings of {near}."
@@ -107,6 +113,14 @@ def _position(
     return city.plane.to_plane(numbers)
 
 
+def _with_answers(description: Description, answers: Sequence[Answer]) -> Description:
+    for answer in answers:
+        if not hasattr(answer, "added_to"):
+            raise OptionError(f"answers holds {answer!r}; use `question.answer(option)`.")
+        description = answer.added_to(description)
+    return description
+
+
 def _split(
     description: Description, *, known: bool
 ) -> tuple[tuple[tuple[float, float, float], ...], tuple[Statement, ...]]:
@@ -129,6 +143,8 @@ def _split(
 
 
 def _why_nothing(description: Description, query: Query) -> str:
+    if query.used:
+        return "Only what is absent was said; say what is there as well."
     reasons = {reason for _, reason in query.unused}
     if reasons:
         return "Nothing that was said can be looked for: " + "; ".join(sorted(reasons)) + "."
@@ -152,9 +168,24 @@ def _place(mode: Mode, city: CityMap, query: Query) -> Place:
 
 
 def _resolved(place: Place, query: Query) -> bool:
-    """Whether the map has things that serve every statement all the same (two bakeries, say)."""
+    """Whether different things serve the statements that oppose each other (two bakeries, say)."""
     said = place.evidence[: len(query.used)]
-    return all(e.verdict != "against" for e in said)
+    for i, a in enumerate(query.used):
+        for j, b in enumerate(query.used[:i]):
+            if _opposed(a, b) and (
+                "against" in (said[i].verdict, said[j].verdict)
+                or {o.id for o in said[i].objects} == {o.id for o in said[j].objects}
+            ):
+                return False
+    return True
+
+
+def _opposed(a: Statement, b: Statement) -> bool:
+    """Whether two directions between the same mentions exclude each other."""
+    if a.bearing is None or b.bearing is None or set(ends(a)) != set(ends(b)):
+        return False
+    other = b.bearing if ends(a) == ends(b) else b.bearing + np.pi
+    return float(angle_between(a.bearing, other)) > 2.0
 
 
 def _support(found: Posterior, city: CityMap) -> NDArray[np.float64]:

@@ -179,8 +179,10 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
 def _ceiling(statements, s, seen, fits, far):
     """Log-likelihood ratio that a statement has if geometry is on its side."""
     a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
-    if statements.negated[s] or statements.op[s] == BETWEEN:
-        return 2.0
+    if statements.negated[s]:
+        return 0.0
+    if statements.op[s] == BETWEEN:
+        return np.log((1.0 - noise) / statements.background[s] + noise)
     if a == ME or b == ME:
         m = b if a == ME else a
         p = 0.0 if m == ME else fits.mass[m] / (seen.total + LONELY)
@@ -347,12 +349,10 @@ def _coherence(statements, fits, together):
 @njit(cache=True, nogil=True, fastmath=True)
 def _assign(statements, scene, seen, fits, served):
     """One assignment for all statements: each mention its most probable object, then the best pairs."""
-    chosen = np.full(len(fits.many), -1, np.int64)
     weight = np.ones((len(fits.many), MOST), np.float32)
     for m in range(len(fits.many)):
         if fits.many[m]:
             _posterior(statements, m, fits, weight[m])
-            chosen[m] = np.argmax(weight[m, : fits.many[m]])
     for s in range(len(statements.op)):
         op, a, b = statements.op[s], statements.source[s], statements.target[s]
         served[s] = -1
@@ -360,8 +360,12 @@ def _assign(statements, scene, seen, fits, served):
             a, b = statements.target[s], statements.target2[s]
         if a == ME or b == ME:
             m = b if a == ME else a
-            if m != ME and fits.many[m]:
-                served[s, 0] = seen.objects[fits.who[m, chosen[m]]]
+            best = np.float32(0.0)
+            for i in range(fits.many[m] if m != ME else 0):
+                p = weight[m, i] * (fits.given[s, 0, i] + np.float32(1e-6))
+                if p > best:
+                    best = p
+                    served[s, 0] = seen.objects[fits.who[m, i]]
             continue
         where = seen.stands if op == DIRECTION else seen.at
         ux, uy = statements.bearing[s]

@@ -108,13 +108,18 @@ def _smoothed(
 
 def status_of(found: Posterior, peaks: list[Mode]) -> tuple[Status, str]:
     """Status and the sentence that says why."""
-    if not peaks:
-        return Status.LOST, "Nothing on the map shares anything with the description."
-    best = peaks[0].probability
     if found.elsewhere > 0.5:
         return Status.LOST, "No place on the map fits the description better than chance."
+    if not peaks:
+        return Status.LOST, "Nowhere are the things of any one statement in sight together."
+    best = peaks[0].probability
     if best >= SURE:
         return Status.OK, f"One place holds {best:.0%} of the probability."
+    if best < 0.05:
+        return (
+            Status.AMBIGUOUS,
+            f"Too many places fit: the best holds only {best:.1%} of the probability.",
+        )
     return (
         Status.AMBIGUOUS,
         f"The best place holds only {best:.0%} of the probability; others fit as well.",

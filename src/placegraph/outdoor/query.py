@@ -34,6 +34,8 @@ KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""
 LOOSELY = 0.1
 """Weight of a word's other senses where it is a tag's own value ("path" for a footway)."""
+UNNAMED = 0.4
+"""Certainty that a thing whose name the map does not know is one of its kind on the map."""
 FLOOR = 1e-7
 """Things cannot be rarer than this share of all things in sight."""
 CROWD = 30.0
@@ -97,6 +99,8 @@ class Query:
     mentions: MentionTokens
     far: Far | None
     """None where everything is said of things in sight."""
+    by_kind: frozenset[int]
+    """Mentions with a name that the map does not know; they are looked for by their kind."""
 
     def words(self, n_tokens: int) -> NDArray[np.float32]:
         """How well a token fits a mention, (n_tokens, M) float32."""
@@ -113,10 +117,19 @@ def compile_query(description: Description, city: CityMap, *, on_a_way: bool = F
     are out of sight.
     """
     mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
+    by_kind = frozenset(
+        m.id for m in description.mentions[2:] if m.name and not city.name_index.named(m.name)
+    )
     views = city.views
     share = [views.frequency(tokens, weights) for tokens, weights in mentions]
-    used, unused = [], []
+    used: list[Statement] = []
+    unused: list[tuple[Statement, str]] = []
+    heard: set[tuple[object, ...]] = set()
     for statement in description.statements:
+        said = _meaning(statement, description)
+        if said in heard:
+            continue  # said again, it is no surer
+        heard.add(said)
         reason = _unusable(statement, description, mentions)
         if reason:
             unused.append((statement, reason))
@@ -126,13 +139,14 @@ def compile_query(description: Description, city: CityMap, *, on_a_way: bool = F
         description,
         tuple(used),
         tuple(unused),
-        _columns(used, description, share),
+        _columns(used, description, share, by_kind),
         MentionTokens(
             np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
             np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
             np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
         ),
         _far(used, mentions, city, on_a_way=on_a_way),
+        by_kind,
     )
 
 
@@ -146,7 +160,11 @@ def _far(
     """Objects of rare mentions, where a statement may be about things out of sight."""
     here = standing_at(used)
     on_a_way = any(s.far for s in used) or on_a_way
-    reaches = [s.far or s.distance is not None or not here.isdisjoint(ends(s)) for s in used]
+    few = {m + 2 for m, (tokens, w) in enumerate(mentions) if _size(tokens, w, city) <= RARE}
+    reaches = [
+        s.far or s.distance is not None or not here.isdisjoint(ends(s)) or few.issuperset(ends(s))
+        for s in used
+    ]
     spoken = {
         n - 2 for s, r in zip(used, reaches, strict=True) if r for n in ends(s) if n not in here
     }
@@ -159,7 +177,7 @@ def _far(
     objects = np.concatenate([o for o, _ in members] or [nothing[0]])
     if not len(objects):
         return None
-    few = sorted((o for o, _ in members if 0 < len(o) <= RARE), key=len)
+    rarest = sorted((o for o, _ in members if 0 < len(o) <= RARE), key=len)
     return Far(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
         objects=objects,
@@ -171,7 +189,7 @@ def _far(
             [(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)],
             np.float32,
         ),
-        anchors=np.concatenate(few or [nothing[0]]),
+        anchors=np.concatenate(rarest or [nothing[0]]),
     )
 
 
@@ -180,10 +198,31 @@ def ends(statement: Statement) -> tuple[int, int]:
     return statement.source, statement.target
 
 
+def _meaning(statement: Statement, description: Description) -> tuple[object, ...]:
+    """What a statement says, whatever its words and nodes: two that say the same are one."""
+
+    def thing(node: int | None) -> object:
+        if node in (None, SPEAKER, LISTENER):
+            return node
+        mention = description.mentions[node]
+        return (mention.words.lower(), mention.name, mention.senses)
+
+    ends = (statement.source, statement.target, statement.target2)
+    plain = (statement.relation, statement.bearing, statement.distance, statement.negated)
+    return (*plain, *(thing(node) for node in ends))
+
+
 def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
     """Nodes that are where the speaker is: the speaker, and what they stand at."""
     at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
     return frozenset(at | {SPEAKER})
+
+
+def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap) -> int:
+    """Number of objects (with repetitions) that a mention stands for."""
+    starts, _ = city.token_objects
+    tokens = tokens[weights > KIND_ONLY]
+    return int((starts[tokens + 1] - starts[tokens]).sum()) if len(tokens) else RARE + 1
 
 
 def _members(
@@ -245,7 +284,9 @@ def _unusable(
     return ""
 
 
-def _columns(used: list[Statement], description: Description, share: list[float]) -> Statements:
+def _columns(
+    used: list[Statement], description: Description, share: list[float], by_kind: frozenset[int]
+) -> Statements:
     n = len(used)
 
     def mention(node: int | None) -> int:
@@ -257,11 +298,11 @@ def _columns(used: list[Statement], description: Description, share: list[float]
         angle = statement.bearing or 0.0
         bearing[i] = sin(angle), cos(angle)
         table[i] = direction_table(statement.bearing_sigma, SLIP)
-        ends = [statement.source, statement.target]
+        nodes = [*ends(statement)]
         if statement.relation is Relation.BETWEEN:
-            ends.append(statement.target2 or SPEAKER)
+            nodes.append(statement.target2 or SPEAKER)
         chance = GEOMETRY[statement.relation]
-        for node in ends:
+        for node in nodes:
             chance *= 1.0 if node == SPEAKER else share[node - 2]
         background[i] = max(chance, FLOOR)
     counts = [description.mentions[s.source].count or 0 for s in used]
@@ -275,7 +316,14 @@ def _columns(used: list[Statement], description: Description, share: list[float]
         distance=np.array([s.distance or 0.0 for s in used], np.float32),
         negated=np.array([s.negated for s in used], np.bool_),
         number=np.array(counts, np.float32),
-        noise=np.array([1.0 - (1.0 - NOISE) * s.certainty for s in used], np.float32),
+        noise=np.array(
+            [
+                1.0
+                - (1.0 - NOISE) * s.certainty * (1.0 if by_kind.isdisjoint(ends(s)) else UNNAMED)
+                for s in used
+            ],
+            np.float32,
+        ),
         background=background,
         crowd=CROWD,
     )

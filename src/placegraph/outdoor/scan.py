@@ -14,7 +14,7 @@ COARSE, FINE = 20.0, 5.0
 """Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
 HERE = pack_box(-8, -8, 8, 8)
 """Where the speaker may stand around a viewpoint."""
-HIGHEST = 1e300
+HIGHEST = 1e290
 """Bounds are cut here: texts of a hundred statements must not overflow."""
 SHARP = 2.0
 """Width of the fall around `SIGHT` where positions are exact [m]."""
@@ -175,19 +175,25 @@ def _heaviest(bound, touched, most):
     histogram = np.zeros(1 << 14, np.int64)
     for view in touched:
         histogram[bits[view] >> 49] += 1
-    floor, kept = len(histogram) - 1, histogram[-1]
+    floor, kept = len(histogram), 0
     while floor > 0 and kept + histogram[floor - 1] <= most:
         floor -= 1
         kept += histogram[floor]
-    if kept == 0 and floor > 0:  # one bucket holds more than may be kept: keep the first of it
-        floor -= 1
-        kept = min(histogram[floor], most)
-    chosen = np.empty(kept, np.int32)
-    n = 0
+    chosen = np.empty(len(touched), np.int32)
+    edge = np.empty(len(touched), np.int32)
+    n = n_edge = 0
     for view in touched:
-        if n < kept and bits[view] >> 49 >= floor:
+        bucket = bits[view] >> 49
+        if bucket >= floor:
             chosen[n] = view
             n += 1
+        elif bucket == floor - 1:  # the bucket that is kept in part: its heaviest
+            edge[n_edge] = view
+            n_edge += 1
+    if n < most and n_edge:
+        heavier = np.argsort(-bound[edge[:n_edge]])[: most - n]
+        chosen[n : n + len(heavier)] = edge[heavier]
+        n += len(heavier)
     return chosen[:n][np.argsort(-bound[chosen[:n]])]
 
 

@@ -91,6 +91,9 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     views, statements = city.views, query.statements
     n_views = len(views.positions)
     log_prior = prior.log(views.positions.astype(np.float64)) if prior.informative else np.zeros(0)
+    if prior.informative:  # what is known of the way cannot lie off the map altogether
+        mass = float(np.logaddexp.reduce(log_prior))
+        log_prior -= mass if prior.listener is not None else max(0.0, mass)
     highest = float(log_prior.max()) if prior.informative else -float(np.log(n_views))
     weights = np.exp(log_prior - highest)
     if not query.used:
@@ -118,8 +121,11 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     )
     floor = float(np.log(statements.noise[~statements.negated]).sum())
     tail = slice(2 * len(chosen) // 3, None)
-    kept = np.exp(scores[tail] + relative[tail]).sum() / max(bounds[tail].sum(), 1e-300)
-    unscored = highest + np.log(kept * left_out + 1e-300)
+    # what was left out keeps of its bounds what the lightest third of the scored keep of theirs
+    unscored = -np.inf
+    if left_out > 0.0 and not query.far:
+        kept = np.logaddexp.reduce(scores[tail] + relative[tail]) - np.log(bounds[tail].sum())
+        unscored = highest + kept + np.log(left_out)
     reached = scores > 0.5 * HOPELESS
     found = _Scored(
         views.positions[chosen[reached]].astype(np.float64),
@@ -128,7 +134,8 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
         far[reached],
     )
     found = _closer(query, city, words, chosen[reached], found)
-    unseen = floor + np.log(max(1e-12, 1.0 - len(chosen) / n_views))
+    share = np.exp(relative + highest).sum() if prior.informative else len(chosen) / n_views
+    unseen = floor + np.log(max(1e-12, 1.0 - share))
     return posterior(
         found.positions,
         found.scores.astype(np.float64),
