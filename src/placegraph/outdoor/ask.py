@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.estimate import Status
 from placegraph.outdoor.description import (
     LISTENER,
     SPEAKER,
     Description,
+    Ignored,
     Mention,
     Relation,
     Sense,
@@ -69,7 +71,7 @@ class Question:
 
     def answer(self, option: str) -> Answer:
         """Answer it; raises `OptionError` for an answer that it does not have."""
-        given = option.strip().lower()
+        given = str(option).strip().lower()
         for known in (*self.options, UNKNOWN):
             if given == known.lower() or (
                 given and given == known[0].lower() and known in (YES, NO)
@@ -89,8 +91,9 @@ class Answer:
 
     def added_to(self, description: Description) -> Description:
         """Return the description with the answer as further statements."""
-        if self.option == UNKNOWN:
-            return description
+        if self.option == UNKNOWN:  # nothing is learnt, but it need not be asked again
+            unknown = Ignored(self.question.text, "not known")
+            return replace(description, ignored=(*description.ignored, unknown))
         things = self.question.things
         if self.question.options == (YES, NO):
             return _stated(description, things[0], self.question.text, negated=self.option == NO)
@@ -128,7 +131,12 @@ def _stated(description: Description, thing: Thing, text: str, *, negated: bool)
 def next_question(
     estimate: Estimate, city: CityMap, vocabulary: Vocabulary | None = None
 ) -> Question | None:
-    """Question with the largest expected information gain over the estimate's places, or None."""
+    """Question with the largest expected information gain over the estimate's places, or None.
+
+    None also where one place is clear: a question would only move it by metres.
+    """
+    if estimate.status == Status.OK:
+        return None
     worth = (q for q in possible_questions(estimate, city, vocabulary) if q.gain > WORTH)
     return max(worth, key=lambda q: (q.gain, q.text), default=None)
 
@@ -147,11 +155,12 @@ def possible_questions(
         return []
     weights = weights / weights.sum()
     around = _Around.of(city, city.plane.to_plane(estimate.support[heaviest, :2]))
-    asked = {s.text for s in estimate.understood.statements} if estimate.understood else set()
+    understood = estimate.understood or Description("")
+    asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
     return [
         q
         for q in (*_yes_or_no(weights, around, vocabulary), *_which(weights, around))
-        if not asked & {f"{q.text} {YES}", f"{q.text} {NO}"}
+        if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"}
     ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import Estimate, Place, Status
 from placegraph.geometry import angle_between
-from placegraph.outdoor.description import LISTENER, Description, Relation, Statement
+from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Relation, Statement
 from placegraph.outdoor.evidence import evidence_at
 from placegraph.outdoor.index import REACH
 from placegraph.outdoor.posterior import Mode, Posterior, modes, status_of
@@ -174,10 +174,15 @@ def _resolved(place: Place, query: Query) -> bool:
         for j, b in enumerate(query.used[:i]):
             if _opposed(a, b) and (
                 "against" in (said[i].verdict, said[j].verdict)
-                or {o.id for o in said[i].objects} == {o.id for o in said[j].objects}
+                or len({o.id for o in (*said[i].objects, *said[j].objects)}) <= _things(a)
             ):
                 return False
     return True
+
+
+def _things(statement: Statement) -> int:
+    """Number of things a statement is about; two opposed ones need more than that."""
+    return sum(node not in (SPEAKER, LISTENER) for node in ends(statement))
 
 
 def _opposed(a: Statement, b: Statement) -> bool:
