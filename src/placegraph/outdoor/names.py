@@ -35,9 +35,12 @@ class NameIndex:
         first: dict[str, int] = {}
         for row, name in enumerate(objects.names):
             words = tokens(name)
-            if words:
-                by_words.setdefault(" ".join(words), []).append(row)
-                first[words[0]] = max(first.get(words[0], 0), min(len(words), LONGEST))
+            # "The Rex Theatre" is also called "Rex Theatre"; but not every pub is "The Pub"
+            article = words[:1] == ["the"] and len(words) > 2
+            for said in (words, words[1:])[: 1 + article]:
+                if said:
+                    by_words.setdefault(" ".join(said), []).append(row)
+                    first[said[0]] = max(first.get(said[0], 0), min(len(said), LONGEST))
         return cls(by_words, first)
 
     def longest_name(self, words: Sequence[str], start: int) -> int:
