@@ -149,7 +149,12 @@ def _label(elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Pro
 def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
     """Names of an element, the name proper first, without repetitions."""
     found = [tags["name"]] if "name" in tags else []
-    found += [value for key, value in sorted(tags.items()) if NAME_KEY.match(key)]
+    found += [
+        value
+        for key, value in sorted(tags.items())
+        if "name" in key or key == "brand"
+        if NAME_KEY.match(key)
+    ]
     split = (part.strip() for value in found for part in value.split(";"))
     return tuple(dict.fromkeys(part for part in split if part))
 
