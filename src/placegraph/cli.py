@@ -174,7 +174,10 @@ def locate(
         question = estimate.next_question(city)
         if question is None:
             break
-        answers.append(question.answer(_prompt(question)))
+        answer = _prompt(question)
+        if answer is None:
+            break
+        answers.append(answer)
         estimate = estimated()
     question = estimate.next_question(city) if estimate.status.name == "AMBIGUOUS" else None
     if html is not None:
@@ -188,21 +191,23 @@ def locate(
 
         write_picture(city, estimate, png)
     if as_json:
-        answer = estimate.to_dict() | {"question": question.text if question else None}
-        typer.echo(json.dumps(answer, ensure_ascii=False))
+        told = estimate.to_dict() | {"question": question.text if question else None}
+        typer.echo(json.dumps(told, ensure_ascii=False))
     else:
         _show(estimate, question)
 
 
-def _prompt(question: Question) -> str:
+def _prompt(question: Question) -> Answer | None:
+    """Ask on stderr, stdout is for the estimate; None where nobody answers any more."""
+    options = " / ".join((*question.options, "don't know"))
     while True:
-        given = str(typer.prompt(f"{question.text} [{' / '.join(question.options)} / don't know]"))
         try:
-            question.answer(given)
+            return question.answer(typer.prompt(f"{question.text} [{options}]", err=True))
         except OptionError as error:
-            typer.echo(str(error))
-        else:
-            return given
+            typer.echo(str(error), err=True)
+        except typer.Abort:
+            typer.echo(err=True)
+            return None
 
 
 def _lonlat(value: str | None, option: str) -> tuple[float, float] | None:
@@ -218,14 +223,13 @@ def _lonlat(value: str | None, option: str) -> tuple[float, float] | None:
 
 
 def _show(estimate: Estimate, question: Question | None) -> None:
-    console = Console(soft_wrap=True, highlight=False)
-    console.print(f"{estimate.status.name}: {estimate.reason}", markup=False)
+    console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+    console.print(f"{estimate.status.name}: {estimate.reason}")
     for rank, mode in enumerate(estimate.modes, 1):
         sigma = max(mode.covariance[0, 0], mode.covariance[1, 1]) ** 0.5
         console.print(
             f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:6.1%}  "
-            f"±{sigma:.0f} m  cell {mode.cell}",
-            markup=False,
+            f"±{sigma:.0f} m  cell {mode.cell}"
         )
     if estimate.evidence:
         table = Table("", "statement", "nat", "served by", box=None, pad_edge=False)
@@ -238,11 +242,9 @@ def _show(estimate: Estimate, question: Question | None) -> None:
         console.print(table)
     if estimate.understood and estimate.understood.ignored:
         ignored = "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in estimate.understood.ignored)
-        console.print(f"Ignored: {ignored}", markup=False)
+        console.print(f"Ignored: {ignored}")
     if question is not None:
-        console.print(
-            f"To be sure: {question.text}  (run again with --ask to answer)", markup=False
-        )
+        console.print(f"To be sure: {question.text}  (run again with --ask to answer)")
 
 
 @city_app.command("info")
@@ -266,7 +268,7 @@ def info(
     table = Table(box=None, show_header=False, pad_edge=False)
     for key, value in told.items():
         table.add_row(key.replace("_", " "), _said(value))
-    Console(soft_wrap=True).print(table)
+    Console(soft_wrap=True, highlight=False, markup=False, emoji=False).print(table)
 
 
 def _said(value: object) -> str:
