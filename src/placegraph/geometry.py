@@ -1,15 +1,19 @@
-"""Geometry of the ground floor: the local east-north plane and directions in it.
+"""Geometry of the ground floor: the local east-north plane, poses and cameras.
 
-Bearings are radians clockwise from north, as on a compass: north 0, east pi/2.
+Bearings are radians clockwise from north, as on a compass: north 0, east pi/2. Yaw is radians
+counter-clockwise from the map's x axis, seen from above. Conventions: `docs/conventions.md`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, radians, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from placegraph.errors import OptionError
 
 Floats = NDArray[np.float64]
 
@@ -68,3 +72,216 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:
     """Smallest angle (...) [rad, 0 to pi] between two bearings."""
     difference = np.abs(np.asarray(a, np.float64) - np.asarray(b, np.float64)) % (2.0 * np.pi)
     return np.minimum(difference, 2.0 * np.pi - difference)
+
+
+# ------------------------------------------------------------------------------------- poses
+#
+# A pose of four degrees of freedom is (x, y, z, yaw) of the camera in the map. The other two, the
+# tilt, are known from gravity: `level_from_camera` stands the camera upright, and then
+# map_from_camera = translation(x, y, z) @ rotation_z(yaw) @ level_from_camera.
+
+_UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""level_from_camera of a camera held upright: forward is x, left is y, up is z."""
+
+
+def wrap(angle: ArrayLike) -> Floats:
+    """Angles (...) [rad] to the same directions in [-pi, pi)."""
+    return (np.asarray(angle, np.float64) + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def level_from_camera(gravity: ArrayLike) -> Floats:
+    """Rotation (..., 3, 3) from camera axes to the level frame (z up, x forward of the camera).
+
+    `gravity`: (..., 3), direction of gravity in the camera's axes, of any length. The rotation is
+    the smallest that brings gravity to the upright camera's down, so that it is defined for a
+    camera that looks straight down or up too; only the camera held upside down is singular.
+    """
+    down = np.asarray(gravity, np.float64)
+    down = down / np.linalg.norm(down, axis=-1, keepdims=True)
+    # Rodrigues from `down` to (0, 1, 0): R = I + [v] + [v]^2 / (1 + c), v = down x (0, 1, 0)
+    v = np.stack([-down[..., 2], np.zeros(down.shape[:-1]), down[..., 0]], axis=-1)
+    c = np.maximum(down[..., 1], -1.0 + 1e-12)
+    cross = np.zeros((*down.shape[:-1], 3, 3))
+    cross[..., 0, 1], cross[..., 0, 2] = -v[..., 2], v[..., 1]
+    cross[..., 1, 0], cross[..., 1, 2] = v[..., 2], -v[..., 0]
+    cross[..., 2, 0], cross[..., 2, 1] = -v[..., 1], v[..., 0]
+    least = np.eye(3) + cross + cross @ cross / (1.0 + c)[..., None, None]
+    turned: Floats = _UPRIGHT @ least
+    return turned
+
+
+def rotation_z(yaw: ArrayLike) -> Floats:
+    """Rotations (..., 3, 3) by `yaw` (...) [rad] about z."""
+    yaw = np.asarray(yaw, np.float64)
+    rotation = np.zeros((*yaw.shape, 3, 3))
+    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(yaw)
+    rotation[..., 1, 0] = np.sin(yaw)
+    rotation[..., 0, 1] = -rotation[..., 1, 0]
+    rotation[..., 2, 2] = 1.0
+    return rotation
+
+
+def pose_matrix(pose: ArrayLike, level: ArrayLike) -> Floats:
+    """map_from_camera (..., 4, 4) of poses (..., 4) x, y, z [m], yaw [rad] and tilt (..., 3, 3)."""
+    pose = np.asarray(pose, np.float64)
+    matrix = np.zeros((*pose.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = rotation_z(pose[..., 3]) @ np.asarray(level, np.float64)
+    matrix[..., :3, 3] = pose[..., :3]
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def split_pose(map_from_camera: ArrayLike) -> tuple[Floats, Floats]:
+    """Pose (..., 4) x, y, z, yaw and tilt `level_from_camera` (..., 3, 3) of matrices (..., 4, 4)."""
+    matrix = np.asarray(map_from_camera, np.float64)
+    rotation = matrix[..., :3, :3]
+    level = level_from_camera(-rotation[..., 2, :])  # gravity is -z of the map
+    yawed = rotation @ np.swapaxes(level, -1, -2)
+    yaw = np.arctan2(yawed[..., 1, 0], yawed[..., 0, 0])
+    return np.concatenate([matrix[..., :3, 3], yaw[..., None]], axis=-1), level
+
+
+def compose(pose: ArrayLike, step: ArrayLike) -> Floats:
+    """Pose (..., 4) followed by a step (..., 4) in its own level frame: Eq. 1's circled plus."""
+    pose, step = np.asarray(pose, np.float64), np.asarray(step, np.float64)
+    c, s = np.cos(pose[..., 3]), np.sin(pose[..., 3])
+    return np.stack(
+        [
+            pose[..., 0] + c * step[..., 0] - s * step[..., 1],
+            pose[..., 1] + s * step[..., 0] + c * step[..., 1],
+            pose[..., 2] + step[..., 2],
+            wrap(pose[..., 3] + step[..., 3]),
+        ],
+        axis=-1,
+    )
+
+
+def between(pose: ArrayLike, other: ArrayLike) -> Floats:
+    """Step (..., 4) that leads from `pose` to `other`: compose(pose, between(pose, other)) = other."""
+    pose, other = np.asarray(pose, np.float64), np.asarray(other, np.float64)
+    c, s = np.cos(pose[..., 3]), np.sin(pose[..., 3])
+    d = other - pose
+    return np.stack(
+        [
+            c * d[..., 0] + s * d[..., 1],
+            c * d[..., 1] - s * d[..., 0],
+            d[..., 2],
+            wrap(d[..., 3]),
+        ],
+        axis=-1,
+    )
+
+
+def rotation_from_quaternion(xyzw: ArrayLike) -> Floats:
+    """Rotations (..., 3, 3) of quaternions (..., 4) x, y, z, w; they are normalised first."""
+    q = np.asarray(xyzw, np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_rotation(rotation: ArrayLike) -> Floats:
+    """Unit quaternions (..., 4) x, y, z, w with w >= 0 of rotations (..., 3, 3)."""
+    r = np.asarray(rotation, np.float64)
+    xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    # Four times the outer product of the quaternion with itself; its longest row is best rounded.
+    outer = np.empty((*r.shape[:-2], 4, 4))
+    outer[..., 0, 0], outer[..., 1, 1] = 1 + xx - yy - zz, 1 - xx + yy - zz
+    outer[..., 2, 2], outer[..., 3, 3] = 1 - xx - yy + zz, 1 + xx + yy + zz
+    for i, j, value in (
+        (0, 1, r[..., 1, 0] + r[..., 0, 1]),
+        (0, 2, r[..., 0, 2] + r[..., 2, 0]),
+        (1, 2, r[..., 2, 1] + r[..., 1, 2]),
+        (0, 3, r[..., 2, 1] - r[..., 1, 2]),
+        (1, 3, r[..., 0, 2] - r[..., 2, 0]),
+        (2, 3, r[..., 1, 0] - r[..., 0, 1]),
+    ):
+        outer[..., i, j] = outer[..., j, i] = value
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    upright: Floats = np.where(q[..., 3:] < 0, -q, q)
+    return upright
+
+
+# ----------------------------------------------------------------------------------- cameras
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Pinhole camera with OpenCV's distortion; pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
+
+    def __post_init__(self) -> None:
+        sizes = (self.width, self.height, self.fx, self.fy)
+        if not all(np.isfinite(v) and v > 0 for v in sizes):
+            raise OptionError(
+                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0."
+            )
+        if not all(np.isfinite(v) for v in (self.cx, self.cy, *self.distortion)):
+            raise OptionError("camera: cx, cy or the distortion is not a number.")
+        if len(self.distortion) not in {0, 4, 5, 8}:
+            raise OptionError(
+                f"camera: {len(self.distortion)} distortion coefficients; OpenCV's "
+                "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8."
+            )
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Intrinsics of the same camera with images of another size."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, self.distortion
+        )
+
+    def directions(self, uv: ArrayLike) -> Floats:
+        """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px]."""
+        uv = np.asarray(uv, np.float64)
+        distorted = (uv - (self.cx, self.cy)) / (self.fx, self.fy)
+        xy = distorted
+        for _ in range(20 if any(self.distortion) else 0):  # fixed point, as OpenCV does
+            xy = (distorted - self._tangential(xy)) / self._radial(xy)[..., None]
+        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
+    def project(self, points: ArrayLike) -> Floats:
+        """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN behind it."""
+        points = np.asarray(points, np.float64)
+        depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
+        xy = points[..., :2] / depth
+        if any(self.distortion):
+            xy = xy * self._radial(xy)[..., None] + self._tangential(xy)
+        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def _radial(self, xy: Floats) -> Floats:
+        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * 8)[:8]
+        r2 = np.sum(xy * xy, axis=-1)
+        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return above / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+
+    def _tangential(self, xy: Floats) -> Floats:
+        p1, p2 = self.distortion[2:4]
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        return np.stack(
+            [2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
+            axis=-1,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, as in `camera.json`."""
+        out: dict[str, Any] = {
+            name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")
+        }
+        return out | ({"distortion": list(self.distortion)} if self.distortion else {})
