@@ -1,0 +1,1 @@
+"""Ray casting: one small interface, several engines."""
