@@ -12,6 +12,7 @@ from placegraph import errors
 
 if TYPE_CHECKING:
     from placegraph.estimate import Estimate, Status
+    from placegraph.formats.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
     from placegraph.maps import open_map
     from placegraph.outdoor.build import build_city
@@ -21,24 +22,30 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "Capture": "placegraph.formats.capture",
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.estimate",
+    "Frame": "placegraph.formats.capture",
     "SceneGraph": "placegraph.graph",
     "Status": "placegraph.estimate",
     "build_city": "placegraph.outdoor.build",
     "describe": "placegraph.outdoor.describe",
+    "open_capture": "placegraph.formats.capture",
     "open_map": "placegraph.maps",
 }
 
 __all__ = [
+    "Capture",
     "CityMap",
     "Estimate",
+    "Frame",
     "SceneGraph",
     "Status",
     "__version__",
     "build_city",
     "describe",
     "errors",
+    "open_capture",
     "open_map",
 ]
 

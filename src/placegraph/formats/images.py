@@ -1,0 +1,86 @@
+"""Images through Pillow: checked, converted to plain arrays, refused with a typed error."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+    from PIL.Image import Image
+
+ENDINGS = (".png", ".jpg", ".jpeg")
+"""Endings of image files, in lower case."""
+
+WHOLE_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
+"""Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
+
+_BROKEN = (
+    OSError, SyntaxError, ValueError, EOFError, TypeError, LookupError, MemoryError, OverflowError,
+    AttributeError, RuntimeError, struct.error, zlib.error,
+)  # fmt: skip
+"""What Pillow's decoders raise at damaged files (it names no root of its own)."""
+
+
+@contextmanager
+def opened(source: Path | IO[bytes], name: object) -> Iterator[Image]:
+    """Open an image; whatever fails inside the block becomes an `InputError` about `name`."""
+    from PIL import Image
+
+    try:
+        with Image.open(source) as image:
+            yield image
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{name} does not exist; it was there when the folder was read."
+        ) from error
+    except (*_BROKEN, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"{name} cannot be read as an image ({why}); it may be truncated: copy it again."
+        ) from error
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height [px] from the head of an image file."""
+    with opened(path, path) as image:
+        return image.size
+
+
+def read_rgb(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) uint8 of an image that must be of this width and height [px]."""
+    with opened(path, path) as image:
+        _check_size(image, path, size)
+        return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+
+
+def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
+    """Whole numbers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
+    with opened(path, path) as image:
+        _check_size(image, path, size)
+        if image.mode not in modes:
+            raise InputError(
+                f"{path} has pixels of mode {image.mode!r}; it must be a PNG with one whole number "
+                f"a pixel ({'16 bits' if 'L' not in modes else '8 or 16 bits'})."
+            )
+        values: NDArray[Any] = np.asarray(image)
+    return values.astype(np.int32)
+
+
+def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
+    if image.size != size:
+        raise InputError(
+            f"{path} has {image.width} x {image.height} pixels, but camera.json says "
+            f"{size[0]} x {size[1]}; give the intrinsics of the images as they are."
+        )
