@@ -46,11 +46,12 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from importlib import resources
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import LocalPlane
+from placegraph.synthetic.drawing import BLANKS, legend_line, load, page, sections
+from placegraph.synthetic.drawing import shipped as drawings
 from placegraph.synthetic.trace import DIAGONAL, EAST, NORTH, ORTHOGONAL, SOUTH, WEST, Cell, blots
 
 if TYPE_CHECKING:
@@ -63,9 +64,6 @@ CENTER = (9.9937, 53.5511)
 """Longitude and latitude of a town that says nothing of its own [deg]."""
 METRES = 10.0
 """Side of a character of a town that says nothing of its own [m]."""
-BLANKS = " ."
-LARGEST = 1_000_000
-"""Most characters of a drawing."""
 
 
 class Kind(StrEnum):
@@ -110,10 +108,7 @@ COMMON: dict[str, Symbol] = {
 }
 """Glyphs that need no legend; a legend may give all but the roads' another meaning."""
 
-_SECTION = re.compile(r"\[(town|drawing|legend)\]\s*$")
 _SETTING = re.compile(r"(name|center|metres)\s*=\s*(.*)$")
-_SYMBOL = re.compile(r"(?P<glyph>\S)(?:[ \t]+(?P<kind>\w+))?[ \t]*:(?P<tags>.*)$")
-_TAG = re.compile(r"\s*([\w:]+)=(.*?)(?=\s+[\w:]+=|\s*$)")
 
 
 @dataclass(frozen=True)
@@ -144,24 +139,18 @@ class Town:
         InputError
             The text is no town; the message names line and column and says how to mend it.
         """
-        sections = _sections(text, source)
-        numbers = [number for number, line in sections["drawing"] if line]
-        if not numbers:
-            raise InputError(f"{source}: no drawing; add a line [drawing] and the town below it.")
-        rows = [line for n, line in sections["drawing"] if numbers[0] <= n <= numbers[-1]]
-        width = max(map(len, rows))
-        if width * len(rows) > LARGEST:
-            raise InputError(f"{source}: the drawing has over {LARGEST:,} characters; cut it.")
-        settings = dict(_setting(line, f"{source}, line {n}") for n, line in sections["town"])
+        parts = sections(text, source, "town")
+        rows, first_line = page(parts["drawing"], source, "town")
+        settings = dict(_setting(line, f"{source}, line {n}") for n, line in parts["town"])
         town = cls(
             name=" ".join(settings.get("name", [])),
             center=_center(settings.get("center", []), source),
             metres=_metres(settings.get("metres", []), source),
-            rows=tuple(row.ljust(width) for row in rows),
+            rows=rows,
             legend=COMMON
-            | dict(_symbol(line, f"{source}, line {n}") for n, line in sections["legend"]),
+            | dict(_symbol(line, f"{source}, line {n}") for n, line in parts["legend"]),
             source=source,
-            first_line=numbers[0],
+            first_line=first_line,
         )
         town._check_glyphs()
         return town
@@ -175,10 +164,7 @@ class Town:
         OptionError
             No town of this name ships with the package.
         """
-        if name not in shipped():
-            raise OptionError(f"There is no town {name!r}; there are {', '.join(shipped())}.")
-        file = resources.files("placegraph.synthetic") / "data" / f"{name}.txt"
-        return cls.parse(file.read_text("utf-8"), source=f"{name}.txt")
+        return cls.parse(load("towns", name, "town"), source=f"{name}.txt")
 
     @property
     def size(self) -> tuple[float, float]:
@@ -279,32 +265,7 @@ class Town:
 
 def shipped() -> tuple[str, ...]:
     """Names of the towns that ship with the package."""
-    files = (resources.files("placegraph.synthetic") / "data").iterdir()
-    return tuple(sorted(f.name.removesuffix(".txt") for f in files if f.name.endswith(".txt")))
-
-
-def _sections(text: str, source: str) -> dict[str, list[tuple[int, str]]]:
-    """Lines of every section with their numbers; outside the drawing without the empty ones."""
-    sections: dict[str, list[tuple[int, str]]] = {"town": [], "drawing": [], "legend": []}
-    here = ""
-    for number, line in enumerate(text.splitlines(), 1):
-        if head := _SECTION.match(line):
-            here = head[1]
-        elif not line.strip() and here != "drawing":
-            continue
-        elif not here:
-            raise InputError(
-                f"{source}, line {number}, column 1: text before the first section; "
-                "begin with a line [town] or [drawing]."
-            )
-        elif "\t" in line and here == "drawing":
-            raise InputError(
-                f"{source}, line {number}, column {line.index(chr(9)) + 1}: "
-                "a tab in the drawing; write blanks."
-            )
-        else:
-            sections[here].append((number, line.rstrip()))
-    return sections
+    return drawings("towns")
 
 
 def _setting(line: str, where: str) -> tuple[str, list[str]]:
@@ -344,25 +305,21 @@ def _metres(words: list[str], source: str) -> float:
 
 def _symbol(line: str, where: str) -> tuple[str, Symbol]:
     """Read one line of the legend: glyph and meaning."""
-    match = _SYMBOL.match(line)
-    if not match or match["glyph"] in BLANKS:
-        raise InputError(f"{where}, column 1: expected 'glyph kind: key=value key=value'.")
-    glyph, kind, tags = match["glyph"], match["kind"] or "point", match["tags"]
-    if glyph in ROAD_PORTS:
+    read = legend_line(line, where)
+    kind = read.kind or "point"
+    if read.glyph in ROAD_PORTS:
         raise InputError(
-            f"{where}, column 1: {glyph!r} always draws a road; give the road its tags by a label, "
-            "such as '1 road: highway=primary', and put 1 into it."
+            f"{where}, column 1: {read.glyph!r} always draws a road; give the road its tags by a "
+            "label, such as '1 road: highway=primary', and put 1 into it."
         )
     if kind not in set(Kind):
         raise InputError(
-            f"{where}, column {match.start('kind') + 1}: {kind!r} is no kind; "
+            f"{where}, column {read.kind_column}: {kind!r} is no kind; "
             f"write one of {', '.join(Kind)}."
         )
-    found = {match[1]: match[2] for match in _TAG.finditer(tags)}
-    used = sum(len(match[0]) for match in _TAG.finditer(tags))
-    if used < len(tags.rstrip()) or bool(found) == (kind == Kind.SPOT):
+    if read.rest or bool(read.values) == (kind == Kind.SPOT):
         raise InputError(
-            f"{where}, column {match.start('tags') + 1}: expected "
+            f"{where}, column {read.values_column}: expected "
             f"{'nothing after a spot' if kind == Kind.SPOT else 'tags as key=value key=value'}."
         )
-    return glyph, Symbol(Kind(kind), found)
+    return read.glyph, Symbol(Kind(kind), read.values)
