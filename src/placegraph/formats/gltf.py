@@ -1,0 +1,256 @@
+"""The container of glTF 2.0 binary files (.glb): JSON, one buffer, accessors, nodes.
+
+What the pieces mean for a map is `glb`'s; this module believes no number it has not checked.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+Json = dict[str, Any]
+
+_MAGIC = 0x46546C67
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+MENDS = {
+    "KHR_draco_mesh_compression": "export it without Draco compression",
+    "EXT_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
+    "KHR_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
+    "KHR_texture_basisu": "export it with JPEG or PNG textures",
+    "EXT_mesh_gpu_instancing": "export instances as nodes",
+}
+"""Extensions without which nothing can be drawn, and what to do."""
+_KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp"}
+_HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "EXT_lights_")
+
+
+@dataclass(frozen=True, slots=True)
+class Gltf:
+    """A .glb file, read but not interpreted."""
+
+    path: Path
+    content: Json
+    buffer: memoryview
+
+    @classmethod
+    def read(cls, path: Path) -> Gltf:
+        """Read a file; raises `InputError` where it is not glTF 2.0 binary, or unreadable."""
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError as error:
+            raise InputError(f"{path} does not exist.") from error
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"{path} cannot be read: {why}.") from error
+        content, buffer = _chunks(path, memoryview(data))
+        gltf = cls(path, content, buffer)
+        for name in gltf.list_of(content, "extensionsRequired"):
+            if name in MENDS:
+                raise gltf.error(f"it needs {name}; {MENDS[name]}")
+            if name not in _KNOWN and not str(name).startswith(_HARMLESS):
+                raise gltf.error(
+                    f"it needs the extension {name!r}, unknown here; export without it"
+                )
+        return gltf
+
+    def error(self, what: str) -> InputError:
+        """Error about this file; `what` is half a sentence."""
+        return InputError(f"{self.path}: {what}.")
+
+    def item(self, kind: str, row: object) -> Json:
+        """Entry `row` of a top-level list such as ``meshes``; `InputError` where there is none."""
+        items = self.list_of(self.content, kind)
+        if type(row) is not int or not 0 <= row < len(items) or not isinstance(items[row], dict):
+            raise self.error(f"it names {kind}[{row!r}], which is not there; export it again")
+        entry: Json = items[row]
+        return entry
+
+    def list_of(self, entry: Json, key: str) -> list[Any]:
+        """List under `key`, empty where there is none."""
+        found = entry.get(key, [])
+        if not isinstance(found, list):
+            raise self.error(f"{key!r} is not a list; export it again")
+        return found
+
+    def object_of(self, entry: Json, key: str) -> Json:
+        """Object under `key`, empty where there is none."""
+        found = entry.get(key, {})
+        if not isinstance(found, dict):
+            raise self.error(f"{key!r} is not an object; export it again")
+        return found
+
+    def accessor(self, row: object) -> NDArray[Any]:
+        """Numbers (count, width) of an accessor; normalised integers as float32 in [-1, 1]."""
+        accessor = self.item("accessors", row)
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise self.error(f"accessors[{row}] is sparse; export it without sparse accessors")
+        dtype = _DTYPES.get(self.whole(accessor, "componentType"))
+        width = _WIDTHS.get(str(accessor.get("type")))
+        if dtype is None or width is None:
+            raise self.error(f"accessors[{row}] is of no known type; export it again")
+        kind = np.dtype(dtype)
+        view = self.view(accessor["bufferView"])
+        entry = self.item("bufferViews", accessor["bufferView"])
+        count, offset = self.whole(accessor, "count"), self.whole(accessor, "byteOffset")
+        stride = self.whole(entry, "byteStride") or kind.itemsize * width
+        end = offset + (count - 1) * stride + kind.itemsize * width
+        if count and (end > len(view) or stride < kind.itemsize * width):
+            raise self.error(
+                f"accessors[{row}] ends beyond its data; it is damaged: export it again"
+            )
+        shape = (count, width)
+        if not count:
+            return np.zeros(shape, kind)
+        array: NDArray[Any] = np.ndarray(shape, kind, view, offset, (stride, kind.itemsize))
+        if accessor.get("normalized") is True and kind.kind in "iu":
+            scaled: NDArray[Any] = np.maximum(array.astype(np.float32) / np.iinfo(kind).max, -1.0)
+            return scaled
+        return array
+
+    def view(self, row: object) -> memoryview:
+        """Bytes of a buffer view."""
+        entry = self.item("bufferViews", row)
+        for name in MENDS.keys() & self.object_of(entry, "extensions").keys():
+            raise self.error(f"it needs {name}; {MENDS[name]}")
+        number = self.whole(entry, "buffer")
+        if "uri" in self.item("buffers", number) or number:
+            raise self.error("its data lie in another file; export it as one .glb file")
+        start, length = self.whole(entry, "byteOffset"), self.whole(entry, "byteLength")
+        if start + length > len(self.buffer):
+            raise self.error(
+                f"bufferViews[{row}] ends beyond the file; it is truncated: copy it again"
+            )
+        return self.buffer[start : start + length]
+
+    def image(self, row: object) -> bytes:
+        """Encoded bytes of an image."""
+        entry = self.item("images", row)
+        uri = entry.get("uri")
+        if uri is None:
+            return bytes(self.view(entry.get("bufferView")))
+        head, _, text = str(uri).partition(",")
+        if not head.startswith("data:") or not head.endswith(";base64"):
+            raise self.error(f"images[{row}] lies in another file; export it with textures inside")
+        try:
+            return base64.b64decode(text, validate=True)
+        except (binascii.Error, ValueError) as error:
+            raise self.error(f"images[{row}] is not base64 ({error}); export it again") from error
+
+    def whole(self, entry: Json, key: str) -> int:
+        """Whole number from 0 under `key`, 0 where there is none."""
+        value = entry.get(key, 0)
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if type(value) is not int or not 0 <= value < 1 << 40:
+            raise self.error(f"{key} is {str(value)[:40]!r}; it must be a whole number")
+        return value
+
+    def floats(self, entry: Json, key: str, default: tuple[float, ...]) -> NDArray[np.float64]:
+        """As many numbers under `key` as `default` has, or `default`."""
+        value = entry.get(key)
+        if value is None:
+            return np.array(default)
+        good = isinstance(value, list) and len(value) == len(default)
+        if not good or any(type(v) not in {int, float} or abs(v) > 1e30 for v in value):
+            raise self.error(f"{key} is {str(value)[:60]!r}; it must be {len(default)} numbers")
+        return np.array(value, np.float64)
+
+    def walk(self) -> list[tuple[tuple[int, ...], NDArray[np.float64]]]:
+        """Nodes of the scene, parents first: the path of rows to each, and world_from_node (4, 4)."""
+        stack: list[tuple[tuple[int, ...], NDArray[np.float64]]]
+        stack = [((row,), np.eye(4)) for row in reversed(self._roots())]
+        found, seen = [], set()
+        while stack:
+            path, parent = stack.pop()
+            node = self.item("nodes", path[-1])
+            if path[-1] in seen:
+                raise self.error(f"nodes[{path[-1]}] has two parents; export it again")
+            seen.add(path[-1])
+            world = parent @ self._local(node)
+            found.append((path, world))
+            for child in reversed(self.list_of(node, "children")):
+                self.item("nodes", child)
+                stack.append(((*path, child), world))
+        return found
+
+    def _roots(self) -> list[int]:
+        if self.list_of(self.content, "scenes"):
+            scene = self.item("scenes", self.content.get("scene", 0))
+            roots = self.list_of(scene, "nodes")
+        else:  # a library of parts: every node that no other node holds
+            nodes = self.list_of(self.content, "nodes")
+            rows = range(len(nodes))
+            held = [c for row in rows for c in self.list_of(self.item("nodes", row), "children")]
+            children = {c for c in held if type(c) is int}
+            roots = [row for row in rows if row not in children]
+        for row in roots:
+            self.item("nodes", row)
+        return roots
+
+    def _local(self, node: Json) -> NDArray[np.float64]:
+        """parent_from_node (4, 4) from a matrix, or from translation, rotation and scale."""
+        if "matrix" in node:
+            return self.floats(node, "matrix", (0.0,) * 16).reshape(4, 4).T
+        x, y, z, w = self.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0))
+        norm = x * x + y * y + z * z + w * w
+        s = 2.0 / norm if norm > 0 else 0.0
+        rotation = np.array([
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ])  # fmt: skip
+        local = np.eye(4)
+        local[:3, :3] = rotation * self.floats(node, "scale", (1.0, 1.0, 1.0))
+        local[:3, 3] = self.floats(node, "translation", (0.0, 0.0, 0.0))
+        return local
+
+
+def _chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
+    """JSON and binary chunk."""
+    if not len(data):
+        raise InputError(f"{path} is empty; export it again.")
+    if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
+        text = bytes(data[:1]) == b"{"
+        raise InputError(
+            f"{path} is {'glTF as text' if text else 'not glTF 2.0 binary'}; export it as one .glb file."
+        )
+    version, total = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise InputError(f"{path} is glTF {version}; export it as glTF 2.0.")
+    if total > len(data):
+        raise InputError(
+            f"{path} has {len(data)} of {total} bytes: it is truncated; copy it again."
+        )
+    parts: dict[int, memoryview] = {}
+    at = 12
+    while at + 8 <= total:
+        length, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + length > total:
+            raise InputError(f"{path} ends within a chunk: it is damaged; copy it again.")
+        parts.setdefault(kind, data[at + 8 : at + 8 + length])
+        at += 8 + length + (-length % 4)
+    try:
+        content = json.loads(bytes(parts[_JSON]))
+    except (KeyError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path} has no JSON that can be read; copy or export it again."
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: its JSON is not an object; export it again.")
+    return content, parts.get(_BIN, memoryview(b""))

@@ -1,0 +1,227 @@
+"""The coarse mesh of a scene map: triangles that know their object and their colour.
+
+The colour of a point of a triangle is always the interpolated corner colour, as a share of 255,
+times the texel under its interpolated texture coordinates: a flat material is a texture of one
+texel, a mesh without textures has one white one. All colours are sRGB.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+GRAIN = 2.0**-13
+"""Step of vertices [m], 0.12 mm; a power of two, so that float32 holds multiples exactly."""
+UV_GRAIN = 2.0**-14
+"""Step of texture coordinates: a sixteenth of a texel of 1024."""
+_MAX_STEPS = 1 << 22  # of 24 bits that float32 has: sums of two coordinates are exact too
+
+WHITE = np.full((1, 1, 3), 255, np.uint8)
+WHITE.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Mesh:
+    """V vertices, T triangles and K textures; arrays are read-only and checked.
+
+    Raises
+    ------
+    OptionError
+        Arrays do not fit each other, a row points nowhere, a number is not finite.
+
+    """
+
+    vertices: NDArray[np.float32]
+    """(V, 3) float32 [m], map axes."""
+    triangles: NDArray[np.int32]
+    """(T, 3) int32, rows of vertices."""
+    object_of: NDArray[np.int32]
+    """(T,) int32, rows of objects."""
+    colours: NDArray[np.uint8]
+    """(V, 3) uint8, sRGB; 255 where the texture alone speaks."""
+    uv: NDArray[np.float32]
+    """(V, 2) float32 texture coordinates, v down, repeated beyond [0, 1)."""
+    texture_of: NDArray[np.int32]
+    """(T,) int32, rows of textures."""
+    textures: tuple[NDArray[np.uint8], ...]
+    """K arrays (h, w, 3) uint8, sRGB; at least one."""
+
+    def __post_init__(self) -> None:
+        v, t = len(self.vertices), len(self.triangles)
+        for name, dtype, shape in (
+            ("vertices", np.float32, (v, 3)), ("triangles", np.int32, (t, 3)),
+            ("object_of", np.int32, (t,)), ("colours", np.uint8, (v, 3)),
+            ("uv", np.float32, (v, 2)), ("texture_of", np.int32, (t,)),
+        ):  # fmt: skip
+            _put(self, name, _column(name, getattr(self, name), dtype, shape))
+        if not self.textures:
+            raise OptionError("textures: there is none; give one white texel.")
+        _put(self, "textures", tuple(_texture(i, a) for i, a in enumerate(self.textures)))
+        for name, count in (("triangles", v), ("texture_of", len(self.textures))):
+            _rows(name, getattr(self, name), count)
+        _rows("object_of", self.object_of, None)
+        for name in ("vertices", "uv"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise OptionError(f"{name}: a number is not finite; drop such vertices.")
+
+    @classmethod
+    def plain(
+        cls,
+        vertices: ArrayLike,
+        triangles: ArrayLike,
+        object_of: ArrayLike | None = None,
+        colours: ArrayLike | None = None,
+    ) -> Mesh:
+        """Mesh without textures; of one object and white where nothing else is given."""
+        points = np.asarray(vertices, np.float32)
+        corners = np.asarray(triangles, np.int32)
+        one = np.zeros(len(corners), np.int32)
+        return cls(
+            vertices=points,
+            triangles=corners,
+            object_of=one if object_of is None else np.asarray(object_of, np.int32),
+            colours=np.full(points.shape, 255, np.uint8)
+            if colours is None
+            else np.asarray(colours, np.uint8),
+            uv=np.zeros((len(points), 2), np.float32),
+            texture_of=one,
+            textures=(WHITE,),
+        )
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+    def __repr__(self) -> str:
+        return (
+            f"Mesh({len(self):,} triangles, {len(self.vertices):,} vertices, "
+            f"{len(self.textures)} textures)"
+        )
+
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3) float64, lowest and highest corner [m]; NaN of a mesh without vertices."""
+        if not len(self.vertices):
+            return np.full((2, 3), np.nan)
+        ends = [self.vertices.min(axis=0), self.vertices.max(axis=0)]
+        return np.array(ends, np.float64)
+
+    def object_bounds(self, count: int) -> NDArray[np.float64]:
+        """(count, 2, 3) float64, box of each object's triangles [m]; NaN where it has none."""
+        boxes = np.full((count, 2, 3), np.nan)
+        order = np.argsort(self.object_of, kind="stable")
+        rows, starts = np.unique(self.object_of[order], return_index=True)
+        if rows.size:
+            corners = self.vertices[self.triangles[order]]  # (T, 3 corners, 3)
+            boxes[rows, 0] = np.minimum.reduceat(corners.min(axis=1), starts)
+            boxes[rows, 1] = np.maximum.reduceat(corners.max(axis=1), starts)
+        return boxes
+
+    def normals(self) -> NDArray[np.float64]:
+        """(T, 3) float64 normals, twice as long as the triangles' areas [m2]."""
+        a, b, c = np.moveaxis(self.vertices[self.triangles].astype(np.float64), 1, 0)
+        normal: NDArray[np.float64] = np.cross(b - a, c - a)
+        return normal
+
+    def colour_at(
+        self, triangle: NDArray[np.int32], u: NDArray[np.float32], v: NDArray[np.float32]
+    ) -> NDArray[np.uint8]:
+        """Colours (N, 3) uint8 of hits: triangles (N,), barycentrics of corners 1 and 2 (N,).
+
+        The nearest texel speaks. Rows of triangle -1 (nothing hit) are black.
+        """
+        hit = np.flatnonzero(triangle >= 0)
+        out = np.zeros((len(triangle), 3), np.uint8)
+        rows = triangle[hit]
+        shares = np.stack([1.0 - u[hit] - v[hit], u[hit], v[hit]], axis=1)[:, :, None]
+        corners = self.triangles[rows]
+        corner_colour = (self.colours[corners] * shares).sum(axis=1) / 255.0
+        uv = (self.uv[corners] * shares).sum(axis=1)
+        texels, starts, sizes = self.texels()
+        which = self.texture_of[rows]
+        size = sizes[which]
+        at = np.floor(uv * size).astype(np.int64) % size
+        texel = texels[starts[which] + at[:, 1] * size[:, 0] + at[:, 0]]
+        out[hit] = np.clip(np.rint(corner_colour * texel), 0, 255)
+        return out
+
+    def texels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+        """All textures as one array, for compiled code.
+
+        Returns texels (P, 3) uint8, the first texel of each texture (K,) int64, and widths and
+        heights (K, 2) int64; texel (x, y) of texture k is row `start[k] + y * width[k] + x`.
+        """
+        sizes = np.array([(a.shape[1], a.shape[0]) for a in self.textures], np.int64)
+        counts = sizes.prod(axis=1)
+        flat = np.concatenate([a.reshape(-1, 3) for a in self.textures])
+        return flat, np.cumsum(counts) - counts, sizes
+
+    def moved(self, shift: ArrayLike) -> Mesh:
+        """Mesh shifted by (3,) [m]."""
+        return replace(self, vertices=self.vertices + np.asarray(shift, np.float64))
+
+    def snapped(self) -> Mesh:
+        """Mesh whose coordinates are multiples of `steps`, as a map file holds them."""
+        rounded = {
+            name: np.rint(getattr(self, name) / step).astype(np.float32) * np.float32(step)
+            for name, step in zip(("vertices", "uv"), self.steps(), strict=True)
+        }
+        return replace(self, **rounded)
+
+    def steps(self) -> tuple[float, float]:
+        """Steps of vertices [m] and of texture coordinates: `GRAIN`, `UV_GRAIN`, or 2^k times them.
+
+        Coarser only where coordinates are so large (beyond 512 m) that float32 demands it.
+        """
+        return _step(self.vertices, GRAIN), _step(self.uv, UV_GRAIN)
+
+
+def _step(values: NDArray[np.float32], least: float) -> float:
+    largest = float(np.abs(values).max(initial=0.0))
+    over = int(np.ceil(np.log2(max(largest / least / _MAX_STEPS, 1.0))))
+    return least * 2.0**over
+
+
+def _put(mesh: Mesh, field: str, value: object) -> None:
+    object.__setattr__(mesh, field, value)
+
+
+def _column(name: str, values: Any, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:  # noqa: ANN401
+    array = np.asarray(values)
+    if array.shape != shape and not (array.size == 0 and 0 in shape):
+        raise OptionError(f"{name}: shape {array.shape} where {shape} belongs.")
+    kinds = "iu" if np.dtype(dtype).kind in "iu" else "fiu"
+    if array.size and array.dtype.kind not in kinds:
+        raise OptionError(f"{name}: {array.dtype} where {np.dtype(dtype)} belongs.")
+    limits = np.iinfo(dtype) if kinds == "iu" else None
+    if limits and array.size and not limits.min <= array.min() <= array.max() <= limits.max:
+        raise OptionError(f"{name}: a number does not fit into {np.dtype(dtype)}.")
+    with np.errstate(over="ignore"):
+        column = np.ascontiguousarray(array.reshape(shape), dtype)
+    if column is values:
+        column = column.view()  # the caller's own array stays writeable
+    column.flags.writeable = False
+    return column
+
+
+def _texture(row: int, values: Any) -> NDArray[np.uint8]:  # noqa: ANN401
+    array = np.asarray(values)
+    if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3 or not array.size:
+        raise OptionError(
+            f"textures: {row} is {array.dtype} {array.shape}; (h, w, 3) uint8 belongs."
+        )
+    texture = np.ascontiguousarray(array).view()
+    texture.flags.writeable = False
+    return texture
+
+
+def _rows(name: str, rows: NDArray[np.int32], count: int | None) -> None:
+    if rows.size and (int(rows.min()) < 0 or (count is not None and int(rows.max()) >= count)):
+        raise OptionError(
+            f"{name}: a row lies outside 0 to {'...' if count is None else count - 1}."
+        )
