@@ -137,9 +137,35 @@ class Glow:
     """West, south, east, north [m]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture that lies under all else, such as rooms seen from above."""
+
+    pixels: NDArray[np.uint8]
+    """(rows, columns, 3) sRGB; row 0 is the northernmost."""
+    bounds: Bounds
+    """West, south, east, north [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Swarm:
+    """Many small marks that look somewhere: the particles of a filter."""
+
+    at: Points
+    """(N, 2)"""
+    heading: NDArray[np.float64]
+    """(N,) counter-clockwise from east [rad]."""
+    level: NDArray[np.float64]
+    """(N,) 0 to 1, painted as colour; the higher lies on top."""
+    radius: float
+    """[px]"""
+    tick: float = 0.0
+    """Length of the line that shows where a mark looks [px]."""
+
+
 MapItem = Area | Line | Dot
 Mark = Stroke | Disc | Text | Glow
-Item = MapItem | Mark
+Item = MapItem | Mark | Picture | Swarm
 
 
 def in_painters_order(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:

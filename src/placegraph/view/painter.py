@@ -16,8 +16,10 @@ from placegraph.view.canvas import (
     Item,
     Line,
     MapItem,
+    Picture,
     Points,
     Stroke,
+    Swarm,
     Text,
     in_painters_order,
 )
@@ -26,6 +28,8 @@ from placegraph.view.style import CASED, PAINTS, PALETTE, Paint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
 
@@ -44,6 +48,17 @@ def heat(density: Floats) -> Image.Image:
     level = np.clip(density, 0.0, 1.0) ** 0.7  # weak places show, too
     channels = [np.interp(level, stops, colors[:, k]) for k in range(4)]
     return Image.fromarray(np.stack(channels, axis=-1).round().astype(np.uint8), "RGBA")
+
+
+def likely(level: Floats) -> NDArray[np.uint8]:
+    """Colours (..., 4) RGBA of levels (...) from 0, unlikely, to 1, certain."""
+    stops = np.array([0.0, 0.35, 0.7, 1.0])
+    colors = np.array(
+        [(245, 190, 66, 150), (240, 128, 40, 200), (200, 38, 40, 235), (110, 8, 52, 255)],
+        np.float64,
+    )
+    channels = [np.interp(level, stops, colors[:, k]) for k in range(4)]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
 
 
 def paint_picture(
@@ -86,18 +101,25 @@ class _Painter:
                 casings = []
             self.map_items(drawn, PAINTS[paint])
         for item in items:
-            match item:
-                case Glow():
-                    self.glow(item)
-                case Stroke():
-                    self.stroke(item)
-                case Disc():
-                    self.disc(item)
-                case Text():
-                    self.text(item)
-                case _:
-                    pass
+            self.mark(item)
         return self.image
+
+    def mark(self, item: Item) -> None:
+        match item:
+            case Picture():
+                self.picture(item)
+            case Glow():
+                self.glow(item)
+            case Swarm():
+                self.swarm(item)
+            case Stroke():
+                self.stroke(item)
+            case Disc():
+                self.disc(item)
+            case Text():
+                self.text(item)
+            case _:
+                pass
 
     def map_items(self, items: list[MapItem], paint: Paint) -> None:
         self.lines(items, paint)
@@ -200,6 +222,38 @@ class _Painter:
             return
         image = heat(item.density).resize(tuple(size.tolist()), Image.Resampling.BICUBIC)
         self.image.paste(image, tuple(corners[0].tolist()), image)
+
+    def picture(self, item: Picture) -> None:
+        west, south, east, north = item.bounds
+        corners = self.frame.to_px(np.array([(west, north), (east, south)])).round().astype(int)
+        size = corners[1] - corners[0]
+        if (size < 1).any():
+            return
+        image = Image.fromarray(item.pixels)
+        if image.size != tuple(size):
+            image = image.resize(tuple(size.tolist()), Image.Resampling.BOX)
+        self.image.paste(image, tuple(corners[0].tolist()))
+
+    def swarm(self, item: Swarm) -> None:
+        """Stamp every mark into a picture of levels, where the highest wins, then colour it."""
+        at = self.frame.to_px(item.at)
+        radius, tick = item.radius * SUPERSAMPLE, item.tick * SUPERSAMPLE
+        reach = np.arange(-np.ceil(radius), np.ceil(radius) + 1)
+        disc = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+        disc = disc[np.hypot(*disc.T) <= radius]
+        looks = np.stack([np.cos(item.heading), -np.sin(item.heading)], axis=-1)
+        stamps = [at + offset for offset in disc]
+        stamps += [at + looks * length for length in np.arange(radius, radius + tick, 0.7)]
+        levels = np.zeros((self.frame.height, self.frame.width))
+        painted = 1e-3 + item.level  # the lowest level, too, is a mark
+        for stamp in stamps:
+            x, y = np.floor(stamp).astype(int).T
+            inside = (x >= 0) & (y >= 0) & (x < self.frame.width) & (y < self.frame.height)
+            np.maximum.at(levels, (y[inside], x[inside]), painted[inside])
+        colors = likely(levels)
+        colors[levels == 0.0, 3] = 0
+        image = Image.fromarray(colors, "RGBA")
+        self.image.paste(image, (0, 0), image)
 
     def stroke(self, item: Stroke) -> None:
         points = self.frame.to_px(item.points)

@@ -9,11 +9,13 @@ import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
 from placegraph.view.fonts import face_for
-from placegraph.view.painter import SUPERSAMPLE, heat
+from placegraph.view.painter import SUPERSAMPLE, heat, likely
 from placegraph.view.style import PALETTE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from placegraph.geometry import Floats
 
 XY = tuple[float, float]
 
@@ -129,6 +131,21 @@ class Sheet:
         ink, halo = self._color("ink"), self._color("land")
         self.draw.text(_up((x, y + 16)), "N", ink, font, "mm", stroke_width=3, stroke_fill=halo)
 
+    def axes(self, at: XY) -> None:
+        """Draw the map's axes, x to the right and y upwards, from their origin."""
+        (x, y), length, size = at, 16.0, 3.5
+        ink, halo = self._color("ink"), self._color("land")
+        for dx, dy, name in ((1.0, 0.0, "x"), (0.0, -1.0, "y")):
+            end = x + dx * length, y + dy * length
+            tip = x + dx * (length + 2 * size), y + dy * (length + 2 * size)
+            for color, width in ((halo, 5), (ink, 2)):
+                self.draw.line((*_up(at), *_up(end)), color, width * SUPERSAMPLE)
+            wings = [(end[0] + dy * side, end[1] + dx * side) for side in (-size, size)]
+            self.draw.polygon([c for p in (tip, *wings) for c in _up(p)], ink)
+            font = face_for([name]).font(12 * SUPERSAMPLE)
+            beside = tip[0] + 7 * dx, tip[1] + 7 * dy
+            self.draw.text(_up(beside), name, ink, font, "mm", stroke_width=3, stroke_fill=halo)
+
     def key_disc(self, at: XY, color: str, words: str) -> float:
         """Explain a round mark; return where the next key starts."""
         self._disc((at[0] + 6, at[1]), 6.0, color)
@@ -147,9 +164,15 @@ class Sheet:
 
     def key_heat(self, at: XY, words: str) -> float:
         """Explain the heat; return where the next key starts."""
+        return self._key_colors(at, heat, words)
+
+    def key_likely(self, at: XY, words: str) -> float:
+        """Explain the colours of particles; return where the next key starts."""
+        return self._key_colors(at, lambda level: Image.fromarray(likely(level), "RGBA"), words)
+
+    def _key_colors(self, at: XY, colored: Callable[[Floats], Image.Image], words: str) -> float:
         width, height = 48 * SUPERSAMPLE, 12 * SUPERSAMPLE
-        ramp = np.tile(np.linspace(0.0, 1.0, width), (height, 1))
-        colors = heat(ramp)
+        colors = colored(np.tile(np.linspace(0.0, 1.0, width), (height, 1)))
         corner = round(at[0] * SUPERSAMPLE), round((at[1] - 6) * SUPERSAMPLE)
         self.image.paste(self._color("land"), (*corner, corner[0] + width, corner[1] + height))
         self.image.paste(colors, corner, colors)
