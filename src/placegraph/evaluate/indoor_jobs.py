@@ -1,0 +1,184 @@
+"""The rows of the indoor benchmark: which map, which labels, which options; and asking for them."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+from placegraph.evaluate.indoor_metrics import Answer, measure
+from placegraph.evaluate.indoor_windows import HALVES
+from placegraph.evaluate.label_noise import NoisyEncoder
+from placegraph.indoor.encode.labels import ClassesOfInstances, LabelsEncoder
+from placegraph.indoor.options import FilterOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from placegraph.evaluate.indoor_windows import Window
+    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.scene_map import SceneMap
+
+Labels = Literal["instances", "classes", "none"]
+
+ANSWERING = (
+    "geometry.py", "estimate.py", "formats/*.py", "indoor/**/*.py", "evaluate/label_noise.py",
+    "evaluate/indoor_windows.py", "evaluate/indoor_metrics.py", "evaluate/indoor_maps.py",
+    "evaluate/tsdf*.py", "evaluate/decimate*.py",
+)  # fmt: skip
+"""Code that decides what the answers are."""
+SLOW_EVERY = 13
+"""Frames between windows for the paper's recipe, which takes long: starts 0 and 13, as the trial."""
+
+SEMANTIC = {
+    "semantic": {"semantic": True},
+    "semantic + depth": {"semantic": True, "depth": True},
+    "semantic + colour": {"semantic": True, "colour": True},
+    "all": {"semantic": True, "depth": True, "colour": True},
+}
+BARE = {
+    "depth": {"depth": True},
+    "colour": {"colour": True},
+    "depth + colour": {"depth": True, "colour": True},
+}
+TITLES = {
+    "instances": "House, instance labels, 30 % of the patches wrong",
+    "classes": "House, class labels, 30 % of the patches wrong",
+    "none": "House, no labels",
+    "b in a": "Office, map of frames 0-185, asked about 186-372",
+    "a in b": "Office, map of frames 186-372, asked about 0-185",
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One row of a table, for windows of any length."""
+
+    table: str
+    """Key of `TITLES`."""
+    row: str
+    options: FilterOptions
+    map: str
+    """`house`, `coarse` or a key of `HALVES`."""
+    labels: Labels
+    slow: bool = False
+    lengths: tuple[int, ...] = field(default=())
+    """Lengths of windows it is asked for; empty: all."""
+
+    @property
+    def name(self) -> str:
+        """`instances: semantic + depth`."""
+        return f"{self.table}: {self.row}"
+
+    def key(self, window: Window, seed: int, code: str) -> str:
+        """What an answer depends on."""
+        options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
+        return f"{code} {self.map} {self.labels} {options} seed {seed} {window.name}"
+
+
+def house_jobs() -> list[Job]:
+    """Terms and pairs, variants, the paper's recipe, and the coarse map."""
+    jobs = []
+    for labels in ("instances", "classes"):
+        jobs += [
+            Job(labels, row, FilterOptions().only(**terms), "house", labels)
+            for row, terms in SEMANTIC.items()
+        ]
+    jobs += [
+        Job("none", row, FilterOptions().only(**terms), "house", "none")
+        for row, terms in BARE.items()
+    ]
+    for row in ("semantic", "semantic + depth", "all"):
+        terms = SEMANTIC[row]
+        jobs += [
+            Job("instances", f"{row}, {name}", options, "house", "instances")
+            for name, options in variants(**terms)
+        ]
+        jobs.append(
+            Job(
+                "instances",
+                f"{row}, paper's recipe",
+                FilterOptions.paper().only(**terms),
+                "house",
+                "instances",
+                slow=True,
+            )
+        )
+    for row in ("semantic", "semantic + depth", "all"):
+        options = FilterOptions().only(**SEMANTIC[row])
+        jobs.append(Job("instances", f"{row}, 20k triangles", options, "coarse", "instances"))
+    for row in ("depth + colour", "colour"):
+        options = FilterOptions().only(**BARE[row])
+        jobs.append(Job("none", f"{row}, 20k triangles", options, "coarse", "none"))
+    return jobs
+
+
+def variants(**terms: bool) -> list[tuple[str, FilterOptions]]:
+    """Rows of the ablations (Tables 7, 12) for the terms named."""
+    ours = FilterOptions().only(**terms)
+    return [
+        ("coarse only", FilterOptions.coarse().only(**terms)),
+        ("without KLD", replace(ours, kld=False)),
+        ("uniform start", replace(ours, start="uniform")),
+    ]
+
+
+def office_jobs() -> list[Job]:
+    """No labels: depth and colour, each alone, and the paper's recipe."""
+    jobs = []
+    for half in HALVES:
+        jobs += [
+            Job(half, row, FilterOptions().only(**terms), half, "none")
+            for row, terms in BARE.items()
+        ]
+        options = FilterOptions.paper().only(**BARE["depth + colour"])
+        jobs.append(Job(half, "depth + colour, paper's recipe", options, half, "none", slow=True))
+    return jobs
+
+
+QUICK = (
+    "instances: semantic", "instances: semantic + depth", "instances: all", "classes: all",
+    "none: depth + colour", "b in a: depth + colour", "a in b: depth + colour",
+)  # fmt: skip
+"""Rows of a first impression."""
+
+
+def chosen(jobs: Iterable[Job], only: Sequence[str]) -> list[Job]:
+    """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is."""
+    return [
+        j
+        for j in jobs
+        if not only
+        or any(j.name == o or (o.endswith("*") and j.name.startswith(o[:-1])) for o in only)
+    ]
+
+
+def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> Encoder | None:
+    """Encoder with the noise model; None without labels."""
+    if job.labels == "none":
+        return None
+    clean = LabelsEncoder(scene) if job.labels == "instances" else ClassesOfInstances(scene)
+    return NoisyEncoder(clean, seed=seed, name=window.place)
+
+
+def ask(
+    job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
+) -> Answer:
+    """Localize a window and measure the answer."""
+    encoder = encoder_of(job, scene, window, seed)
+    start = time.perf_counter()
+    estimate = scene.localize(
+        window.capture, encoder=encoder, options=job.options, seed=seed, device=device
+    )
+    seconds = time.perf_counter() - start
+    return measure(
+        estimate,
+        window.truth,
+        seconds=seconds,
+        frames=len(window.capture),
+        window=window.name,
+        place=window.place,
+        changed=window.changed,
+        coverage=window.coverage,
+    )

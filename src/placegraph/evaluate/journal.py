@@ -1,0 +1,68 @@
+"""A long benchmark that may be cut: every answer is written down at once, and not asked for again.
+
+An answer holds for the code, the data and the options that gave it: a fingerprint of the source
+stands in its key, so that a change of the code asks everything anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+PACKAGE = Path(__file__).parents[1]
+
+
+def fingerprint(patterns: Iterable[str]) -> str:
+    """Sixteen hexadecimal digits of the package's files that match, by name and content.
+
+    `patterns` are globs below `src/placegraph`: `indoor/**/*.py`.
+    """
+    digest = hashlib.sha256()
+    for path in sorted({p for pattern in patterns for p in PACKAGE.glob(pattern)}):
+        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
+class Journal:
+    """Rows of JSON by key, one line each, appended as they come.
+
+    A line that was cut short by an interruption is passed over.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._rows: dict[str, Any] = {}
+        if not path.exists():
+            return
+        text = path.read_text(encoding="utf-8")
+        for line in text.splitlines():
+            try:
+                entry = json.loads(line)
+                self._rows[entry["key"]] = entry["row"]
+            except (ValueError, KeyError, TypeError):
+                continue
+        if text and not text.endswith("\n"):
+            with path.open("a", encoding="utf-8") as file:
+                file.write("\n")
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._rows
+
+    def __getitem__(self, key: str) -> Any:  # noqa: ANN401  # what was put there
+        return self._rows[key]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def put(self, key: str, row: Any) -> None:  # noqa: ANN401  # anything JSON holds
+        """Write a row down, now."""
+        line = json.dumps({"key": key, "row": row}, allow_nan=False)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+        self._rows[key] = row
