@@ -139,7 +139,7 @@ def main(
         cache.mkdir(exist_ok=True)
         write_osm(places, cache / "pittsburgh.osm")
         pg.build_city(cache / "pittsburgh.osm", cache / "pittsburgh.city")
-        city: CityMap = pg.open_map(cache / "pittsburgh.city")
+        city: CityMap = pg.CityMap.open(cache / "pittsburgh.city")
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # from here on: one core
         for record in told[:10]:  # warm
             ask(city, record, record.start)

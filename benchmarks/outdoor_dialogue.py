@@ -48,7 +48,7 @@ def main(
         task = progress.add_task("asking", total=len(cities.split(",")) * len(ways) * queries)
         for name in cities.split(","):
             path = cache / f"{name}.city"
-            city = pg.open_map(path) if path.exists() else pg.build_city(EXTRACTS[name], path)
+            city = pg.CityMap.open(path) if path.exists() else pg.build_city(EXTRACTS[name], path)
             bins = load(EXTRACTS[name])
             told = make_queries(EXTRACTS[name], statements=6, n=queries, seed=seed)
             for asking in ways:

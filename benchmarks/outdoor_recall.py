@@ -251,7 +251,7 @@ def main(
         cache.mkdir(exist_ok=True)
         for name in names:  # always anew: the map's making is part of what is measured
             pg.build_city(data / files[name], cache / f"{name}.city")
-            maps[name] = pg.open_map(cache / f"{name}.city")
+            maps[name] = pg.CityMap.open(cache / f"{name}.city")
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # from here on: one core
     with Progress(console=Console(stderr=True), transient=True) as tick:
         for name in names:

@@ -360,10 +360,10 @@ def test_a_file_that_went_through_a_text_transfer(written):
 
 
 def test_another_kind(path):
-    write_map(path, "scene", 1, {}, {})
-    with pytest.raises(MapError, match="is a scene map, not a city map"):
+    write_map(path, "moon", 1, {}, {})
+    with pytest.raises(MapError, match="is a moon map, not a city map"):
         read_map(path, "city", 1)
-    with pytest.raises(MapError, match="scene map, which this placegraph does not know"):
+    with pytest.raises(MapError, match="moon map, which this placegraph does not know"):
         open_map(path)
 
 

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from placegraph.estimate import Estimate, Status
     from placegraph.formats.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
+    from placegraph.indoor.build import build_scene
+    from placegraph.indoor.merge import merge_scenes
+    from placegraph.indoor.scene_map import SceneMap
     from placegraph.maps import open_map
     from placegraph.outdoor.build import build_city
     from placegraph.outdoor.city import CityMap
@@ -27,9 +30,12 @@ _HOME = {
     "Estimate": "placegraph.estimate",
     "Frame": "placegraph.formats.capture",
     "SceneGraph": "placegraph.graph",
+    "SceneMap": "placegraph.indoor.scene_map",
     "Status": "placegraph.estimate",
     "build_city": "placegraph.outdoor.build",
+    "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.describe",
+    "merge_scenes": "placegraph.indoor.merge",
     "open_capture": "placegraph.formats.capture",
     "open_map": "placegraph.maps",
 }
@@ -40,11 +46,14 @@ __all__ = [
     "Estimate",
     "Frame",
     "SceneGraph",
+    "SceneMap",
     "Status",
     "__version__",
     "build_city",
+    "build_scene",
     "describe",
     "errors",
+    "merge_scenes",
     "open_capture",
     "open_map",
 ]

@@ -11,10 +11,11 @@ from placegraph.errors import MapError
 if TYPE_CHECKING:
     import os
 
+    from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
 
 
-def open_map(path: str | os.PathLike[str]) -> CityMap:
+def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap:
     """Open a map file; what it holds is read from its header.
 
     Raises
@@ -30,6 +31,10 @@ def open_map(path: str | os.PathLike[str]) -> CityMap:
         from placegraph.outdoor.city import CityMap
 
         return CityMap.open(Path(path))
+    if kind == "scene":
+        from placegraph.indoor.scene_map import SceneMap
+
+        return SceneMap.open(Path(path))
     raise MapError(
         f"{path} is a {kind} map, which this placegraph does not know; update placegraph."
     )

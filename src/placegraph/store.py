@@ -272,7 +272,8 @@ def _read_header(file: BinaryIO, path: Path) -> Header:
         raise InputError(f"{path} is empty; build the map again.")
     if not prefix.startswith(MAGIC[: len(prefix)]):
         raise MapError(
-            f"{path} is not a placegraph map; `placegraph city build` makes one from OpenStreetMap."
+            f"{path} is not a placegraph map; `placegraph city build` makes one from OpenStreetMap, "
+            "`placegraph scene build` one from a 3D file."
         )
     if len(prefix) < _PREFIX.size:
         raise _damaged(path, "it ends within the header")
@@ -363,8 +364,9 @@ def _open(path: Path_) -> BinaryIO:
         # Without O_NONBLOCK, opening a pipe would wait for its other end.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
+        wing = "scene" if str(path).endswith(".scene") else "city"
         raise InputError(
-            f"{path} does not exist; build it with `placegraph city build`."
+            f"{path} does not exist; build it with `placegraph {wing} build`."
         ) from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read: {_why(error)}.") from error

@@ -5,7 +5,7 @@ In this order, of which the first that holds for a pair is kept:
 - A *standing on* B: level triangles of B lie under A's box, from 10 cm below its bottom to 5 cm
   above, and B as a whole lies lower or begins lower; of several B those under at least half of A
   first, then the highest, then the largest.
-- A *inside* B: at least 90 % of A's box lies in B's, which is larger and no wall, floor or ceiling.
+- A *inside* B: A stands on nothing, and at least 90 % of its box lies in B's, which is larger.
 - A *attached to* B: A stands on nothing and is in nothing, and B's triangles come within 5 cm of
   its box: of several B walls, ceilings and floors first, then the largest.
 - A *above* B: A's bottom is over B's top, by at most 2 m, and half of the smaller footprint
@@ -97,7 +97,7 @@ def relate(mesh: Mesh, labels: Sequence[str]) -> list[tuple[int, str, int]]:
     triangles = _triangles(mesh, count)
     found: dict[tuple[int, int], str] = {}
     grounded = _standing(boxes, triangles, pairs, found)
-    grounded |= _inside(boxes, pairs, found)
+    grounded |= _inside(boxes, pairs, found, grounded)
     _attached(boxes, triangles, pairs, found, grounded)
     _above(boxes, pairs, found)
     _next_to(boxes, pairs, found)
@@ -204,10 +204,13 @@ def _standing(
 
 
 def _inside(
-    boxes: _Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
+    boxes: _Boxes,
+    pairs: NDArray[np.int64],
+    found: dict[tuple[int, int], str],
+    grounded: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """Find what is inside what; returns which objects are."""
-    a, b = pairs[~boxes.structure[pairs].any(axis=1)].T
+    a, b = pairs[~boxes.structure[pairs].any(axis=1) & ~grounded[pairs[:, 0]]].T
     thin = np.maximum(boxes.high - boxes.low, _THIN)
     volume = thin.prod(axis=1)
     shared = np.minimum(boxes.high[a], boxes.high[b]) - np.maximum(boxes.low[a], boxes.low[b])

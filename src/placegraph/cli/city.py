@@ -1,4 +1,4 @@
-"""The command line: thin, typed functions; every answer is also to be had as JSON."""
+"""Commands of the outdoor wing: `placegraph city ...`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from placegraph.errors import InputError, OptionError, PlacegraphError
+from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
+from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.estimate import Estimate
@@ -20,50 +20,14 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
 app = typer.Typer(
-    name="placegraph",
-    help="Where am I? Answered on a map that is a graph of things.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-city_app = typer.Typer(
     help="Outdoor: a sentence finds its place in a city cut from OpenStreetMap.",
     no_args_is_help=True,
 )
-app.add_typer(city_app, name="city")
 
 MapFile = Annotated[Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")]
 
 
-def main() -> None:
-    """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
-    try:
-        app()
-    except PlacegraphError as error:
-        Console(stderr=True, soft_wrap=True).print(
-            f"placegraph: {error}", style="red", markup=False, highlight=False
-        )
-        sys.exit(error.exit_code)
-    except OSError as error:  # an output that cannot be written
-        name = f"{error.filename} " if error.filename else ""
-        typer.echo(f"placegraph: {name}cannot be written or read: {error.strerror}.", err=True)
-        sys.exit(InputError.exit_code)
-
-
-@app.callback(invoke_without_command=True)
-def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
-    if version:
-        from placegraph import __version__
-
-        typer.echo(__version__)
-        raise typer.Exit
-
-
-@city_app.command("build")
+@app.command("build")
 def build(
     file: Annotated[
         Path, typer.Argument(help="OpenStreetMap extract: .osm.pbf, .osm, .osm.gz or .osm.bz2.")
@@ -96,7 +60,7 @@ def build(
 
     words = Vocabulary.load(vocabulary) if vocabulary else None
     start = perf_counter()
-    with _progress(hidden=quiet or as_json) as progress:
+    with progress_bar(hidden=quiet or as_json) as progress:
         task = progress.add_task("reading")
         city = build_city(
             file, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
@@ -119,7 +83,7 @@ def build(
             )
 
 
-@city_app.command("locate")
+@app.command("locate")
 def locate(
     map_file: MapFile,
     text: Annotated[
@@ -152,9 +116,9 @@ def locate(
     """
     from math import radians
 
-    from placegraph.maps import open_map
+    from placegraph.outdoor.city import CityMap
 
-    city = open_map(map_file)
+    city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
 
@@ -247,16 +211,16 @@ def _show(estimate: Estimate, question: Question | None) -> None:
         console.print(f"To be sure: {question.text}  (run again with --ask to answer)")
 
 
-@city_app.command("info")
+@app.command("info")
 def info(
     map_file: MapFile,
     as_json: AsJson = False,
     png: Annotated[Path | None, typer.Option(help="Write an overview picture.")] = None,
 ) -> None:
     """Say what a city map holds."""
-    from placegraph.maps import open_map
+    from placegraph.outdoor.city import CityMap
 
-    city = open_map(map_file)
+    city = CityMap.open(map_file)
     told = {**facts(city), "bytes": map_file.stat().st_size}
     if png is not None:
         from placegraph.view import draw_city
@@ -265,16 +229,7 @@ def info(
     if as_json:
         typer.echo(json.dumps(told, ensure_ascii=False))
         return
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for key, value in told.items():
-        table.add_row(key.replace("_", " "), _said(value))
-    Console(soft_wrap=True, highlight=False, markup=False, emoji=False).print(table)
-
-
-def _said(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_said(v)}" for k, v in value.items())
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    show_facts(told)
 
 
 def facts(city: CityMap) -> dict[str, object]:
@@ -298,20 +253,20 @@ def facts(city: CityMap) -> dict[str, object]:
     }
 
 
-@city_app.command("check")
+@app.command("check")
 def check(map_file: MapFile, as_json: AsJson = False) -> None:
     """Check a city map: checksums, columns, and what may surprise; each finding with a mend."""
-    from placegraph.maps import open_map
     from placegraph.outdoor.check import findings
+    from placegraph.outdoor.city import CityMap
 
-    found = findings(open_map(map_file))
+    found = findings(CityMap.open(map_file))
     if as_json:
         typer.echo(json.dumps(found, ensure_ascii=False))
     else:
         typer.echo("\n".join(f"- {line}" for line in found) if found else f"{map_file} is sound.")
 
 
-@city_app.command("fetch")
+@app.command("fetch")
 def fetch(
     place: Annotated[str, typer.Argument(help="Name of a place, such as 'Vaduz, Liechtenstein'.")],
     out: Annotated[
@@ -331,7 +286,7 @@ def fetch(
 
     from placegraph.formats.overpass import fetch_osm
 
-    with _progress(hidden=quiet or as_json) as progress:
+    with progress_bar(hidden=quiet or as_json) as progress:
         task = progress.add_task("finding")
         summary = fetch_osm(
             place,
@@ -343,30 +298,3 @@ def fetch(
         typer.echo(json.dumps(asdict(summary), ensure_ascii=False))
     elif not quiet:
         typer.echo(str(summary))
-
-
-def _progress(*, hidden: bool) -> Progress:
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True)
-
-
-@app.command("demo")
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the pages and pictures.")] = Path(
-        "demo-out"
-    ),
-) -> None:
-    """Build a town that ships with placegraph and locate three sentences in it."""
-    from placegraph.synthetic.demo import run_demo
-
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{out} cannot be made a folder ({error.strerror}); choose another --out."
-        ) from error
-    run_demo(out, typer.echo)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,35 @@
+"""What the commands of both wings share."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")]
+
+
+def progress_bar(*, hidden: bool) -> Progress:
+    """Spinner with a line of text, on stderr; gone when done."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    return Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True)
+
+
+def show_facts(told: dict[str, object]) -> None:
+    """Print names and values as a table."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for key, value in told.items():
+        table.add_row(key.replace("_", " "), _said(value))
+    Console(soft_wrap=True, highlight=False, markup=False, emoji=False).print(table)
+
+
+def _said(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_said(v)}" for k, v in value.items())
+    if isinstance(value, list):
+        return ", ".join(_said(v) for v in value)
+    return f"{value:,}" if isinstance(value, int) else str(value)
