@@ -62,6 +62,7 @@ def office(data: Path, cache: Path, half: str, triangles: int = OFFICE_TRIANGLES
         ply = path.with_suffix(".ply")
         write_ply(ply, mesh)
         build_scene(ply, path)
+        ply.unlink()
     return SceneMap.open(path)
 
 
