@@ -1,1 +1,5 @@
 """Ray casting: one small interface, several engines."""
+
+from placegraph.indoor.raycast.caster import Backend, Hits, RayCaster
+
+__all__ = ["Backend", "Hits", "RayCaster"]

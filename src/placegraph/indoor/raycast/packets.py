@@ -7,51 +7,63 @@ barycentrics; what traces them is a `Tracer`, a plain value that numba passes by
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
-from numpy.typing import NDArray
+from numba import njit
 
-LANES = 16
-ROWS = 21
-ORIGIN, NEAR, DIRECTION, TIME, FAR, MASK, ID, FLAGS = 0, 3, 4, 7, 8, 9, 10, 11
-U, V, TRIANGLE, GEOMETRY = 15, 16, 17, 18
-NONE = -1
-"""Triangle of a ray that hits nothing."""
+from placegraph.indoor.raycast.layout import (
+    DIRECTION,
+    FAR,
+    FLAGS,
+    GEOMETRY,
+    LANES,
+    MASK,
+    NEAR,
+    NONE,
+    ORIGIN,
+    ROWS,
+    TIME,
+    TRIANGLE,
+    U,
+    V,
+)
+from placegraph.indoor.raycast.native import call
+from placegraph.indoor.raycast.walk import walk16
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "DIRECTION",
+    "FAR",
+    "LANES",
+    "NONE",
+    "ORIGIN",
+    "TRIANGLE",
+    "Tracer",
+    "U",
+    "V",
+    "cast_rays",
+    "new_packet",
+    "trace16",
+]
 
 
 class Tracer(NamedTuple):
-    """What traces packets. Valid for as long as the `RayCaster` it belongs to."""
+    """What traces packets: Embree, or a tree. It keeps alive what it needs."""
 
     intersect: int
-    """Address of ``rtcIntersect16``."""
+    """Address of ``rtcIntersect16``; 0: the tree is walked."""
     scene: int
     """Embree's scene."""
     arguments: int
     """Embree's intersect arguments."""
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _call(
-    typingctx: Any, address: Any, valid: Any, scene: Any, packet: Any, arguments: Any
-) -> Any:
-    """Call ``void f(int *, scene, ray_hit *, arguments *)`` at an address known at run time.
-
-    An address passed as a value, not as a global, lets numba cache what calls it.
-    """
-    signature = types.void(types.int64, types.int64, types.int64, types.int64, types.int64)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        i64 = ir.IntType(64)
-        kind = ir.FunctionType(ir.VoidType(), [i64, i64, i64, i64])
-        function = builder.inttoptr(args[0], kind.as_pointer())
-        builder.call(function, list(args[1:]))
-        return context.get_dummy_value()
-
-    return signature, codegen
+    nodes: NDArray[np.float32]
+    links: NDArray[np.int32]
+    corners: NDArray[np.float32]
+    rows: NDArray[np.int32]
+    """The tree (`bvh.Bvh`); of one element each where Embree traces."""
 
 
 @njit(cache=True, nogil=True)
@@ -89,10 +101,50 @@ def trace16(
         ints[GEOMETRY, lane] = NONE
         ints[GEOMETRY + 1, lane] = NONE
         ints[GEOMETRY + 2, lane] = NONE
-    _call(
-        tracer.intersect,
-        valid.ctypes.data,
-        tracer.scene,
-        packet.ctypes.data,
-        tracer.arguments,
-    )
+    if tracer.intersect != 0:
+        call(  # type: ignore[call-arg]
+            tracer.intersect,
+            valid.ctypes.data,
+            tracer.scene,
+            packet.ctypes.data,
+            tracer.arguments,
+        )
+    else:
+        walk16(tracer.nodes, tracer.links, tracer.corners, tracer.rows, packet, ints, valid)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cast_rays(
+    tracer: Tracer,
+    origins: NDArray[np.float32],
+    directions: NDArray[np.float32],
+    part: tuple[int, int],
+    hits: tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+) -> None:
+    """Cast rays (N, 3) from the first to before the last of `part`; columns of `Hits` take it."""
+    triangle, distance, us, vs = hits
+    start, stop = part
+    packet, ints, valid = new_packet()
+    lengths = np.empty(LANES, np.float64)
+    for first in range(start, stop, LANES):
+        for lane in range(LANES):
+            ray = min(first + lane, stop - 1)
+            square = 0.0
+            sane = first + lane < stop
+            for k in range(3):
+                square += np.float64(directions[ray, k]) ** 2
+                sane &= np.isfinite(origins[ray, k])
+            lengths[lane] = np.sqrt(square)
+            sane &= np.isfinite(square) and square > 0.0
+            valid[lane] = -1 if sane else 0
+            for k in range(3):
+                packet[ORIGIN + k, lane] = origins[ray, k] if sane else 0.0
+                packet[DIRECTION + k, lane] = directions[ray, k] / lengths[lane] if sane else 1.0
+            packet[FAR, lane] = np.inf
+        trace16(tracer, packet, ints, valid)
+        for lane in range(LANES):
+            if valid[lane] != 0 and ints[TRIANGLE, lane] >= 0:
+                triangle[first + lane] = ints[TRIANGLE, lane]
+                distance[first + lane] = packet[FAR, lane] / lengths[lane]
+                us[first + lane] = packet[U, lane]
+                vs[first + lane] = packet[V, lane]
