@@ -1,0 +1,117 @@
+"""Scenes to be lost in: drawn in ASCII, furnished, written as GLB and built as any other."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placegraph.formats.capture import open_capture
+from placegraph.formats.tum import read_tum
+from placegraph.geometry import Camera
+from placegraph.indoor.build import build_scene
+from placegraph.synthetic.flats import Flat
+from placegraph.synthetic.walks import stroll, write_walk
+
+ROOM = """
+[flat]
+name = Room
+height = 2.6
+[drawing]
+########====########
+#SSS         pp  BB#
+#SSS             BB#
+#SSS  tt      1  BB#
+#SSS  tt         BB#
+#SSS             BB#
+#                  #
+#LL  3             #
+#LL       hhTTT  2 +
+#         hhTTT    +
+#           TTT    +
+#CCCCCC            #
+#CCCCCC    pp      #
+####################
+[legend]
+1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
+2 spot:
+3 spot:
+S sofa: look=fabric darkred trim=fabric firebrick
+B shelf: label=bookcase height=2.1
+t roundtable: label=side table height=0.45
+T table: label=desk look=wood burlywood
+h chair: faces=T look=plain teal trim=plain darkslategrey
+C cabinet: label=sideboard height=0.8 look=wood peru
+L lamp:
+p picture:
+"""
+SMALL = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
+
+
+def _world(folder, drawing, seed):
+    """A drawn flat, furnished, and its scene map."""
+    interior = drawing.furnish(np.random.default_rng(seed))
+    interior.write_glb(folder / "flat.glb")
+    scene = build_scene(folder / "flat.glb", folder / "flat.scene")
+    return SimpleNamespace(drawing=drawing, interior=interior, scene=scene, folder=folder)
+
+
+def _render(world, name, seed, *, through="", frames=10, interior=None, camera=SMALL, **options):
+    """Capture of a walk through a drawn world; `interior` is how it is by now."""
+    rng = np.random.default_rng(seed)
+    walk = stroll(world.drawing, rng, frames=frames, through=through)
+    folder = world.folder / name
+    write_walk(interior or world.interior, walk, folder, rng, camera=camera, **options)
+    return open_capture(folder)
+
+
+@pytest.fixture(scope="session")
+def room_world(tmp_path_factory):
+    """Drawing, interior, scene and folder of one furnished room, 4.5 x 3 m."""
+    return _world(tmp_path_factory.mktemp("room"), Flat.parse(ROOM), 1)
+
+
+@pytest.fixture(scope="session")
+def flat_world(tmp_path_factory):
+    """Drawing, interior, scene and folder of the flat that ships: five rooms, 110 objects."""
+    return _world(tmp_path_factory.mktemp("flat"), Flat.load("altbau"), 1)
+
+
+@pytest.fixture(scope="session")
+def room(room_world):
+    """Scene map of the room."""
+    return room_world.scene
+
+
+@pytest.fixture(scope="session")
+def flat(flat_world):
+    """Scene map of the flat."""
+    return flat_world.scene
+
+
+@pytest.fixture(scope="session")
+def render():
+    """Render a walk: `render(world, name, seed, through=, frames=, interior=, camera=, ...)`."""
+    return _render
+
+
+@pytest.fixture(scope="session")
+def walk(room_world):
+    """Capture in the room: 10 frames with depth and instances, drifting odometry."""
+    return _render(room_world, "walk", 2, through="123")
+
+
+@pytest.fixture(scope="session")
+def flat_walk(flat_world):
+    """Capture in the flat, from the living room to the kitchen: 10 frames."""
+    return _render(flat_world, "walk", 2, through="12")
+
+
+@pytest.fixture(scope="session")
+def truth():
+    """True poses (T, 4, 4) map_from_camera of the frames of a rendered capture."""
+
+    def read(capture):
+        poses = read_tum(capture.path / "trajectory.tum").poses
+        return poses[[frame.index for frame in capture]]
+
+    return read
