@@ -141,7 +141,7 @@ def _whole(column: NDArray[Any]) -> NDArray[np.int64]:
         good = np.isfinite(column) & (np.abs(column) < 2**53)
         return np.where(good, np.where(good, column, 0), -1).astype(np.int64)
     top = np.iinfo(column.dtype).max
-    ids = np.minimum(column, np.iinfo(np.int64).max).astype(np.int64)
+    ids = column.astype(np.int64)  # what uint64 holds beyond becomes negative: no id
     none = ids < 0
     if column.dtype.kind == "u":  # where -1 did not fit
         none |= column == top

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 LEVEL = 0.9
 """A triangle is level where its normal's z is at least this, 26 degrees from upright."""
 _BIN = 0.05  # [m] of the histogram of heights
-_SLAB = 0.4  # a floor is not thicker than this [m]
 _LOW = 0.25  # of the scene's height: where a floor without a label is looked for
 _LOW_METRES = 0.4  # or this far above its lowest surfaces [m]
 _SHARE = 0.05  # of the footprint that a floor without a label has to cover
@@ -40,9 +39,10 @@ def is_floor(label: str) -> bool:
 def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     """Height of the floor [m, map], or None where the mesh shows none.
 
-    Objects labelled as floor come first. Without one, it is the largest surface that looks up
-    among the lowest quarter of the scene, if it covers a twentieth of the footprint; where nothing
-    there looks up (a mesh turned inside out), what looks down counts.
+    Objects labelled as floor come first, with what looks up where that is about half of them or
+    more. Without one, it is the largest surface that looks up among the lowest quarter of the
+    scene, if it covers a twentieth of the footprint; where nothing there looks up (a mesh turned
+    inside out), what looks down counts.
     """
     normals = mesh.normals()
     areas = np.linalg.norm(normals, axis=1) / 2.0
@@ -50,7 +50,11 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     upward = normals[:, 2] / np.maximum(2.0 * areas, 1e-300)
     floors = np.array([is_floor(label) for label in labels])
     labelled = (np.abs(upward) > LEVEL) & floors[mesh.object_of]
-    if areas[labelled].sum() > 0:
+    whole = float(areas[labelled].sum())
+    if whole > 0:
+        top = labelled & (upward > 0)  # of a slab; half of its area looks down
+        if areas[top].sum() >= 0.4 * whole:
+            labelled = top
         return _level(heights[labelled], areas[labelled])[0]
     low, high = _quantiles(heights, areas, (0.02, 0.98))
     near = heights <= low + max(_LOW * (high - low), _LOW_METRES)
@@ -67,10 +71,7 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
 
 
 def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[float, float]:
-    """Height and area of the largest level: the area-weighted median of what lies near its bin.
-
-    A floor modelled as a slab has two surfaces alike; people stand on the upper one.
-    """
+    """Height and area of the largest level: the area-weighted median of what lies near its bin."""
     bins, inverse = np.unique(np.floor(heights / _BIN).astype(np.int64), return_inverse=True)
     alone = np.bincount(inverse, areas)
     around = alone.copy()  # with the neighbouring bins: noise and tilt of a scan
@@ -78,9 +79,6 @@ def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[fl
     around[close] += alone[close + 1]
     around[close + 1] += alone[close]
     best = int(np.argmax(around))
-    above = np.flatnonzero((bins > bins[best] + 1) & (bins - bins[best] <= _SLAB / _BIN))
-    twins = above[around[above] >= 0.9 * around[best]]
-    best = int(twins[-1]) if twins.size else best
     own = np.abs(inverse - best) <= 1
     own &= np.abs(bins[inverse] - bins[best]) <= 1
     (height,) = _quantiles(heights[own], areas[own], (0.5,))
