@@ -30,6 +30,8 @@ CASING = 0.07
 """Width of the boards around an opening [m]."""
 BOARD = 0.015
 """How far they stand out of the wall [m]."""
+SEAM = 0.005
+"""How far floors and ceilings reach under walls, so that no ray passes between them [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +70,16 @@ def shell(flat: Flat) -> list[Piece]:
         An opening does not lead straight through one wall.
     """
     holes = [_hole(flat, blot) for blot in flat.openings]
+    levels = sorted({0.0, flat.height, *(z for hole in holes for z in hole.heights)})
     hole_at = {cell: hole for hole in holes for cell in hole.blot.cells}
     pieces = []
     for index, room in enumerate(flat.rooms):
         pieces += [_slab(flat, room, "floor"), _slab(flat, room, "ceiling")]
         pieces += [
-            _stretch(flat, room, side, line, run, hole_at, _levels(flat, holes))
+            _stretch(flat, room, side, line, run, hole_at, levels)
             for side, line, run in _runs(flat, index)
         ]
-    return pieces + [_opening(flat, hole) for hole in holes]
+    return pieces + [_opening(flat, hole, levels) for hole in holes]
 
 
 def rectangles(flat: Flat, cells: Iterable[Cell]) -> list[tuple[float, float, float, float]]:
@@ -107,7 +110,10 @@ def _straight(numbers: list[int]) -> Iterator[list[int]]:
 
 def _slab(flat: Flat, room: Room, which: str) -> Piece:
     """Floor or ceiling of a room; the texture covers the room once."""
-    tiles = rectangles(flat, room.cells)
+    tiles = [
+        (x0 - SEAM, y0 - SEAM, x1 + SEAM, y1 + SEAM)
+        for x0, y0, x1, y1 in rectangles(flat, room.cells)
+    ]
     x0, y0 = (min(t[k] for t in tiles) for k in (0, 1))
     x1, y1 = (max(t[k] for t in tiles) for k in (2, 3))
     size = (x1 - x0, y1 - y0)
@@ -140,11 +146,6 @@ def _runs(flat: Flat, index: int) -> Iterator[tuple[Cell, int, list[int]]]:
     for (side, key), places in lines.items():
         for run in _straight(places):
             yield side, key, run
-
-
-def _levels(flat: Flat, holes: list[Hole]) -> list[float]:
-    """Heights [m] at which every vertical edge has a vertex."""
-    return sorted({0.0, flat.height, *(z for hole in holes for z in hole.heights)})
 
 
 def _stretch(
@@ -215,8 +216,8 @@ def _hole(flat: Flat, blot: Blot) -> Hole:
     sides = (SOUTH, NORTH) if through_y else (EAST, WEST)  # y of the opening's own frame
     if any(len(around[side]) > 1 for side in sides):
         raise InputError(
-            f"{where}: this {blot.symbol.kind} opens to two rooms on one side; "
-            "draw one for each room."
+            f"{where}: this {blot.symbol.kind} opens to more than one room, or to wall and room, "
+            "on one side; draw it narrower, or split it."
         )
     base = blot.symbol.base or 0.0
     top = base + blot.symbol.height
@@ -239,13 +240,13 @@ def _room(flat: Flat, cell: Cell) -> int:
     return int(flat.room_of[cell]) if inside else -1
 
 
-def _opening(flat: Flat, hole: Hole) -> Piece:
+def _opening(flat: Flat, hole: Hole, levels: list[float]) -> Piece:
     """Reveal, boards around it, and the pane or leaf in it."""
     symbol = hole.blot.symbol
     x0, y0, x1, y1 = hole.rectangle
     wide, thick = (x1 - x0, y1 - y0) if hole.through_y else (y1 - y0, x1 - x0)
     low, high = hole.heights
-    parts = _reveal(wide, thick, low, high, symbol.looks["trim"])
+    parts = _reveal(wide, thick, [z for z in levels if low <= z <= high], symbol.looks["trim"])
     for room, near in zip(hole.rooms, (True, False), strict=True):
         if room >= 0:
             parts += _casing(wide, thick, low, high, symbol.looks["trim"], near=near)
@@ -283,15 +284,19 @@ def _frame(hole: Hole) -> tuple[Floats, Floats]:
     return np.array([x1, y0, 0.0]), quarter
 
 
-def _reveal(wide: float, thick: float, low: float, high: float, look: Look) -> list[Part]:
+def _reveal(wide: float, thick: float, levels: list[float], look: Look) -> list[Part]:
     """Jambs, head and sill, seen from within the opening."""
-    through, up, along = (0, thick, 0), (0, 0, high - low), (wide, 0, 0)
-    return [
-        quad((0, 0, low), through, up, look, (1.0, 1.0)),
-        quad((wide, thick, low), (0, -thick, 0), up, look, (1.0, 1.0)),
-        quad((0, 0, low), along, through, look, (1.0, 1.0)),
-        quad((0, thick, high), along, (0, -thick, 0), look, (1.0, 1.0)),
+    through, along = np.array([0.0, thick, 0.0]), np.array([wide, 0.0, 0.0])
+    size = (1.0, 1.0)
+    parts = [
+        quad((0, 0, levels[0]), along, through, look, size),
+        quad((0, thick, levels[-1]), along, -through, look, size),
     ]
+    for low, high in pairwise(levels):
+        up = (0.0, 0.0, high - low)
+        parts.append(quad((0, 0, low), through, up, look, size))
+        parts.append(quad((wide, thick, low), -through, up, look, size))
+    return parts
 
 
 def _casing(

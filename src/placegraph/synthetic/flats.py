@@ -151,7 +151,7 @@ class Flat:
         flat._check_glyphs()
         if not flat.rooms:
             raise InputError(f"{source}: no room; close the walls (#) around some floor.")
-        flat._check_things()
+        flat._check_places()
         return flat
 
     @classmethod
@@ -368,17 +368,18 @@ class Flat:
                 carriers.append(host)
             if host:
                 raise InputError(
-                    f"{self.source}, [legend]: {glyph!r} stands in {host!r}, which stands in it; "
-                    "let one of them stand on the floor."
+                    f"{self.source}, [legend]: {host!r} stands in {self.legend[host].host!r}, "
+                    "which stands in it; let one of them stand on the floor."
                 )
 
-    def _check_things(self) -> None:
+    def _check_places(self) -> None:
         for cell, glyph in self.drawn.items():
             if self.room_of[cell] == OUTSIDE and self.legend[glyph].kind != SPOT:
                 raise InputError(
                     f"{self.where(cell)}: {glyph!r} stands in no room; "
                     "draw it inside, or close the walls (#) around it."
                 )
+        _ = self.things  # says what stands in nothing
 
 
 def shipped() -> tuple[str, ...]:
