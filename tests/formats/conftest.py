@@ -1,6 +1,7 @@
 """Fixtures of readers: a small capture folder, written by hand."""
 
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -69,3 +70,77 @@ def folder(tmp_path):
 def new_folder(tmp_path_factory):
     """Makes further capture folders."""
     return lambda **options: CaptureFolder(tmp_path_factory.mktemp("capture"), **options)
+
+
+class Glb:
+    """A glTF binary written piece by piece; every `add` returns the row of what it added."""
+
+    def __init__(self, path):
+        self.path = path
+        self.json = {"asset": {"version": "2.0"}, "buffers": [{}]}
+        self.bytes = bytearray()
+
+    def add(self, kind, entry):
+        self.json.setdefault(kind, []).append(entry)
+        return len(self.json[kind]) - 1
+
+    def view(self, data, **entry):
+        self.bytes += b"\0" * (-len(self.bytes) % 4)
+        entry |= {"buffer": 0, "byteOffset": len(self.bytes), "byteLength": len(data)}
+        self.bytes += data
+        return self.add("bufferViews", entry)
+
+    def accessor(self, values, dtype="<f4", **entry):
+        array = np.asarray(values, dtype)
+        codes = {"<f4": 5126, "<u1": 5121, "<u2": 5123, "<u4": 5125, "<i1": 5120, "<i2": 5122}
+        width = 1 if array.ndim == 1 else array.shape[1]
+        return self.add("accessors", {
+            "bufferView": self.view(array.tobytes()), "componentType": codes[dtype],
+            "count": len(array), "type": ["SCALAR", "VEC2", "VEC3", "VEC4"][width - 1], **entry,
+        })  # fmt: skip
+
+    def primitive(self, points, indices=None, dtype="<u2", **entry):
+        """Primitive of points (V, 3); indices are one row of numbers."""
+        primitive = {"attributes": {"POSITION": self.accessor(points)}, **entry}
+        if indices is not None:
+            primitive["indices"] = self.accessor(indices, dtype)
+        return primitive
+
+    def node(self, *primitives, **entry):
+        if primitives:
+            entry["mesh"] = self.add("meshes", {"primitives": list(primitives)})
+        return self.add("nodes", entry)
+
+    def texture(self, data, sampler=None):
+        texture = {"source": self.add("images", {"bufferView": self.view(data)})}
+        if sampler:
+            texture["sampler"] = self.add("samplers", sampler)
+        return self.add("textures", texture)
+
+    def material(self, factor=None, texture=None, **info):
+        base = {"baseColorFactor": factor} if factor else {}
+        if texture is not None:
+            base["baseColorTexture"] = {"index": texture, **info}
+        return self.add("materials", {"pbrMetallicRoughness": base})
+
+    def write(self):
+        if self.json["buffers"] == [{}]:
+            self.json["buffers"] = [{"byteLength": len(self.bytes)}]
+        text = json.dumps(self.json).encode()
+        text += b" " * (-len(text) % 4)
+        data = bytes(self.bytes) + b"\0" * (-len(self.bytes) % 4)
+        chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+        chunks += struct.pack("<II", len(data), 0x004E4942) + data
+        self.path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+        return self.path
+
+
+@pytest.fixture
+def glb(tmp_path):
+    return Glb(tmp_path / "a.glb")
+
+
+@pytest.fixture
+def new_glb(tmp_path_factory):
+    """Makes further writers."""
+    return lambda: Glb(tmp_path_factory.mktemp("glb") / "a.glb")
