@@ -50,7 +50,7 @@ WORDS = {
     "window": "window windowpane glass skylight",
     "door": "door doorframe doorway gate",
     "curtain": "curtain blind shutter drape",
-    "carpet": "carpet rug mat doormat",
+    "carpet": "carpet rug mat doormat runner",
     "seat": "chair armchair sofa couch stool ottoman bench pouf seat beanbag sofachair cushion",
     "table": "table desk coffeetable nightstand nighttable counter countertop island stand",
     "bed": "bed mattress crib cot pillow blanket duvet",
@@ -59,7 +59,7 @@ WORDS = {
     "appliance": "refrigerator fridge freezer oven stove cooker microwave dishwasher machine washer "
     "dryer tv television monitor screen computer laptop printer airconditioner conditioner radiator "
     "heater heating hood rangehood extractor speaker piano boiler projector fireplace cookingbench",
-    "bath": "sink basin bath bathtub tub toilet shower bidet urinal",
+    "bath": "sink basin washbasin washstand bath bathtub tub toilet shower bidet urinal",
     "plant": "plant flower flowers tree bush pot flowerpot",
     "sport": "dumbbell equipment treadmill bicycle bike trainer",
 }
