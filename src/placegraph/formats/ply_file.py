@@ -23,6 +23,7 @@ _TYPES = {
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MAX_HEADER = 1 << 20
 _MOST = 1 << 31  # elements
+_LONGEST_NUMBER = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +129,11 @@ def _parse(lines: list[str]) -> tuple[str, list[Element]]:
 
 
 def _tokens(path: Path, body: bytes) -> NDArray[np.float64]:
+    tokens = body.split() or [b"0"]
+    if max(map(len, tokens)) > _LONGEST_NUMBER:  # NumPy would make room for as much in every row
+        raise InputError(f"{path} holds what is no number (of many digits); export it again.")
     try:
-        return np.array(body.split() or [b"0"]).astype(np.float64)
+        return np.array(tokens).astype(np.float64)
     except ValueError as error:
         raise InputError(f"{path} holds what is no number ({error}); export it again.") from error
 
