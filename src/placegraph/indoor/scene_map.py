@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.mesh import Mesh
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.raycast import RayCaster
+    from placegraph.indoor.surface import Surface
     from placegraph.indoor.tracker import Tracker
 
 KIND = "scene"
@@ -185,6 +186,13 @@ class SceneMap:
         from placegraph.indoor.raycast import RayCaster
 
         return RayCaster(self.mesh.vertices, self.mesh.triangles)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The mesh as compiled code reads it; made on first use."""
+        from placegraph.indoor.surface import Surface
+
+        return Surface.of(self.mesh)
 
     def row_of(self, id_: str) -> int:
         """Row of the object with this id; `OptionError` where there is none."""

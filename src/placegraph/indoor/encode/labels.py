@@ -1,0 +1,121 @@
+"""The encoder of captures that bring their own labels: from a segmentation, or from a simulator."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.encode import Patches
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.frame import Frame, LabelKind
+    from placegraph.indoor.scene_map import SceneMap
+
+GRID = (9, 16)
+"""144 patches, as in the paper's Sec. 3.3."""
+
+
+class LabelsEncoder:
+    """Patches by the most frequent label of their pixels.
+
+    ``instances``: values are ids of the map's objects, and a patch agrees with that object alone.
+    ``labels``: values are ids of labels, and a patch agrees with every object of that label.
+    A patch whose label the map does not know says nothing.
+
+    Raises
+    ------
+    OptionError
+        The grid has no patches, or the kind is unknown.
+
+    """
+
+    def __init__(
+        self, scene: SceneMap, kind: LabelKind = "instances", grid: tuple[int, int] = GRID
+    ) -> None:
+        if kind not in {"instances", "labels"}:
+            raise OptionError(f"kind is {kind!r}; it is 'labels' or 'instances'.")
+        if min(grid) < 1:
+            raise OptionError(f"grid is {grid}; it needs at least one row and one column.")
+        self.kind = kind
+        self.grid = grid
+        graph = scene.graph
+        count = len(graph)
+        if kind == "instances":
+            self.table = 2.0 * np.eye(count, dtype=np.float32) - 1.0
+            self._row_of = _rows_of_ids(graph.ids)
+        else:
+            classes = sorted({_word(label) for label in graph.labels})
+            row = {label: i for i, label in enumerate(classes)}
+            self.table = np.full((len(classes), count), -1.0, np.float32)
+            for n, label in enumerate(graph.labels):
+                self.table[row[_word(label)], n] = 1.0
+            self._row_of = row
+
+    def encode(self, frame: Frame) -> Patches | None:
+        """Patches of a frame's label image; None where it has none, or labels of another kind.
+
+        A capture of instances can be read as labels: each instance then stands for its label.
+        """
+        image = frame.labels()
+        if image is None or (self.kind == "instances" and frame.label_kind != "instances"):
+            return None
+        rows = self._rows(image, frame)
+        camera = frame.label_camera or frame.camera
+        return Patches(camera, self.grid, _majority(rows, self.grid, len(self.table)), self.table)
+
+    def _rows(self, image: NDArray[np.int32], frame: Frame) -> NDArray[np.int32]:
+        """Rows of the table (h, w) of each pixel, -1 for what the map does not know."""
+        values = np.unique(image)
+        known = np.full(len(values), -1, np.int32)
+        for i, value in enumerate(values):
+            if value >= 0:
+                known[i] = self._row(int(value), frame)
+        out: NDArray[np.int32] = known[np.searchsorted(values, image)]
+        return out
+
+    def _row(self, value: int, frame: Frame) -> int:
+        if self.kind == "instances":
+            return self._row_of.get(str(value), -1)
+        return self._row_of.get(_word(frame.label_names.get(value, "")), -1)
+
+
+class ClassesOfInstances(LabelsEncoder):
+    """Reads a capture of instances as labels: each pixel's object stands for its label."""
+
+    def __init__(self, scene: SceneMap, grid: tuple[int, int] = GRID) -> None:
+        super().__init__(scene, "labels", grid)
+        self._label_of = dict(zip(scene.graph.ids, scene.graph.labels, strict=True))
+
+    def _row(self, value: int, frame: Frame) -> int:  # noqa: ARG002  one signature for both
+        return self._row_of.get(_word(self._label_of.get(str(value), "")), -1)
+
+
+def _word(label: str) -> str:
+    return label.strip().casefold()
+
+
+def _rows_of_ids(ids: Sequence[str]) -> dict[str, int]:
+    return {id_: row for row, id_ in enumerate(ids)}
+
+
+def _majority(
+    rows: NDArray[np.int32], grid: tuple[int, int], count: int
+) -> NDArray[np.int32]:
+    """Most frequent row of each patch; -1 where fewer than half its pixels are known."""
+    h, w = rows.shape
+    patch = np.add.outer(
+        np.arange(h) * grid[0] // h * grid[1], np.arange(w) * grid[1] // w
+    )
+    cells = grid[0] * grid[1]
+    flat = np.where(rows >= 0, rows, count) + patch * (count + 1)
+    votes = np.bincount(flat.ravel(), minlength=cells * (count + 1)).reshape(cells, count + 1)
+    best = votes[:, :count].argmax(axis=1) if count else np.zeros(cells, np.int64)
+    unknown = votes[:, count] * 2 > votes.sum(axis=1)
+    out: NDArray[np.int32] = np.where(unknown, -1, best).astype(np.int32)
+    return out

@@ -1,0 +1,68 @@
+"""Ego-motion: odometry as steps of four degrees of freedom, and particles moved by them (Eq. 1)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import compose, level_from_camera, wrap
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.options import MotionNoise
+
+
+def level_poses(
+    odometry: NDArray[np.float64], gravity: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Poses (T, 4) x, y, z, yaw in a level frame of odometry (T, 4, 4) and gravity (T, 3).
+
+    The odometry's own frame may stand at any slant: it is set upright by the mean of what gravity
+    says in all frames. Tilts are gravity's, frame by frame.
+    """
+    rotation = odometry[:, :3, :3]
+    down = np.einsum("tij,tj->ti", rotation, gravity).mean(axis=0)
+    # level_from_camera sets any frame upright whose "down" is given; undo its change of axes
+    upright = level_from_camera(np.array([0.0, 1.0, 0.0])).T @ level_from_camera(down)
+    to_level = _Z_FROM_Y_DOWN @ upright
+    leveled = to_level @ rotation @ np.swapaxes(level_from_camera(gravity), 1, 2)
+    yaw = np.arctan2(leveled[:, 1, 0] - leveled[:, 0, 1], leveled[:, 0, 0] + leveled[:, 1, 1])
+    return np.column_stack([odometry[:, :3, 3] @ to_level.T, yaw])
+
+
+_Z_FROM_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def propagate(
+    poses: NDArray[np.float64],
+    step: NDArray[np.float64],
+    noise: MotionNoise,
+    rng: Generator,
+) -> NDArray[np.float64]:
+    """Poses (N, 4) after a step (4,) with noise: s_{t+1} = s_t (+) (t_t + w_t), Eq. 1."""
+    way = noise.translation + noise.translation_per_metre * float(np.linalg.norm(step[:3]))
+    turn = noise.rotation + noise.rotation_per_radian * abs(float(wrap(step[3])))
+    errors = rng.normal(size=poses.shape) * np.array([way, way, way, turn])
+    return compose(poses, step + errors)
+
+
+def keyframes(
+    stamps: NDArray[np.float64], poses: NDArray[np.float64], seconds: float, metres: float
+) -> list[int]:
+    """Frames at least so far apart in time, or in way (or 0.2 rad of turn); first and last always.
+
+    Table 6 of the paper: a robot takes the frames that it has time for.
+    """
+    if seconds <= 0 and metres <= 0:
+        return list(range(len(stamps)))
+    kept = [0]
+    for i in range(1, len(stamps)):
+        moved = np.linalg.norm(poses[i, :3] - poses[kept[-1], :3]) >= metres > 0
+        turned = metres > 0 and abs(float(wrap(poses[i, 3] - poses[kept[-1], 3]))) >= 0.2
+        waited = stamps[i] - stamps[kept[-1]] >= seconds > 0
+        if moved or turned or waited or i == len(stamps) - 1:
+            kept.append(i)
+    return kept

@@ -1,0 +1,179 @@
+"""Options of indoor localization: plain structs with units; defaults are what measured best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from placegraph.errors import OptionError
+
+
+def _positive(owner: object, *names: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if not (np.isfinite(value) and value > 0):
+            raise OptionError(f"{name} is {value}; it must be greater than 0.")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionNoise:
+    """Gaussian noise of Eq. 1, per frame: a floor, and a share of the way and of the turn."""
+
+    translation: float = 0.01
+    """[m] (the paper: 0.05)"""
+    translation_per_metre: float = 0.03
+    rotation: float = 0.005
+    """Yaw [rad] (the paper: 0.05)."""
+    rotation_per_radian: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Likelihood:
+    """How what a frame shows becomes a log-likelihood; `docs/indoor.md` derives each part.
+
+    ``calibrated`` takes every patch, reading and sample for a witness that may err, and counts
+    witnesses that see the same thing only in part. ``gaussian`` is the paper's Eq. 2.
+    """
+
+    kind: Literal["calibrated", "gaussian"] = "calibrated"
+    wrong: float = 0.3
+    """Share of patches taken to be labelled wrongly."""
+    sharpness: float = 0.05
+    """Temperature of the softmax that turns cosine similarities into probabilities."""
+    object_patches: float = 40.0
+    """An object seen in more patches than this speaks with the square root of the surplus only:
+    its patches are right or wrong together."""
+    depth_floor: float = 0.05
+    """Standard deviation of depth [m] at 0 m, map included ..."""
+    depth_slope: float = 0.03
+    """... and what it gains a metre."""
+    depth_gain: float = 3.5
+    """Log-likelihood of a perfect reading over one from anywhere [nat]."""
+    near_cost: float = 1.5
+    """Log-likelihood lost where something stands before the map's surface [nat]."""
+    far_cost: float = 2.0
+    """Log-likelihood lost where the map's surface is not there [nat]."""
+    depth_weight: float = 60.0
+    """Independent readings in a full depth image."""
+    colour_weight: float = 60.0
+    """Independent samples in a full colour image."""
+    sigma: float = 0.2
+    """Of Eq. 2 (``gaussian`` only)."""
+    depth_clip: float = 0.5
+    """Largest error of one reading [m] (``gaussian`` only)."""
+    depth_lambda: float = 1.0
+    """lambda_1 of Eq. 2."""
+    colour_lambda: float = 1.0
+    """lambda_2 of Eq. 2."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in {"calibrated", "gaussian"}:
+            raise OptionError(f"kind is {self.kind!r}; it is 'calibrated' or 'gaussian'.")
+        if not 0 < self.wrong < 1:
+            raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
+        _positive(self, "sharpness", "object_patches", "depth_floor", "sigma", "depth_clip")
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """One pass of the filter over the sequence (Sec. 3.5)."""
+
+    stride: float
+    """Pixels of the colour image between samples."""
+    box: float
+    """Edge of the box around each mode in which particles are spread [m]; 0: the whole map."""
+    turn: float
+    """Half width in yaw of that box [rad]."""
+    particles: int
+    """Most particles drawn for the pass and after a resampling."""
+
+    def __post_init__(self) -> None:
+        _positive(self, "stride", "particles")
+
+
+COARSE_TO_FINE = (
+    Pass(stride=20.0, box=0.0, turn=np.pi, particles=600),
+    Pass(stride=20.0, box=0.4, turn=0.15, particles=150),
+    Pass(stride=10.0, box=0.2, turn=0.06, particles=60),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FilterOptions:
+    """Everything that can be set about localizing a capture in a scene map."""
+
+    semantic: bool = True
+    """Use the encoder's patches, where there are any."""
+    depth: bool = True
+    """Use depth images, where there are any."""
+    colour: bool = True
+    """Use the colour images, where the map has colours."""
+    heights: tuple[float, ...] = (1.5, 1.6, 1.7, 1.8)
+    """Heights of the camera above the floor that are tried [m]."""
+    start: Literal["table", "uniform"] = "table"
+    """First particles: where the visibility table says the frames could be, or everywhere."""
+    spacing: float = 0.25
+    """Grid of the visibility table; of uniform particles the paper's 0.2 [m]."""
+    per_cell: int = 3
+    """Particles a cell and height of a uniform start."""
+    passes: tuple[Pass, ...] = COARSE_TO_FINE
+    motion: MotionNoise = field(default_factory=MotionNoise)
+    likelihood: Likelihood = field(default_factory=Likelihood)
+    kld: bool = True
+    """Let KLD-sampling decide how many particles are drawn; else as many as before."""
+    kld_error: float = 0.1
+    """epsilon of KLD-sampling."""
+    kld_confidence: float = 0.95
+    """1 - delta of KLD-sampling."""
+    injection: float = 0.1
+    """Share of particles drawn anew where the likelihood drops."""
+    modes: int = 8
+    """Most modes kept between passes."""
+    polish: bool = True
+    """Fit the whole sequence at once at the best modes, and weigh the modes by that."""
+    every: float = 0.0
+    """Keyframes: least time between frames used [s]; 0: all frames."""
+    every_metre: float = 0.0
+    """Keyframes: least way between frames used [m], or 0.2 rad of turn; 0: all frames."""
+    record: bool = False
+    """Keep all particles of all passes in the estimate, for pictures."""
+
+    def __post_init__(self) -> None:
+        if not (self.semantic or self.depth or self.colour):
+            raise OptionError("semantic, depth and colour are all off; leave one on.")
+        if self.start not in {"table", "uniform"}:
+            raise OptionError(f"start is {self.start!r}; it is 'table' or 'uniform'.")
+        if not self.heights or not all(np.isfinite(self.heights)):
+            raise OptionError("heights: give at least one height of the camera above the floor.")
+        if not self.passes:
+            raise OptionError("passes: the filter needs at least one.")
+        _positive(self, "spacing", "per_cell", "modes", "kld_error")
+        if not 0 < self.kld_confidence < 1 or not 0 <= self.injection < 1:
+            raise OptionError("kld_confidence and injection are shares between 0 and 1.")
+
+    @classmethod
+    def paper(cls) -> FilterOptions:
+        """The paper's own recipe: uniform start, Eq. 2, strides 20/8/4, no table, no polish."""
+        return cls(
+            start="uniform",
+            spacing=0.2,
+            passes=(
+                Pass(stride=20.0, box=0.0, turn=np.pi, particles=100_000),
+                Pass(stride=8.0, box=1.6, turn=np.pi / 4, particles=1000),
+                Pass(stride=4.0, box=0.8, turn=np.pi / 8, particles=500),
+            ),
+            motion=MotionNoise(0.05, 0.0, 0.05, 0.0),
+            likelihood=Likelihood(kind="gaussian"),
+            polish=False,
+        )
+
+    @classmethod
+    def coarse(cls) -> FilterOptions:
+        """One pass at the coarsest stride (App. E)."""
+        return cls(passes=COARSE_TO_FINE[:1], polish=False)
+
+    def only(self, *, semantic: bool = False, depth: bool = False, colour: bool = False) -> FilterOptions:
+        """The same with only the terms named."""
+        return replace(self, semantic=semantic, depth=depth, colour=colour)

@@ -1,0 +1,121 @@
+"""Modes fitted to the whole sequence at once: better poses from fewer particles.
+
+Over a few metres odometry hardly bends, so the sequence is a rig with one unknown pose of four
+degrees of freedom. Importance sampling is repeated around each mode: samples are weighed by all
+frames together, and the next are drawn from their mean and spread. Modes that fall hopelessly
+behind are dropped on the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.particles import distinct, log_sum, moments
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.score import View
+    from placegraph.indoor.scorer import Scorer
+
+SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
+"""First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
+NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
+_SAMPLES = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A pose of the reference frame, fitted to all frames."""
+
+    pose: NDArray[np.float64]
+    """(4,)"""
+    log_likelihood: float
+    """Of the whole sequence [nat]."""
+    spread: NDArray[np.float64]
+    """(4,) standard deviations from which the next samples would be drawn."""
+    samples: NDArray[np.float64]
+    """(N, 4) poses of the last rounds."""
+    values: NDArray[np.float64]
+    """(N,) their log-likelihoods."""
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One level of the polish."""
+
+    views: Sequence[View]
+    steps: NDArray[np.float64]
+    """(T, 4) from the reference frame to each view."""
+    rounds: int
+    """Importance sampling repeated so often."""
+    most: int
+    """Modes that take part."""
+    gap: float
+    """Modes further behind the best [nat] are dropped before."""
+
+
+def polish(
+    scorer: Scorer, starts: NDArray[np.float64], levels: Sequence[Round], rng: Generator
+) -> list[Fit]:
+    """Fits at the modes `starts` (M, 4) of the reference frame, best first, coarse to fine."""
+    level = levels[0]
+    values = scorer.together(starts, level.views, level.steps)
+    fits = [
+        Fit(pose, value, SPREAD, pose[None], np.array([value]))
+        for pose, value in zip(starts, values, strict=True)
+    ]
+    for level in levels:
+        fits = _survivors(fits, level)
+        fits = [_fit(scorer, fit, level, rng) for fit in fits]
+    return _survivors(fits, levels[-1])
+
+
+def _survivors(fits: list[Fit], level: Round) -> list[Fit]:
+    """Distinct fits within the gap, best first."""
+    poses = np.array([f.pose for f in fits])
+    values = np.array([f.log_likelihood for f in fits])
+    kept = distinct(poses, values, level.most, apart=0.3, turned=0.2)
+    return [fits[i] for i in kept if values[i] > values.max() - level.gap]
+
+
+def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
+    """Repeat importance sampling around one fit."""
+    mean, spread = fit.pose, fit.spread
+    samples, values = [], []
+    for _ in range(level.rounds):
+        drawn = mean + rng.normal(size=(_SAMPLES, 4)) * spread
+        drawn[0] = mean
+        scores = scorer.together(drawn, level.views, level.steps)
+        samples.append(drawn)
+        values.append(scores)
+        # tempered so that about a sixth of the samples count, however sharp the likelihood
+        heat = max(1.0, float(scores.max() - np.partition(scores, -_SAMPLES // 6)[-_SAMPLES // 6]))
+        weights = np.exp((scores - scores.max()) * (1.5 / heat))
+        mean, covariance = moments(drawn, weights)
+        spread = np.maximum(1.3 * np.sqrt(np.diag(covariance)), NARROWEST)
+    at_mean = scorer.together(mean[None], level.views, level.steps)
+    drawn, scores = np.concatenate([*samples, mean[None]]), np.concatenate([*values, at_mean])
+    best = int(scores.argmax())
+    # the mean of many good samples is smoother than the luckiest of them
+    pose = mean if scores[best] - at_mean[0] < 1.0 else drawn[best]
+    return Fit(pose, float(scores[best]), spread, drawn, scores)
+
+
+def probabilities(values: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+    """Probabilities (M,) of modes by log-likelihoods (M,): witnesses are not independent."""
+    logs = values / temperature
+    return np.asarray(np.exp(logs - log_sum(logs)))
+
+
+def covariance_of(fit: Fit, temperature: float) -> NDArray[np.float64]:
+    """Covariance (4, 4) of a fit from its samples, at the likelihood's temperature."""
+    logs = (fit.values - fit.values.max()) / temperature
+    _, covariance = moments(fit.samples, np.exp(logs))
+    return covariance + np.diag(NARROWEST**2)
