@@ -6,7 +6,7 @@ z from its lower edge at 0. `MODELS` says what each is called and how large it i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -294,6 +294,19 @@ class Model:
     """How brightly it shines of itself; a white wall in good light has 1."""
     hung: bool = False
     """Whether it hangs on the wall behind it and needs one."""
+    above: float = 0.02
+    """How far something of it, such as a tap, reaches above its height [m]."""
+
+    def made(self, body: Body) -> list[Part]:
+        """Parts of a piece of furniture, none of which sticks out of its footprint.
+
+        Handles may stand out of its front by 3 cm. Where a footprint is smaller than the model can
+        be, what sticks out is flattened.
+        """
+        high = (body.width, body.depth + 0.03, body.height + self.above)
+        return [
+            replace(part, vertices=np.clip(part.vertices, 0.0, high)) for part in self.build(body)
+        ]
 
 
 MODELS: dict[str, Model] = {
@@ -307,8 +320,8 @@ MODELS: dict[str, Model] = {
     "shelf": Model(_shelf, 2.0, "wood sienna", "plain dimgrey", depth=0.3),
     "counter": Model(_counter, 0.9, "plain whitesmoke", "stone darkgrey"),
     "stove": Model(_stove, 0.9, "plain white", "metal silver"),
-    "basin": Model(_basin, 0.55, "plain white", "metal silver"),
-    "washstand": Model(_washstand, 0.85, "plain white", "metal silver"),
+    "basin": Model(_basin, 0.55, "plain white", "metal silver", above=0.2),
+    "washstand": Model(_washstand, 0.85, "plain white", "metal silver", above=0.2),
     "toilet": Model(_toilet, 0.8, "plain white", "plain ivory"),
     "drum": Model(_drum, 0.4, "metal grey", "metal silver"),
     "lamp": Model(_lamp, 1.6, "fabric wheat", "metal dimgrey", glow=1.6),

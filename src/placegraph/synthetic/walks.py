@@ -24,6 +24,7 @@ from placegraph.geometry import (
     level_from_camera,
     pose_matrix,
     split_pose,
+    wrap,
 )
 from placegraph.synthetic.flat_paths import FloorPlan
 from placegraph.synthetic.flat_sensors import develop, measured
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+TURN = 1.3
+"""How fast a person turns [rad/s]."""
 CAMERA = Camera(320, 180, 230.0, 230.0, 160.0, 90.0)
 """70 degrees wide."""
 
@@ -124,6 +127,9 @@ def _hold(
         np.interp(ahead, arc, line[:, 1]) - np.interp(behind, arc, line[:, 1]),
         np.interp(ahead, arc, line[:, 0]) - np.interp(behind, arc, line[:, 0]),
     )
+    for i in range(1, len(heading)):  # who turns back needs a while
+        turn = float(wrap(heading[i] - heading[i - 1]))
+        heading[i] = heading[i - 1] + np.clip(turn, -TURN / rate, TURN / rate)
     stamps = np.arange(len(at)) / rate
 
     def sway(period: float) -> Floats:
