@@ -1,7 +1,8 @@
-"""Legends of drawn flats: what a glyph is, checked line by line."""
+"""Settings and legends of drawn flats: what a glyph is, checked line by line."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,9 +19,15 @@ if TYPE_CHECKING:
 COMPASS = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}
 """Directions on the page as x to the right and y upwards."""
 
+METRES = "0.25"
+"""Side of a character of a flat that says nothing of its own [m]."""
+HEIGHT = "2.6"
+"""Height of its rooms [m]."""
+
 WALL, WINDOW, DOOR, DOORWAY, ROOM, SPOT = "wall", "window", "door", "doorway", "room", "spot"
 OPENINGS = frozenset({WINDOW, DOOR, DOORWAY})
 
+_SETTING = re.compile(r"(name|metres|height)\s*=\s*(.*)$")
 _NUMBERS = ("height", "base", "depth")
 _FURNITURE = frozenset({"label", "height", "base", "depth", "look", "trim", "faces", "in"})
 _KEYS: dict[str, frozenset[str]] = {
@@ -163,3 +170,51 @@ COMMON: dict[str, Symbol] = dict(
     symbol(line, "<common>") for line in ("# wall:", "= window:", "+ door:", ": doorway:")
 )
 """Glyphs that need no legend; a legend may give all but the wall's another meaning."""
+
+
+def settings(lines: list[tuple[int, str]], source: str) -> tuple[str, tuple[float, float], float]:
+    """Read the lines of [flat]: name, width and height of a character, height of the rooms [m].
+
+    Raises
+    ------
+    InputError
+        A line is no setting, or its value is out of range.
+    """
+    found = dict(_setting(line, f"{source}, line {n}") for n, line in lines)
+    metres = _size(found.get("metres", METRES), source)
+    return found.get("name", ""), metres, _height(found.get("height", HEIGHT), source)
+
+
+def _setting(line: str, where: str) -> tuple[str, str]:
+    """Read one line of [flat]."""
+    if not (match := _SETTING.match(line)):
+        raise InputError(f"{where}, column 1: expected name, metres or height = value.")
+    return match[1], match[2].strip()
+
+
+def _size(text: str, source: str) -> tuple[float, float]:
+    """Read width and height of a character [m]."""
+    try:
+        sides = [float(word) for word in text.split()]
+    except ValueError:
+        sides = []
+    if len(sides) not in {1, 2} or not all(0.01 <= side <= 2.0 for side in sides):
+        raise InputError(
+            f"{source}, [flat]: metres = {text!r} is no size of a character; "
+            "write one or two numbers from 0.01 to 2."
+        )
+    return sides[0], sides[-1]
+
+
+def _height(text: str, source: str) -> float:
+    """Read the height of the rooms [m]."""
+    try:
+        height = float(text)
+    except ValueError:
+        height = 0.0
+    if not 1.0 <= height <= 20.0:
+        raise InputError(
+            f"{source}, [flat]: height = {text!r} is no height of rooms; "
+            "write a number of metres from 1 to 20."
+        )
+    return height

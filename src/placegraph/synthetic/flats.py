@@ -45,7 +45,6 @@ a model of `flat_furniture.MODELS`
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -64,6 +63,7 @@ from placegraph.synthetic.flat_legend import (
     WALL,
     WINDOW,
     Symbol,
+    settings,
     symbol,
 )
 from placegraph.synthetic.trace import Cell, blots
@@ -75,17 +75,11 @@ if TYPE_CHECKING:
 
     from placegraph.synthetic.interior import Interior
 
-METRES = 0.25
-"""Side of a character of a flat that says nothing of its own [m]."""
-HEIGHT = 2.6
-"""Height of its rooms [m]."""
 HEADROOM = 1.9
 """What hangs higher than this is walked under [m]."""
 OUTSIDE = -1
 SOLID = -2
 """Entries of `Flat.room_of` that are no room: outside, and walls with what is in them."""
-
-_SETTING = re.compile(r"(name|metres|height)\s*=\s*(.*)$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +131,11 @@ class Flat:
         """
         parts = sections(text, source, "flat")
         rows, first_line = page(parts["drawing"], source, "flat")
-        settings = dict(_setting(line, f"{source}, line {n}") for n, line in parts["flat"])
+        name, metres, height = settings(parts["flat"], source)
         flat = cls(
-            name=settings.get("name", ""),
-            metres=_metres(settings.get("metres", str(METRES)), source),
-            height=_height(settings.get("height", str(HEIGHT)), source),
+            name=name,
+            metres=metres,
+            height=height,
             rows=rows,
             legend=COMMON
             | dict(symbol(line, f"{source}, line {n}") for n, line in parts["legend"]),
@@ -385,38 +379,3 @@ class Flat:
 def shipped() -> tuple[str, ...]:
     """Names of the flats that ship with the package."""
     return drawings("flats")
-
-
-def _setting(line: str, where: str) -> tuple[str, str]:
-    """Read one line of [flat]."""
-    if not (match := _SETTING.match(line)):
-        raise InputError(f"{where}, column 1: expected name, metres or height = value.")
-    return match[1], match[2].strip()
-
-
-def _metres(text: str, source: str) -> tuple[float, float]:
-    """Read width and height of a character [m]."""
-    try:
-        sides = [float(word) for word in text.split()]
-    except ValueError:
-        sides = []
-    if len(sides) not in {1, 2} or not all(0.01 <= side <= 2.0 for side in sides):
-        raise InputError(
-            f"{source}, [flat]: metres = {text!r} is no size of a character; "
-            "write one or two numbers from 0.01 to 2."
-        )
-    return sides[0], sides[-1]
-
-
-def _height(text: str, source: str) -> float:
-    """Read the height of the rooms [m]."""
-    try:
-        height = float(text)
-    except ValueError:
-        height = 0.0
-    if not 1.0 <= height <= 20.0:
-        raise InputError(
-            f"{source}, [flat]: height = {text!r} is no height of rooms; "
-            "write a number of metres from 1 to 20."
-        )
-    return height
