@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from placegraph.errors import OptionError
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -16,6 +18,8 @@ CAPTION = 20
 """Height of the strip above a small panel [px]."""
 MOST_ROWS, MOST_COLUMNS = 4, 3
 """Passes that are shown, and frames of each."""
+NARROWEST, WIDEST_PAGE = 320, 6000
+"""Widths of pictures [px]."""
 TALLEST, WIDEST = 1.6, 2.4
 """Panels have the scene's proportions up to these: height by width, and width by height."""
 
@@ -40,7 +44,11 @@ class Layout:
 
         One pass stands above the large panel, several stand to its left: then rows and columns of
         small panels and the large one are as high as each other.
+
+        Raises `OptionError` where the width is no width of a picture.
         """
+        if width is not None and not (isinstance(width, int) and NARROWEST <= width <= WIDEST_PAGE):
+            raise OptionError(f"width is {width}; give {NARROWEST} to {WIDEST_PAGE} px.")
         west, south, east, north = bounds
         shape = min(max((east - west) / (north - south), 1.0 / TALLEST), WIDEST)
         passes = [k for k, count in enumerate(steps) if count]

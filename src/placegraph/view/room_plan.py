@@ -176,7 +176,7 @@ class RoomPlan:
         look = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         # at + t look = start + s along, by Cramer's rule
         cross = look[:, None, 0] * along[:, 1] - look[:, None, 1] * along[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             far = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / cross
             share = (start[:, 0] * look[:, None, 1] - start[:, 1] * look[:, None, 0]) / cross
         hit = (far > 0.0) & (share >= 0.0) & (share <= 1.0)

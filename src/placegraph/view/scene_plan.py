@@ -66,6 +66,7 @@ def write_plan(
     truth: Floats | None = None,
     title: str | None = None,
     camera: Camera | None = None,
+    width: int | None = None,
     dark: bool = False,
 ) -> Path:
     """Draw an estimate on the plan of its scene as a PNG.
@@ -88,12 +89,20 @@ def write_plan(
         What was localized, such as the name of the capture.
     camera
         Whose field of view is drawn; 63 degrees where not given.
+    width
+        Of the picture [px]; 1600 with several passes, else 1200 where not given.
     dark
         Whether to draw it for a dark page.
 
+    Raises
+    ------
+    OptionError
+        The width is no width of a picture.
+
     """
     drawing = _Drawing(scene, estimate, truth, title, camera, dark=dark)
-    layout = Layout.of(drawing.plan.bounds, [len(r.steps) for r in estimate.history])
+    steps = [len(record.steps) for record in estimate.history]
+    layout = Layout.of(drawing.plan.bounds, steps, width=width)
     sheet = Sheet(layout.width, layout.height, dark=dark)
     drawing.passes(sheet, layout)
     frame = Frame.around(drawing.plan.bounds, *layout.large)
@@ -111,6 +120,7 @@ def write_plan_animation(
     truth: Floats | None = None,
     title: str | None = None,
     camera: Camera | None = None,
+    width: int = MOVING_WIDTH,
     dark: bool = False,
 ) -> Path:
     """Draw the particles of every pass and frame as an animated GIF that ends with the result.
@@ -120,7 +130,7 @@ def write_plan_animation(
     Raises
     ------
     OptionError
-        The estimate has no history.
+        The estimate has no history, or the width is no width of a picture.
 
     """
     if not any(record.steps for record in estimate.history):
@@ -128,7 +138,7 @@ def write_plan_animation(
             "The estimate has no history to animate; localize with FilterOptions(record=True)."
         )
     drawing = _Drawing(scene, estimate, truth, title, camera, dark=dark)
-    pictures = drawing.moves()
+    pictures = drawing.moves(width)
     # one palette for all, so that what stands still costs nothing
     few = [pictures[k] for k in evenly(len(pictures), 4)]
     width, height = few[0].size
@@ -289,9 +299,9 @@ class _Drawing:
             if wanted and x + 60.0 + face_for([words]).width(words, 12.0) < end:
                 x = draw((x, y), words=words)
 
-    def moves(self) -> list[Image.Image]:
+    def moves(self, width: int) -> list[Image.Image]:
         """Pictures of an animation."""
-        layout = Layout.of(self.plan.bounds, [], width=MOVING_WIDTH)
+        layout = Layout.of(self.plan.bounds, [], width=width)
         frame = Frame.around(self.plan.bounds, *layout.large)
         room = paint_room(self.plan, frame, dark=self.dark)
         steps = [
