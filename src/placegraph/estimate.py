@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from math import isnan, nan
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -35,15 +36,15 @@ class ObjectRef:
     """A map object that served, or spoke against, a statement."""
 
     id: str
-    """OpenStreetMap's own id, such as ``way/4711``."""
+    """OpenStreetMap's own id, such as ``way/4711``, or the object's id in a scene map."""
     label: str
-    """Tag, such as ``amenity=cafe``."""
+    """Tag, such as ``amenity=cafe``, or label."""
     name: str
     """Name, or an empty string."""
-    longitude: float
-    """Degrees, WGS84."""
-    latitude: float
-    """Degrees, WGS84."""
+    longitude: float = nan
+    """Degrees, WGS84; not a number indoors."""
+    latitude: float = nan
+    """Degrees, WGS84; not a number indoors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,14 @@ class Evidence:
     """The map objects that served it best."""
     note: str = ""
     """What spoke against it, or why it was not used."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        plain = asdict(self)
+        plain["objects"] = [
+            {k: v for k, v in o.items() if not (isinstance(v, float) and isnan(v))} for o in plain["objects"]
+        ]
+        return plain
 
 
 def _no_evidence() -> tuple[Evidence, ...]:
@@ -88,23 +97,79 @@ class Place:
         """What each statement says of this place; found when first asked for."""
         return self.explain()
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        return {
+            "longitude": self.longitude,
+            "latitude": self.latitude,
+            "probability": self.probability,
+            "cell": self.cell,
+            "covariance": self.covariance.tolist(),
+            "evidence": [e.to_dict() for e in self.evidence],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMode:
+    """A mode of an indoor estimate: a pose of the last frame, how sure it is, and why."""
+
+    map_from_camera: NDArray[np.float64]
+    """(4, 4) float64 [m]; camera axes are OpenCV's."""
+    pose: NDArray[np.float64]
+    """(4,) float64 x, y, z [m], yaw [rad] of the camera stood upright (`geometry.split_pose`)."""
+    covariance: NDArray[np.float64]
+    """(4, 4) float64 of `pose` [m^2, m rad, rad^2]."""
+    probability: float
+    scene: str
+    """Which of the merged scenes of the map it lies in."""
+    scene_from_camera: NDArray[np.float64]
+    """(4, 4) float64, the pose in that scene's own frame; of a plain map the same."""
+    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
+    """Finds the evidence."""
+
+    @cached_property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """Which objects and measurements speak for this pose and against it."""
+        return self.explain()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        x, y, z, yaw = (float(v) for v in self.pose)
+        return {
+            "x": x, "y": y, "z": z, "yaw_deg": float(np.rad2deg(yaw)),
+            "scene": self.scene,
+            "probability": self.probability,
+            "map_from_camera": self.map_from_camera.tolist(),
+            "covariance": self.covariance.tolist(),
+            "evidence": [e.to_dict() for e in self.evidence],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassRecord:
+    """Particles of one pass of the filter, for pictures."""
+
+    stride: float
+    """Pixels between samples."""
+    steps: tuple[tuple[int, NDArray[np.float64], NDArray[np.float64]], ...]
+    """For each frame its row in the capture, poses (N, 4) and weights (N,)."""
+
+
+Mode = TypeVar("Mode", Place, PoseMode)
+
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Generic[Mode]):
     """Answer to "where am I?"."""
 
     status: Status
-    modes: tuple[Place, ...]
+    modes: tuple[Mode, ...]
     """Best first. Empty only where nothing on the map could be compared with the query."""
     reason: str
     """One sentence: why this status."""
-    understood: Description | None = None
-    """What was understood of the query, and what was ignored."""
-    support: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    """(N, 3) float64: longitude, latitude [deg], probability; the posterior's heaviest points."""
 
     @property
-    def best(self) -> Place | None:
+    def best(self) -> Mode | None:
         """The first mode, or None where there is none."""
         return self.modes[0] if self.modes else None
 
@@ -112,6 +177,24 @@ class Estimate:
     def evidence(self) -> tuple[Evidence, ...]:
         """Evidence of the best mode."""
         return self.best.evidence if self.best else ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`."""
+        return {
+            "status": self.status.name,
+            "reason": self.reason,
+            "modes": [m.to_dict() for m in self.modes],
+        }
+
+
+@dataclass(frozen=True)
+class CityEstimate(Estimate[Place]):
+    """Where in a city a description was given."""
+
+    understood: Description | None = None
+    """What was understood of the query, and what was ignored."""
+    support: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    """(N, 3) float64: longitude, latitude [deg], probability; the posterior's heaviest points."""
 
     def next_question(self, city: CityMap) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""
@@ -121,19 +204,27 @@ class Estimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""
-        return {
-            "status": self.status.name,
-            "reason": self.reason,
-            "modes": [
-                {
-                    "longitude": m.longitude,
-                    "latitude": m.latitude,
-                    "probability": m.probability,
-                    "cell": m.cell,
-                    "covariance": m.covariance.tolist(),
-                    "evidence": [asdict(e) for e in m.evidence],
-                }
-                for m in self.modes
-            ],
-            "understood": self.understood.to_dict() if self.understood else None,
+        understood = self.understood.to_dict() if self.understood else None
+        return super().to_dict() | {"understood": understood}
+
+
+@dataclass(frozen=True)
+class PoseEstimate(Estimate[PoseMode]):
+    """Where in a scene map the last frame of a capture was taken, and all others."""
+
+    trajectory: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    """(T, 4, 4) float64 map_from_camera of every frame used, under the best mode."""
+    frames: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(T,) rows of these frames in the capture."""
+    stats: dict[str, Any] = field(default_factory=dict)
+    """What it took: seconds of each stage, particles, rays."""
+    history: tuple[PassRecord, ...] = ()
+    """Particles of each pass, where `FilterOptions.record` asked for them."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`."""
+        return super().to_dict() | {
+            "frames": self.frames.tolist(),
+            "trajectory": self.trajectory.tolist(),
+            "stats": self.stats,
         }

@@ -262,7 +262,8 @@ class Camera:
         xy = points[..., :2] / depth
         if any(self.distortion):
             xy = xy * self._radial(xy)[..., None] + self._tangential(xy)
-        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+        uv: Floats = xy * (self.fx, self.fy) + (self.cx, self.cy)
+        return uv
 
     def _radial(self, xy: Floats) -> Floats:
         k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * 8)[:8]

@@ -15,7 +15,7 @@ from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Estimate
+    from placegraph.estimate import CityEstimate
     from placegraph.outdoor.ask import Answer, Question
     from placegraph.outdoor.city import CityMap
 
@@ -122,7 +122,7 @@ def locate(
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
 
-    def estimated() -> Estimate:
+    def estimated() -> CityEstimate:
         return city.locate(
             text,
             top=top,
@@ -186,7 +186,7 @@ def _lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     return longitude, latitude
 
 
-def _show(estimate: Estimate, question: Question | None) -> None:
+def _show(estimate: CityEstimate, question: Question | None) -> None:
     console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
     console.print(f"{estimate.status.name}: {estimate.reason}")
     for rank, mode in enumerate(estimate.modes, 1):

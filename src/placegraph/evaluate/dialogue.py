@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from placegraph.estimate import Estimate
+    from placegraph.estimate import CityEstimate
     from placegraph.evaluate.outdoor_nearby import Bins
     from placegraph.evaluate.outdoor_queries import Query
     from placegraph.geometry import Floats
@@ -106,9 +106,9 @@ def standing_in(city: RawCity, viewpoint: Floats) -> list[int]:
 
 def dialogue(
     city: CityMap, query: Query, speaker: Speaker, asking: Asking, rng: Generator, *, most: int
-) -> list[Estimate]:
+) -> list[CityEstimate]:
     """Estimates after 0, 1, 2 ... questions; stops when the estimate is OK or nothing is left to ask."""
-    choose: Callable[[Estimate], Question | None] = (
+    choose: Callable[[CityEstimate], Question | None] = (
         (lambda estimate: next_question(estimate, city))
         if asking == "best"
         else (lambda estimate: _any_question(estimate, city, rng))
@@ -124,12 +124,12 @@ def dialogue(
     return estimates
 
 
-def _any_question(estimate: Estimate, city: CityMap, rng: Generator) -> Question | None:
+def _any_question(estimate: CityEstimate, city: CityMap, rng: Generator) -> Question | None:
     questions = possible_questions(estimate, city)
     return questions[int(rng.integers(len(questions)))] if questions else None
 
 
-def distance(estimate: Estimate, query: Query, city: CityMap) -> float:
+def distance(estimate: CityEstimate, query: Query, city: CityMap) -> float:
     """Distance [m] of the best mode from the truth; infinite where there is none."""
     if estimate.best is None:
         return float("inf")

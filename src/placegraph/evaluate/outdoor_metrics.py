@@ -14,7 +14,7 @@ from placegraph.geometry import Floats, LocalPlane
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.estimate import Estimate
+    from placegraph.estimate import CityEstimate
 
 RANKS = (1, 3, 5)
 RADII = (25.0, 50.0)
@@ -48,7 +48,7 @@ def distances(lonlat: Floats, longitude: float, latitude: float) -> Floats:
 
 
 def measure(
-    estimate: Estimate,
+    estimate: CityEstimate,
     longitude: float,
     latitude: float,
     *,
@@ -71,7 +71,7 @@ def measure(
     )
 
 
-def positions(estimate: Estimate) -> Floats:
+def positions(estimate: CityEstimate) -> Floats:
     """Longitude and latitude (K, 2) [deg] of the modes, best first."""
     places = [(m.longitude, m.latitude) for m in estimate.modes]
     return np.array(places, np.float64).reshape(-1, 2)

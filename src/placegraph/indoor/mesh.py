@@ -112,7 +112,11 @@ class Mesh:
         return np.array(ends, np.float64)
 
     def object_bounds(self, count: int) -> NDArray[np.float64]:
-        """(count, 2, 3) float64, box of each object's triangles [m]; NaN where it has none."""
+        """(count, 2, 3) float64, box of each object's triangles [m]; NaN where it has none.
+
+        Raises `OptionError` where there are more than `count` objects.
+        """
+        _rows("object_of", self.object_of, count)
         boxes = np.full((count, 2, 3), np.nan)
         order = np.argsort(self.object_of, kind="stable")
         rows, starts = np.unique(self.object_of[order], return_index=True)

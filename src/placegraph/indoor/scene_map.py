@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.raycast import RayCaster
     from placegraph.indoor.surface import Surface
+    from placegraph.indoor.visibility import VisibilityTable
     from placegraph.indoor.tracker import Tracker
 
 KIND = "scene"
@@ -193,6 +194,31 @@ class SceneMap:
         from placegraph.indoor.surface import Surface
 
         return Surface.of(self.mesh)
+
+    def visibility(self, options: FilterOptions) -> VisibilityTable:
+        """What is visible from where, for cameras at `options.heights`; made once for each."""
+        from placegraph.indoor.visibility import build_table
+
+        key = (options.heights, options.spacing)
+        if key not in self._tables:
+            self._tables[key] = build_table(self, options)
+        return self._tables[key]
+
+    @cached_property
+    def _tables(self) -> dict[tuple[tuple[float, ...], float], VisibilityTable]:
+        return {}
+
+    @cached_property
+    def coloured(self) -> bool:
+        """Whether surfaces have colours to compare: not all of them the same."""
+        texels = np.concatenate([t.reshape(-1, 3) for t in self.mesh.textures])
+        return bool(np.ptp(self.mesh.colours, axis=0).any() or np.ptp(texels, axis=0).any())
+
+    def scene_at(self, point: ArrayLike) -> int:
+        """Row of the merged scene in whose bounds a point (2,) x, y [m] lies, or the nearest."""
+        boxes, point = self.scene_bounds[:, :, :2], np.asarray(point, np.float64)
+        outside = np.maximum(np.maximum(boxes[:, 0] - point, point - boxes[:, 1]), 0.0)
+        return int(outside.sum(axis=1).argmin())
 
     def row_of(self, id_: str) -> int:
         """Row of the object with this id; `OptionError` where there is none."""

@@ -29,7 +29,7 @@ from placegraph.outdoor.index import STRIDE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.estimate import Estimate
+    from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.vocabulary import Vocabulary
 
@@ -129,7 +129,7 @@ def _stated(description: Description, thing: Thing, text: str, *, negated: bool)
 
 
 def next_question(
-    estimate: Estimate, city: CityMap, vocabulary: Vocabulary | None = None
+    estimate: CityEstimate, city: CityMap, vocabulary: Vocabulary | None = None
 ) -> Question | None:
     """Question with the largest expected information gain over the estimate's places, or None.
 
@@ -142,7 +142,7 @@ def next_question(
 
 
 def possible_questions(
-    estimate: Estimate, city: CityMap, vocabulary: Vocabulary | None = None
+    estimate: CityEstimate, city: CityMap, vocabulary: Vocabulary | None = None
 ) -> list[Question]:
     """All questions about what is around the estimate's places that were not asked yet."""
     if vocabulary is None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.estimate import Estimate
+    from placegraph.estimate import CityEstimate
     from placegraph.graph import SceneGraph
     from placegraph.outdoor.ask import Answer
     from placegraph.outdoor.description import Description
@@ -295,7 +295,7 @@ class CityMap:
         heading: float | None = None,
         listener: Sequence[float] | None = None,
         answers: Sequence[Answer] = (),
-    ) -> Estimate:
+    ) -> CityEstimate:
         """Where a description was spoken.
 
         Parameters
@@ -314,11 +314,11 @@ class CityMap:
         listener
             Longitude and latitude [deg] of "you", where that is known.
         answers
-            Answers to earlier questions of `Estimate.next_question`.
+            Answers to earlier questions of `CityEstimate.next_question`.
 
         Returns
         -------
-        Estimate
+        CityEstimate
             Ranked modes with probability over the whole city, and the evidence.
 
         Raises

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Estimate, Place, Status
+from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.geometry import angle_between
 from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Relation, Statement
 from placegraph.outdoor.evidence import evidence_at
@@ -42,7 +42,7 @@ def locate(
     heading: float | None = None,
     listener: Sequence[float] | None = None,
     answers: Sequence[Answer] = (),
-) -> Estimate:
+) -> CityEstimate:
     """Locate a description in a city; see `CityMap.locate`."""
     if not isinstance(top, int | np.integer) or top < 1:
         raise OptionError(f"top is {top!r}; ask for at least one mode.")
@@ -66,10 +66,10 @@ def locate(
     prior = Prior(near_at, within, listener_at, way)
     positive = any(not s.negated for s in query.used)
     if not positive and not way:
-        return Estimate(Status.LOST, (), _why_nothing(description, query), description)
+        return CityEstimate(Status.LOST, (), _why_nothing(description, query), description)
     if near_at is not None and not len(city.views.near(near_at, 4.0 * within + REACH)):
         reason = f"The map does not reach the surroundings of {near}."
-        return Estimate(Status.LOST, (), reason, description)
+        return CityEstimate(Status.LOST, (), reason, description)
     found = search(query, city, prior)
     peaks = modes(found, top, SPACING)
     status, reason = status_of(found, peaks)
@@ -79,7 +79,7 @@ def locate(
             Status.LOST,
             "The description contradicts itself: " + description.conflicts[0],
         )
-    return Estimate(status, places, reason, description, _support(found, city))
+    return CityEstimate(status, places, reason, description, _support(found, city))
 
 
 def read(city: CityMap, text: str | Description, *, heading: float | None = None) -> Description:

@@ -14,13 +14,13 @@ from placegraph.view.page_panel import panel
 from placegraph.view.svg import UNIT, clean, style_sheet
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Estimate
+    from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
 
 
 def write_page(
     city: CityMap,
-    estimate: Estimate,
+    estimate: CityEstimate,
     path: str | Path,
     *,
     title: str | None = None,
@@ -42,7 +42,7 @@ def write_page(
     title
         Title of the page.
     question
-        The question that would tell the modes apart, as of `Estimate.next_question`.
+        The question that would tell the modes apart, as of `CityEstimate.next_question`.
 
     """
     path = Path(path)

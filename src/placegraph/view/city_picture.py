@@ -27,7 +27,7 @@ from placegraph.view.sheet import Sheet
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.estimate import Estimate, Evidence, Place
+    from placegraph.estimate import CityEstimate, Evidence, Place
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 
@@ -81,7 +81,7 @@ def draw_city(
 
 def write_picture(
     city: CityMap,
-    estimate: Estimate,
+    estimate: CityEstimate,
     path: str | Path,
     *,
     size: tuple[int, int] = (1200, 900),
@@ -148,7 +148,7 @@ def _map(
 def _panel(
     sheet: Sheet,
     city: CityMap,
-    estimate: Estimate,
+    estimate: CityEstimate,
     mode: Place | None,
     box: tuple[int, int, int, int],
     *,
@@ -173,7 +173,7 @@ def _panel(
 
 
 def _marks(
-    city: CityMap, estimate: Estimate, mode: Place | None, frame: Frame
+    city: CityMap, estimate: CityEstimate, mode: Place | None, frame: Frame
 ) -> tuple[list[Item], Taken]:
     """Evidence of a mode, all modes, and the places these take."""
     taken = Taken()
@@ -258,7 +258,7 @@ def _card(
         sheet.card(corner, lines, min(340, width - 80))
 
 
-def _head(sheet: Sheet, estimate: Estimate, width: int) -> None:
+def _head(sheet: Sheet, estimate: CityEstimate, width: int) -> None:
     color = STATUS_COLOR[estimate.status]
     end = sheet.chip((14, 12), estimate.status.name, color)
     best = f"{estimate.modes[0].probability:.0%}   " if estimate.status is Status.OK else ""

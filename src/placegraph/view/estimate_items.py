@@ -14,7 +14,7 @@ from placegraph.view.clip import clip_line, clip_ring
 from placegraph.view.style import AREA, LINE
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Estimate, ObjectRef, Place
+    from placegraph.estimate import CityEstimate, ObjectRef, Place
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap, CityObjects
 
@@ -93,7 +93,7 @@ def witnesses(city: CityMap, mode: Place) -> list[Witness]:
     return list(found.values())
 
 
-def heat_of(city: CityMap, estimate: Estimate, bounds: Bounds, pixel: float) -> Glow | None:
+def heat_of(city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float) -> Glow | None:
     """Posterior in a rectangle on a grid of `pixel` [m]; None where there is nothing of it."""
     support = estimate.support
     if not len(support):
@@ -122,7 +122,7 @@ def heat_of(city: CityMap, estimate: Estimate, bounds: Bounds, pixel: float) -> 
     return Glow(density / max(peak, FAINT), bounds)
 
 
-def rivals(estimate: Estimate, most: int) -> tuple[Place, ...]:
+def rivals(estimate: CityEstimate, most: int) -> tuple[Place, ...]:
     """Modes that compete with the best one: a tenth as probable, or more."""
     if not estimate.modes:
         return ()

@@ -37,7 +37,7 @@ from placegraph.view.style import LINE, PAINTS
 from placegraph.view.svg import Svg, clean, in_layers
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Estimate, Place
+    from placegraph.estimate import CityEstimate, Place
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap, CityObjects
 
@@ -87,7 +87,7 @@ class PageMap:
     """What is told of objects, by index."""
 
 
-def page_map(city: CityMap, estimate: Estimate) -> PageMap:
+def page_map(city: CityMap, estimate: CityEstimate) -> PageMap:
     """Draw what a page shows of a city and an estimate."""
     bounds = _with_modes(city, estimate)
     svg = Svg(((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2))
@@ -136,14 +136,14 @@ class _Tips:
         return f' data-o="{self.objects.osm(item.row)}" data-t="{index}"'
 
 
-def _with_modes(city: CityMap, estimate: Estimate) -> Bounds:
+def _with_modes(city: CityMap, estimate: CityEstimate) -> Bounds:
     """Rectangle of the city that also holds every mode's surroundings."""
     boxes = np.array([city_bounds(city.objects), *(mode_bounds(city, m) for m in estimate.modes)])
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     return (*low.tolist(), *high.tolist())
 
 
-def _start(city: CityMap, estimate: Estimate, bounds: Bounds) -> Bounds:
+def _start(city: CityMap, estimate: CityEstimate, bounds: Bounds) -> Bounds:
     """Rectangle that is shown first: the best mode, all rivals, or the city where all is lost."""
     if estimate.status is Status.LOST or not estimate.modes:
         return bounds
@@ -159,7 +159,7 @@ def _box(svg: Svg, bounds: Bounds) -> tuple[float, float, float, float]:
     return x, y, right - x, bottom - y
 
 
-def _near_first(city: CityMap, estimate: Estimate, bounds: Bounds) -> list[MapItem]:
+def _near_first(city: CityMap, estimate: CityEstimate, bounds: Bounds) -> list[MapItem]:
     """Items of the objects in a rectangle, those nearest to a mode first."""
     boxes = extents(city.objects)
     centers = [place_of(city, mode) for mode in estimate.modes]
@@ -221,7 +221,7 @@ def _coarse(points: Points) -> Floats:
     return simplify(line, np.array([0, len(line)]), COARSE)[0]
 
 
-def _heat(svg: Svg, city: CityMap, estimate: Estimate) -> list[str]:
+def _heat(svg: Svg, city: CityMap, estimate: CityEstimate) -> list[str]:
     """Write images of the posterior around the modes; windows that overlap become one."""
     windows: list[Bounds] = []
     for mode in estimate.modes:
@@ -246,7 +246,7 @@ def _overlap(a: Bounds, b: Bounds) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def _names(svg: Svg, city: CityMap, estimate: Estimate, items: list[MapItem]) -> str:
+def _names(svg: Svg, city: CityMap, estimate: CityEstimate, items: list[MapItem]) -> str:
     """Write names by the scale from which there is room for them."""
     objects = city.objects
     face = face_for(objects.name(item.row) for item in items if item.row >= 0)

@@ -14,7 +14,7 @@ from placegraph.view.svg import clean
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from placegraph.estimate import Estimate, Evidence, ObjectRef, Place
+    from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place
     from placegraph.outdoor.description import Description, Mention, Statement
 
 FULL_BAR = 5.0
@@ -23,7 +23,7 @@ WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "we
 VERDICTS = {"for": ("✓", "speaks for it"), "against": ("✕", "speaks against it")}
 
 
-def panel(estimate: Estimate, question: str | None, at: Callable[[float, float], str]) -> str:
+def panel(estimate: CityEstimate, question: str | None, at: Callable[[float, float], str]) -> str:
     """Write the panel's contents.
 
     Parameters

@@ -1,8 +1,9 @@
 """Walking the tree of `bvh`: sixteen rays together.
 
 The rays of one tile of pixels meet the same boxes; and even where they do not, sixteen lanes at once
-cost little more than one. Triangles are met by the signs of Pluecker products, which two triangles
-that share an edge compute alike, so that no ray slips between them.
+cost little more than one. Triangles are met as in Woop, Benthin and Wald 2013: seen along the ray,
+corners are points of a plane, rounded the same for all triangles that share them, and the side of an
+edge on which the ray passes is decided exactly. So no ray slips between two triangles.
 """
 
 from __future__ import annotations
@@ -20,13 +21,12 @@ TINY = np.float32(1e-18)
 EARLY = np.float32(1.0 - 4.0 * 2.0**-24)
 LATE = np.float32(1.0 + 4.0 * 2.0**-24)
 """Boxes are entered early and left late by more than rounding may cost."""
-SLACK = np.float32(2.0**-23)
-"""Share of the sum of edge products by which a ray may lie outside a triangle."""
 NEVER = np.float32(np.inf)
 
 # scratch memory of a packet: rows of 16 lanes, in one array so that the compiler sees them apart
-OX, OY, OZ, DX, DY, DZ, RX, RY, RZ = range(0, 9 * LANES, LANES)
-START, BEST, T, U, V, LEFT, RIGHT, STACKED = range(9 * LANES, 17 * LANES, LANES)
+OX, OY, OZ, RX, RY, RZ, AX, AY, AZ = range(0, 9 * LANES, LANES)  # origin, reciprocal, across
+BX, BY, BZ, DX, DY, DZ, START, BEST = range(9 * LANES, 17 * LANES, LANES)  # across, along
+T, U, V, LEFT, RIGHT, STACKED = range(17 * LANES, 23 * LANES, LANES)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -38,8 +38,8 @@ def walk16(nodes, links, corners, rows, packet, ints, valid):
     for i in range(LANES):
         for k in range(3):
             s[OX + k * LANES + i] = packet[ORIGIN + k, i]
-            s[DX + k * LANES + i] = packet[DIRECTION + k, i]
             s[RX + k * LANES + i] = _reciprocal(packet[DIRECTION + k, i])
+        _shear(s, i, packet[DIRECTION, i], packet[DIRECTION + 1, i], packet[DIRECTION + 2, i])
         s[START + i] = packet[NEAR, i]
         s[BEST + i] = packet[FAR, i] if valid[i] else -NEVER
         slots[i] = -1
@@ -100,6 +100,29 @@ def _reciprocal(part):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _shear(s, i, x, y, z):
+    """Rows A and B: a point's place across the ray, sheared along its longest part; D: its depth.
+
+    Errors of A . p are relative to parts of p, as those of boxes are: rotating would mix them.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    along_z = (abs(z) >= abs(x)) & (abs(z) >= abs(y))
+    along_y = (abs(y) >= abs(x)) & ~along_z
+    along_x = ~along_y & ~along_z
+    longest = z if along_z else (y if along_y else x)
+    depth, x, y, z = one / longest, -x / longest, -y / longest, -z / longest
+    s[AX + i] = y if along_x else one
+    s[AY + i] = zero if along_z else (x if along_y else one)
+    s[AZ + i] = x if along_z else zero
+    s[BX + i] = z if along_x else zero
+    s[BY + i] = one if along_z else (z if along_y else zero)
+    s[BZ + i] = y if along_z else one
+    s[DX + i] = depth if along_x else zero
+    s[DY + i] = depth if along_y else zero
+    s[DZ + i] = depth if along_z else zero
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _enter(s, nodes, at, row):
     """Into `row`, where each lane enters the box at `at`, or NEVER; returns how many do."""
     lx, ly, lz = nodes[at], nodes[at + 1], nodes[at + 2]
@@ -142,43 +165,40 @@ def _left_first(s):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _edge(px, py, pz, qx, qy, qz, dx, dy, dz):
-    """Pluecker product of a ray from 0 with the edge p q; of q p it is exactly the negative."""
-    sx, sy, sz = px + qx, py + qy, pz + qz
-    fx, fy, fz = px - qx, py - qy, pz - qz
-    return (sy * fz - sz * fy) * dx + (sz * fx - sx * fz) * dy + (sx * fy - sy * fx) * dz
+def _side(px, py, qx, qy):
+    """On which side of the edge p q the ray passes: products of four bytes are exact in eight."""
+    return np.float64(px) * np.float64(qy) - np.float64(py) * np.float64(qx)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet(s, corners, at):
     """Into T, U, V, where each lane meets the triangle at `at`; returns how many do nearer than BEST."""
-    ax, ay, az = corners[at], corners[at + 1], corners[at + 2]
-    bx, by, bz = corners[at + 3], corners[at + 4], corners[at + 5]
-    cx, cy, cz = corners[at + 6], corners[at + 7], corners[at + 8]
-    ex, ey, ez = cx - ax, cy - ay, cz - az
-    fx, fy, fz = ax - bx, ay - by, az - bz
-    nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+    px, py, pz = corners[at], corners[at + 1], corners[at + 2]
+    qx, qy, qz = corners[at + 3], corners[at + 4], corners[at + 5]
+    rx, ry, rz = corners[at + 6], corners[at + 7], corners[at + 8]
     number = 0
     for i in range(LANES):
-        ox, oy, oz = s[OX + i], s[OY + i], s[OZ + i]
-        dx, dy, dz = s[DX + i], s[DY + i], s[DZ + i]
-        px, py, pz = ax - ox, ay - oy, az - oz
-        qx, qy, qz = bx - ox, by - oy, bz - oz
-        rx, ry, rz = cx - ox, cy - oy, cz - oz
-        u = _edge(rx, ry, rz, px, py, pz, dx, dy, dz)
-        v = _edge(px, py, pz, qx, qy, qz, dx, dy, dz)
-        w = _edge(qx, qy, qz, rx, ry, rz, dx, dy, dz)
-        total = u + v + w
-        slack = SLACK * abs(total)
-        low = u if u < v else v
-        low = low if low < w else w
-        high = u if u > v else v
-        high = high if high > w else w
-        inside = (low >= -slack) | (high <= slack)
-        t = (nx * px + ny * py + nz * pz) / (nx * dx + ny * dy + nz * dz)
+        x, y, z = px - s[OX + i], py - s[OY + i], pz - s[OZ + i]
+        pa = s[AX + i] * x + s[AY + i] * y + s[AZ + i] * z
+        pb = s[BX + i] * x + s[BY + i] * y + s[BZ + i] * z
+        pd = s[DX + i] * x + s[DY + i] * y + s[DZ + i] * z
+        x, y, z = qx - s[OX + i], qy - s[OY + i], qz - s[OZ + i]
+        qa = s[AX + i] * x + s[AY + i] * y + s[AZ + i] * z
+        qb = s[BX + i] * x + s[BY + i] * y + s[BZ + i] * z
+        qd = s[DX + i] * x + s[DY + i] * y + s[DZ + i] * z
+        x, y, z = rx - s[OX + i], ry - s[OY + i], rz - s[OZ + i]
+        ra = s[AX + i] * x + s[AY + i] * y + s[AZ + i] * z
+        rb = s[BX + i] * x + s[BY + i] * y + s[BZ + i] * z
+        rd = s[DX + i] * x + s[DY + i] * y + s[DZ + i] * z
+        w, u, v = _side(qa, qb, ra, rb), _side(ra, rb, pa, pb), _side(pa, pb, qa, qb)
+        inside = ((w >= 0) & (u >= 0) & (v >= 0)) | ((w <= 0) & (u <= 0) & (v <= 0))
+        total = w + u + v
+        share = np.float32(1.0 / total)
+        fw, fu, fv = np.float32(w) * share, np.float32(u) * share, np.float32(v) * share
+        t = fw * pd + fu * qd + fv * rd
         meets = inside & (total != 0) & (t >= s[START + i]) & (t < s[BEST + i])
         s[T + i] = t if meets else NEVER
-        s[U + i] = u / total
-        s[V + i] = v / total
+        s[U + i] = fu
+        s[V + i] = fv
         number += 1 if meets else 0
     return number
