@@ -1,11 +1,14 @@
 """Scenes to be lost in: drawn in ASCII, furnished, written as GLB and built as any other."""
 
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from placegraph.formats.capture import open_capture
+from placegraph.formats.model import Model, Picture, Thing
 from placegraph.formats.tum import read_tum
 from placegraph.geometry import Camera
 from placegraph.indoor.build import build_scene
@@ -115,3 +118,39 @@ def truth():
         return poses[[frame.index for frame in capture]]
 
     return read
+
+
+FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+
+
+def _box(low, high):
+    """Corners (8, 3) and triangles (12, 3), wound outwards, of a box."""
+    low, high = np.array(low, float), np.array(high, float)
+    corners = [np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)]
+    return np.array(corners), np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
+
+
+def _model(boxes, **columns):
+    """Model of boxes {label: (low, high)}; `columns` replace its own."""
+    parts = [_box(*box) for box in boxes.values()]
+    things = tuple(Thing(str(i), label, f"{label}_{i}") for i, label in enumerate(boxes))
+    model = Model(
+        path=Path("drawn.glb"),
+        things=things,
+        vertices=np.concatenate([np.zeros((0, 3)), *(v for v, _ in parts)]),
+        triangles=np.concatenate(
+            [np.zeros((0, 3), int), *(t + 8 * i for i, (_, t) in enumerate(parts))]
+        ),
+        thing_of=np.repeat(np.arange(len(parts)), 12),
+        colours=np.full((8 * len(parts), 3), 255, np.uint8),
+        uv=np.zeros((8 * len(parts), 2)),
+        picture_of=np.zeros(12 * len(parts), int),
+        pictures=(Picture(None, (0.2140411, 1.0, 0.0)),),
+    )
+    return replace(model, **columns)
+
+
+@pytest.fixture(scope="session")
+def boxes():
+    """Model of boxes in memory: `boxes({"floor": (low, high), ...}, **columns)`."""
+    return _model
