@@ -107,8 +107,8 @@ def _shear(s, i, x, y, z):
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     along_z = (abs(z) >= abs(x)) & (abs(z) >= abs(y))
-    along_y = (abs(y) >= abs(x)) & ~along_z
-    along_x = ~along_y & ~along_z
+    along_y = (not along_z) & (abs(y) >= abs(x))
+    along_x = (not along_z) & (not along_y)
     longest = z if along_z else (y if along_y else x)
     depth, x, y, z = one / longest, -x / longest, -y / longest, -z / longest
     s[AX + i] = y if along_x else one
