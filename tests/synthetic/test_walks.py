@@ -293,6 +293,15 @@ def test_neither_labels_nor_depth(interior, walk, tmp_path):
     ]  # fmt: skip
 
 
+def test_an_earlier_walk_in_the_folder_goes(interior, walk, tmp_path):
+    short = Walk(walk.stamps[:2], walk.map_from_camera[:2])
+    for each, labels in ((walk, "labels"), (short, "instances")):
+        write_walk(interior, each, tmp_path, np.random.default_rng(3), camera=SMALL, labels=labels)
+    capture = open_capture(tmp_path)
+    assert (len(capture), capture.label_kind) == (2, "instances")
+    assert not (tmp_path / "labels.json").exists()
+
+
 def test_a_changed_flat_is_seen_as_it_is_now(interior, tmp_path):
     chair = interior.thing("chair")
     at = chair.bounds.mean(axis=0)

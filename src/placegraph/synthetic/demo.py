@@ -1,14 +1,22 @@
-"""The demo: a town that ships with placegraph, and three sentences said in it."""
+"""The demo: a town and a flat that ship with placegraph, and someone lost in each of them."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from placegraph.synthetic.flats import Flat
 from placegraph.synthetic.towns import Town
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import Estimate, PoseEstimate
 
 TOWN = "hafenstadt"
 SENTENCES = {
@@ -17,10 +25,21 @@ SENTENCES = {
     "ambiguous": "I am standing on a square. There is a fountain north of me and a café to my east.",
     "impossible": "A lighthouse is north of me and a zoo is to the south.",
 }
+FLAT = "altbau"
+WAY = "41"
+"""Rooms that the camera comes through."""
+FRAMES = 18
 
 
 def run_demo(out: Path, say: Callable[[str], None]) -> None:
-    """Build the town, locate the sentences, and leave pages and pictures in `out`."""
+    """Locate sentences in the town and a walk in the flat; leave maps and pictures in `out`."""
+    _town(out, say)
+    _flat(out, say)
+    say(f"\nLook at {out}/clear.html, {out}/ambiguous.html, {out}/walk.png and {out}/walk.gif.")
+
+
+def _town(out: Path, say: Callable[[str], None]) -> None:
+    """Build the town and locate what was said in it."""
     from placegraph.outdoor.build import build_city
     from placegraph.view import draw_city, write_page, write_picture
 
@@ -42,9 +61,57 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
         say(f"\n“{text}”\n{estimate.status.name}: {estimate.reason}")
         for mode in estimate.modes[:3]:
             say(f"  {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
-        for e in estimate.evidence:
-            things = ", ".join(o.name or o.label for o in e.objects)
-            say(f"    {e.verdict:7} {e.statement}  [{things or e.note}]")
+        _say_evidence(estimate, say)
         if question:
             say(f"  To be sure: {question.text}")
-    say(f"\nLook at {out}/clear.html, {out}/ambiguous.html and the pictures beside them.")
+
+
+def _flat(out: Path, say: Callable[[str], None]) -> None:
+    """Build the flat, film a walk through it after something changed, and localize the film."""
+    from placegraph.formats.capture import open_capture
+    from placegraph.indoor.build import build_scene
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.synthetic.walks import stroll, write_walk
+    from placegraph.view import draw_scene, write_plan, write_plan_animation
+
+    drawing, rng = Flat.load(FLAT), np.random.default_rng(0)
+    interior = drawing.furnish(rng)
+    scene = build_scene(interior.write_glb(out / f"{FLAT}.glb"), out / f"{FLAT}.scene")
+    draw_scene(scene, out / f"{FLAT}.png")
+    say(f"\nBuilt {scene} from a flat drawn in ASCII.")
+
+    now = interior.moved("armchair", (0.5, -0.2), 0.6).without("chair 1")
+    walk = stroll(drawing, rng, frames=FRAMES, through=WAY, speed=1.1)
+    capture = open_capture(write_walk(now, walk, out / "walk", rng))
+    say(f"Rendered {capture}; since the map was made, an armchair was moved and a chair is gone.")
+    estimate = scene.localize(capture, options=FilterOptions(record=True), seed=0)
+    truth = walk.map_from_camera
+    write_plan(scene, estimate, out / "walk.png", truth=truth, camera=capture.camera)
+    write_plan_animation(scene, estimate, out / "walk.gif", truth=truth, camera=capture.camera)
+    _say_pose(estimate, truth[-1], say)
+
+
+def _say_pose(
+    estimate: PoseEstimate,
+    truth: NDArray[np.float64],
+    say: Callable[[str], None],
+) -> None:
+    """Where the last frame was taken, why, and where it was taken in truth."""
+    from placegraph.geometry import split_pose
+
+    say(f"{estimate.status.name}: {estimate.reason}")
+    for mode in estimate.modes[:3]:
+        say(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
+    _say_evidence(estimate, say)
+    say(f"  truth (known because we drew it): {_pose(split_pose(truth)[0])}")
+
+
+def _pose(pose: NDArray[np.float64]) -> str:
+    x, y, z, yaw = pose.tolist()
+    return f"x {x:.2f} m, y {y:.2f} m, z {z:.2f} m, yaw {np.degrees(yaw):.1f}°"
+
+
+def _say_evidence(estimate: Estimate[Any], say: Callable[[str], None]) -> None:
+    for e in estimate.evidence:
+        things = ", ".join(o.name or o.label for o in e.objects)
+        say(f"    {e.verdict:7} {e.statement}  [{things or e.note}]")

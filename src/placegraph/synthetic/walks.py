@@ -189,7 +189,7 @@ def write_walk(
     walk
         Poses of the camera.
     folder
-        Where to write; made if it is missing.
+        Where to write; made if it is missing, and an older walk's images there go.
     rng
         Draws the light, the noise and the drift.
     camera
@@ -205,9 +205,10 @@ def write_walk(
     from placegraph.synthetic.flat_render import Stage
 
     folder = Path(folder)
-    kinds = [kind for kind, wanted in (("rgb", True), ("depth", depth), (labels, labels)) if wanted]
-    for kind in kinds:
-        (folder / str(kind)).mkdir(parents=True, exist_ok=True)
+    _clear(folder)
+    for kind, wanted in (("rgb", True), ("depth", depth), (str(labels), labels)):
+        if wanted:
+            (folder / kind).mkdir(parents=True, exist_ok=True)
     half = camera.resized(camera.width // 2, camera.height // 2)
     light, sensor, motion = rng.spawn(3)
     stage = Stage(interior, light, daylight=daylight)
@@ -228,6 +229,16 @@ def write_walk(
         text = json.dumps({str(k + 1): name for k, name in enumerate(names)}, indent=1)
         (folder / "labels.json").write_text(text, encoding="utf-8")
     return folder
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier, longer or otherwise labelled walk left in the folder."""
+    for kind in ("rgb", "depth", "instances", "labels"):
+        for image in (folder / kind).glob("[0-9]" * 6 + ".*"):
+            image.unlink()
+        if (folder / kind).is_dir() and not any((folder / kind).iterdir()):
+            (folder / kind).rmdir()
+    (folder / "labels.json").unlink(missing_ok=True)
 
 
 def _numbers(interior: Interior, labels: str | None) -> NDArray[np.int64]:
