@@ -1,11 +1,17 @@
 """Fixtures of the whole suite."""
 
+import io
+import json
 import os
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+
+from placegraph import cli
 
 settings.register_profile("local", deadline=None)
 settings.register_profile(
@@ -27,3 +33,32 @@ def shared() -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
+
+
+@dataclass
+class Run:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self):
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process: arguments and standard input to `Run`."""
+
+    def placegraph(*arguments, stdin=""):
+        monkeypatch.setattr(sys, "argv", ["placegraph", *map(str, arguments)])
+        monkeypatch.setattr(sys, "stdin", io.StringIO(stdin))
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return Run(code, captured.out, captured.err)
+
+    return placegraph

@@ -1,17 +1,15 @@
 """The command line: exit codes, one sentence on stderr, answers and nothing else on stdout."""
 
-import io
 import json
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-from placegraph import __version__, cli
+from placegraph import __version__
 from placegraph.store import writing
 from placegraph.synthetic.towns import Town
 
@@ -19,35 +17,6 @@ CLEAR = "I am on Speicherweg. The museum is south of me."
 SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
 IMPOSSIBLE = "A lighthouse is north of me and a zoo is to the south."
 COMMANDS = ["city build", "city locate", "city info", "city check", "city fetch", "demo"]
-
-
-@dataclass
-class Run:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self):
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process: arguments and standard input to `Run`."""
-
-    def placegraph(*arguments, stdin=""):
-        monkeypatch.setattr(sys, "argv", ["placegraph", *map(str, arguments)])
-        monkeypatch.setattr(sys, "stdin", io.StringIO(stdin))
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        return Run(code, captured.out, captured.err)
-
-    return placegraph
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +59,7 @@ def test_help(command, run):
     assert result.code == 0
     assert "Usage: " in result.out
     assert result.err == ""
-    known = {"": ["city", "demo"], "city": [c.split()[1] for c in COMMANDS[:-1]]}
+    known = {"": ["city", "scene", "demo"], "city": [c.split()[1] for c in COMMANDS[:-1]]}
     for word in known.get(command, ["--help"]):
         assert word in result.out
 

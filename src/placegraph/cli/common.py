@@ -14,9 +14,11 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")
 
 
 def progress_bar(*, hidden: bool) -> Progress:
-    """Spinner with a line of text, on stderr; gone when done."""
+    """Spinner with a line of text, on stderr; gone when done, never there for a file or a pipe."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True)
+    console = Console(stderr=True)
+    hidden = hidden or not console.is_terminal
+    return Progress(*columns, console=console, disable=hidden, transient=True)
 
 
 def show_facts(told: dict[str, object]) -> None:
