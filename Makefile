@@ -12,7 +12,7 @@ help: ## show this list
 
 venv: $(STAMP) ## create .venv and install placegraph with its tools
 
-demo: $(STAMP) ## locate three sentences in a small town; page and pictures go to demo-out/
+demo: $(STAMP) ## locate three sentences in a small town and a film in a flat; see demo-out/
 	$(BIN)/placegraph demo --out demo-out
 
 test: $(STAMP) ## run the tests

@@ -55,7 +55,7 @@ def demo(
         "demo-out"
     ),
 ) -> None:
-    """Build a town that ships with placegraph and locate three sentences in it."""
+    """Locate three sentences in a town that ships with placegraph, and a walk in a flat."""
     from placegraph.synthetic.demo import run_demo
 
     try:
