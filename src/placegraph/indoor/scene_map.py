@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.raycast import RayCaster
     from placegraph.indoor.surface import Surface
-    from placegraph.indoor.visibility import VisibilityTable
     from placegraph.indoor.tracker import Tracker
+    from placegraph.indoor.visibility import VisibilityTable
 
 KIND = "scene"
 VERSION = 1
