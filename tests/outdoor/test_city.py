@@ -281,10 +281,10 @@ def test_checks_name_the_column(harbour):
 def test_other_kinds_and_newer_versions(stored, tmp_path):
     meta, arrays = stored
     path = tmp_path / "a.city"
-    write_map(path, "scene", 1, meta, arrays)
-    with pytest.raises(MapError, match=r"a\.city is a scene map"):
+    write_map(path, "moon", 1, meta, arrays)
+    with pytest.raises(MapError, match=r"a\.city is a moon map"):
         open_map(path)
-    with pytest.raises(MapError, match=r"a\.city is a scene map, not a city map"):
+    with pytest.raises(MapError, match=r"a\.city is a moon map, not a city map"):
         CityMap.open(path)
     write_map(path, KIND, VERSION + 1, meta, arrays)
     with pytest.raises(MapError, match="update placegraph"):
