@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
+from placegraph.cli.scene_localize import localize
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
@@ -18,6 +19,7 @@ app = typer.Typer(
     help="Indoor: a few frames find their pose in a map of objects.",
     no_args_is_help=True,
 )
+app.command("localize")(localize)
 
 MapFile = Annotated[
     Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")

@@ -68,7 +68,7 @@ def levels(poses: Floats, weights: Floats) -> Floats:
 def swarm(poses: Floats, weights: Floats) -> Swarm:
     """Particles (N, 4) with weights (N,) as marks, the smaller the more there are."""
     poses, weights = np.asarray(poses, np.float64), np.asarray(weights, np.float64)
-    radius = float(np.interp(len(poses), [500, 5000], [1.7, 0.7]))
+    radius = float(np.interp(len(poses), [200, 1000, 5000], [2.0, 1.5, 0.7]))
     tick = 4.0 if len(poses) < 2500 else 0.0
     return Swarm(poses[:, :2], poses[:, 3], levels(poses, weights), radius, tick)
 
@@ -147,11 +147,11 @@ def sight(plan: RoomPlan, estimate: PoseEstimate, number: int, opening: float) -
     )
 
 
-def mode_marks(estimate: PoseEstimate, number: int) -> list[Mark]:
-    """A mode of an estimate (0 is the best): its ellipse, and of several its number."""
+def mode_marks(estimate: PoseEstimate, number: int, *, numbered: bool) -> list[Mark]:
+    """A mode of an estimate (0 is the best): its ellipse, or that with number and probability."""
     mode, color = estimate.modes[number], POSE_COLOR[estimate.status]
     marks: list[Mark] = [Stroke(ellipse(mode), color, 1.6, (5.0, 3.0))]
-    if len(estimate.modes) == 1:
+    if not numbered:
         return [*marks, Disc(mode.pose[:2], 6.0, color)]
     percent = f"{mode.probability:.0%}"
     label = Text(mode.pose[:2], percent, 13.0, color, anchor="l", shift=(15.0, -1.0))

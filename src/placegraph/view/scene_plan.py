@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.scene_map import SceneMap
 
+LEAST = 0.01
+"""Probability of a mode that is drawn."""
 NEAREST = 3.0
 """Smallest width of what a panel shows [m]."""
 MOVING_WIDTH = 760
@@ -204,7 +206,7 @@ class _Drawing:
                 sheet.paste(self.step(room, frame, record, step), (left, top))
                 words = f"frame {record.steps[step][0]}"
                 if column == 0:
-                    words = f"pass {k + 1}, stride {record.stride}: {words}"
+                    words = f"pass {k + 1}, stride {record.stride:g}: {words}"
                     metres = round_length(0.2 * frame.width / frame.scale)
                     bar = left + 8, top + frame.height - 8
                     sheet.bar(bar, metres * frame.scale, length_words(metres))
@@ -238,7 +240,11 @@ class _Drawing:
         estimate, taken = self.estimate, Taken()
         color = POSE_COLOR[estimate.status]
         marks: list[Item] = []
-        shown = [k for k, mode in enumerate(estimate.modes) if mode.scene == self.name]
+        shown = [
+            k
+            for k, mode in enumerate(estimate.modes)
+            if mode.scene == self.name and (k == 0 or mode.probability >= LEAST)
+        ]
         for k in reversed(shown):
             marks.append(sight(self.plan, estimate, k, self.opening))
             x, y = estimate.modes[k].pose[:2] * frame.scale * (1.0, -1.0)
@@ -251,7 +257,7 @@ class _Drawing:
             marks += witness_marks(self.plan, estimate.modes[shown[0]])
             marks += way(estimate.trajectory, color, width=2.4)
         for k in reversed(shown):
-            marks += mode_marks(estimate, k)
+            marks += mode_marks(estimate, k, numbered=len(shown) > 1)
         room = paint_room(self.plan, frame, dark=self.dark)
         items = [room, *_names(self.plan, frame, taken, marked), *marks]
         return paint_picture(items, frame, dark=self.dark, reduce=False)
@@ -315,7 +321,7 @@ class _Drawing:
             index, poses, _ = record.steps[step]
             sheet = Sheet(layout.width, layout.height, dark=self.dark)
             sheet.paste(self.step(room, frame, record, step), layout.large_corner)
-            words = f"pass {k + 1} of {len(self.estimate.history)}, stride {record.stride}"
+            words = f"pass {k + 1} of {len(self.estimate.history)}, stride {record.stride:g}"
             sheet.text((14, 22), words, 14, "ink")
             sheet.text((14, 47), f"frame {index}, {len(poses):,} particles", 13, "soft-ink")
             self.foot(sheet, frame, particles=True, result=False)

@@ -1,0 +1,276 @@
+"""`placegraph scene localize`: frames of a drawn room find their pose on the command line."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph.cli.scene_localize import chosen_frames, pose_words, show
+from placegraph.errors import OptionError
+from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Status
+from placegraph.formats.tum import read_tum
+from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
+from placegraph.indoor.build import build_scene
+from placegraph.synthetic.flats import Flat
+from placegraph.synthetic.walks import stroll, write_walk
+
+ROOM = """
+[flat]
+name = Study
+height = 2.6
+[drawing]
+######====##########
+#SSS         pp  BB#
+#SSS             BB#
+#SSS  tt      1  BB#
+#SSS  tt         BB#
+#                  #
+#LL  3             #
+#LL       hhTTT  2 +
+#         hhTTT    +
+#CCCCCC     TTT    #
+####################
+[legend]
+1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
+2 spot:
+3 spot:
+S sofa: look=fabric darkred trim=fabric firebrick
+B shelf: label=bookcase height=2.1
+t roundtable: label=side table height=0.45
+T table: label=desk look=wood burlywood
+h chair: faces=T look=plain teal trim=plain darkslategrey
+C cabinet: label=sideboard height=0.8 look=wood peru
+L lamp:
+p picture:
+"""
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Map file, capture folder and true poses of a walk through the room."""
+    folder, rng = tmp_path_factory.mktemp("localize"), np.random.default_rng(3)
+    drawing = Flat.parse(ROOM)
+    interior = drawing.furnish(rng)
+    build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
+    walk = stroll(drawing, rng, frames=FRAMES, through="123")
+    write_walk(
+        interior, walk, folder / "walk", rng, camera=Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
+    )
+    return SimpleNamespace(
+        map=folder / "room.scene", walk=folder / "walk", truth=walk.map_from_camera
+    )
+
+
+def fails(result, code, *words):
+    assert (result.code, result.out) == (code, ""), result.err
+    (line,) = result.err.strip().splitlines()
+    assert line.startswith("placegraph: ")
+    for word in words:
+        assert str(word) in line
+
+
+# --- the answer ---
+
+
+def test_json_pictures_and_trajectory(run, world, tmp_path):
+    png, gif, tum = (tmp_path / f"a.{ending}" for ending in ("png", "gif", "tum"))
+    before = world.map.read_bytes()
+    result = run(
+        "scene", "localize", world.map, world.walk, "--json",
+        "--png", png, "--gif", gif, "--tum", tum,
+    )  # fmt: skip
+    assert (result.code, result.err) == (0, "")
+    told = result.json
+    assert told["status"] in {"OK", "AMBIGUOUS"}
+    assert told["frames"] == list(range(FRAMES))
+    best = told["modes"][0]
+    pose, _ = split_pose(world.truth[-1])
+    assert (best["x"], best["y"]) == (
+        pytest.approx(pose[0], abs=0.2),
+        pytest.approx(pose[1], abs=0.2),
+    )
+    assert np.cos(np.radians(best["yaw_deg"]) - pose[3]) > np.cos(np.radians(5))
+    assert best["evidence"]
+
+    written = read_tum(tum)
+    assert written.poses[-1] == pytest.approx(np.array(best["map_from_camera"]), abs=1e-6)
+    assert len(written) == FRAMES
+    apart = np.linalg.norm(written.poses[:, :3, 3] - world.truth[:, :3, 3], axis=1)
+    assert apart.max() < 0.3
+    assert written.stamps == pytest.approx(read_tum(world.walk / "odometry.tum").stamps)
+
+    with Image.open(png) as image:
+        assert image.size[0] == 1600, "particles of several passes"
+    with Image.open(gif) as image:
+        assert image.n_frames > FRAMES
+    assert world.map.read_bytes() == before
+
+
+def test_some_frames_as_text(run, world):
+    result = run("scene", "localize", world.map, world.walk, "--frames", "2:5", "--quiet")
+    assert (result.code, result.err) == (0, "")
+    status, _, reason = result.out.splitlines()[0].partition(": ")
+    assert status in {"OK", "AMBIGUOUS", "LOST"}
+    assert reason
+    numbers = result.out.splitlines()[1].split()
+    assert numbers[:2] == ["1.", "x"]
+    pose, _ = split_pose(world.truth[4])
+    assert float(numbers[2]) == pytest.approx(pose[0], abs=0.3)
+    assert "yaw_deg" in numbers
+    assert "+  " in result.out, "what spoke for it"
+    again = run("scene", "localize", world.map, world.walk, "--frames", "2:5", "--quiet")
+    assert again.out == result.out, "the same seed gives the same answer"
+
+
+def test_options_reach_the_filter(run, world):
+    at, _ = split_pose(world.truth[0])
+    told = run(
+        "scene", "localize", world.map, world.walk, "--frames", ":5", "--json", "--coarse",
+        "--near", f"{at[0]:.1f},{at[1]:.1f},{at[2]:.1f}", "--radius", "0.5", "--yaw-deg",
+        f"{np.degrees(at[3]):.0f}", "--height", "1.6", "--every", "0.3", "--no-colour",
+        "--device", "cpu", "--seed", "7",
+    ).json  # fmt: skip
+    assert told["frames"] == [0, 2, 4], "0.2 s apart; every 0.3 s"
+    pose, _ = split_pose(world.truth[4])
+    assert told["modes"][0]["x"] == pytest.approx(pose[0], abs=0.3)
+    assert not any(e["statement"] == "colour" for e in told["modes"][0]["evidence"])
+    assert len(told["stats"]["particles"]) == 1, "one pass"
+
+
+# --- frames ---
+
+
+class Rows(list):
+    """A capture that is only as long."""
+
+    path = "walk"
+
+    def __getitem__(self, which):
+        found = super().__getitem__(which)
+        return Rows(found) if isinstance(which, slice) else found
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        (None, range(25)), (":", range(25)), ("10:20", range(10, 20)), ("-5:", range(20, 25)),
+        (":-20", range(5)), ("::10", [0, 10, 20]), ("1:9:4", [1, 5]), ("7", [7]), ("-1", [24]),
+        ("-3", [22]), ("20:99", range(20, 25)), (" 3 : 5 ", [3, 4]),
+    ],
+)  # fmt: skip
+def test_frames(text, rows):
+    assert list(chosen_frames(Rows(range(25)), text)) == list(rows)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "1:b", "1:2:3:4", "1.5", "5:5", "9:3", "30:", "25", "-26", "::0", "9:3:-1"]
+)
+def test_no_frames(text):
+    with pytest.raises(OptionError, match="--frames"):
+        chosen_frames(Rows(range(25)), text)
+
+
+# --- what a person reads ---
+
+
+def estimate_of(status, *probabilities, evidence=()):
+    pose = np.array([1.25, -2.5, 1.6, np.pi / 2])
+    matrix = pose_matrix(pose, level_from_camera((0.0, 1.0, 0.0)))
+    covariance = np.diag([9e-4, 16e-4, 1e-4, np.radians(2.0) ** 2])
+    modes = tuple(
+        PoseMode(matrix, pose, covariance, p, "study", matrix, lambda: evidence)
+        for p in probabilities
+    )
+    return PoseEstimate(status, modes, "Because [of/] that.")
+
+
+def test_a_mode_in_words():
+    words = pose_words(estimate_of(Status.OK, 0.93).modes[0])
+    assert words == (
+        "x 1.250 m  y -2.500 m  z 1.600 m  yaw_deg 90.00   93.0%  ±5.0 cm ±2.00°  in study"
+    )
+
+
+def test_lost_without_modes(capsys):
+    show(estimate_of(Status.LOST))
+    assert capsys.readouterr().out == "LOST: Because [of/] that.\n"
+
+
+def test_much_evidence_and_many_modes(capsys):
+    of_objects = [
+        Evidence(
+            f"chair {k}", "for" if k else "against", 9.0 - k, (ObjectRef(str(k), "chair", ""),)
+        )
+        for k in range(9)
+    ]
+    depth = Evidence("depth", "silent", 0.1, note="62% of [the/] readings")
+    evidence = (*of_objects, depth)
+    show(estimate_of(Status.AMBIGUOUS, 0.6, 0.3992, 0.0004, evidence=evidence))
+    out = capsys.readouterr().out
+    assert "2. x" in out
+    assert "3. x" not in out
+    assert "-  chair 0" in out
+    assert "+  chair 5" in out
+    assert "chair 6" not in out
+    assert "3 more objects" in out
+    assert "62% of [the/] readings" in out
+
+
+# --- what is refused ---
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--frames", "9:"), "--frames"), (("--frames", "x"), "--frames"),
+        (("--near", "1"), "--near"), (("--near", "1,b"), "--near"), (("--near", "1,2,3,4"), "--near"),
+        (("--near", "nan,2"), "prior"), (("--near", "1,2", "--radius", "0"), "--radius"),
+        (("--near", "1,2", "--radius", "inf"), "--radius"), (("--yaw-deg", "90"), "--near"),
+        (("--height", "nan"), "heights"), (("--device", "abacus"), "device"),
+        (("--no-semantic", "--no-depth", "--no-colour"), "leave one on"),
+    ],
+)  # fmt: skip
+def test_bad_options(options, word, run, world):
+    fails(run("scene", "localize", world.map, world.walk, *options, "--quiet"), 7, word)
+
+
+def test_what_is_no_map_or_no_capture(run, world, tmp_path):
+    fails(run("scene", "localize", tmp_path / "no.scene", world.walk), 3, "no.scene")
+    fails(run("scene", "localize", world.walk / "odometry.tum", world.walk), 4, "odometry.tum")
+    fails(run("scene", "localize", world.map, tmp_path / "nowhere"), 3, "nowhere")
+    fails(run("scene", "localize", world.map, tmp_path), 3, tmp_path.name)
+    damaged = tmp_path / "damaged.scene"
+    damaged.write_bytes(world.map.read_bytes()[:-50])
+    fails(run("scene", "localize", damaged, world.walk), 4, "damaged.scene")
+
+
+def test_pictures_that_cannot_be_written(run, world, tmp_path):
+    for option in ("--png", "--gif", "--tum"):
+        out = tmp_path / "no" / "a"
+        result = run(
+            "scene", "localize", world.map, world.walk, "--frames", "0", "--quiet", option, out
+        )
+        fails(result, 3, out)
+
+
+def test_help(run):
+    result = run("scene", "localize", "--help")
+    assert result.code == 0
+    for word in ("--frames", "--near", "--png", "--tum", "AMBIGUOUS", "Example:"):
+        assert word in result.out
+    assert "localize" in run("scene", "--help").out
+
+
+def test_mistyped(run, world):
+    for arguments in ([world.map], [world.map, world.walk, "--seed", "many"]):
+        result = run("scene", "localize", *arguments)
+        assert (result.code, result.out) == (2, "")
+        assert "Usage: " in result.err
+
+
+def test_json_is_plain(run, world):
+    result = run("scene", "localize", world.map, world.walk, "--frames", "0:2", "--json")
+    assert json.loads(result.out) == json.loads(json.dumps(result.json, allow_nan=False))
