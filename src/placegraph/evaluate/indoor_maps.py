@@ -35,7 +35,7 @@ OFFICE_TRIANGLES = 80_000
 
 def house(data: Path, cache: Path) -> SceneMap:
     """The house as published: 86 objects, 145,846 textured triangles."""
-    path = _place(cache, "house")
+    path = place(cache, "house")
     if not path.exists():
         build_scene(data / "house/map/house.glb", path)
     return SceneMap.open(path)
@@ -43,7 +43,7 @@ def house(data: Path, cache: Path) -> SceneMap:
 
 def coarse_house(data: Path, cache: Path, triangles: int = COARSE) -> SceneMap:
     """The house in fewer triangles and without textures: colours of vertices are all it has."""
-    path = _place(cache, f"house_{triangles}")
+    path = place(cache, f"house_{triangles}")
     if not path.exists():
         whole = house(data, cache)
         mesh = coarse(whole.mesh, triangles, np.random.default_rng(0))
@@ -54,7 +54,7 @@ def coarse_house(data: Path, cache: Path, triangles: int = COARSE) -> SceneMap:
 def office(data: Path, cache: Path, half: str, triangles: int = OFFICE_TRIANGLES) -> SceneMap:
     """One half of the office, fused with its true poses: the half that `HALVES[half]` names."""
     low, high = HALVES[half][0]
-    path = _place(cache, f"office_{low}_{high}")
+    path = place(cache, f"office_{low}_{high}")
     if not path.exists():
         folder = data / "office"
         capture, truth = open_capture(folder), true_poses(folder)
@@ -83,7 +83,7 @@ def with_mesh(scene: SceneMap, mesh: Mesh) -> SceneMap:
     )
 
 
-def _place(cache: Path, name: str) -> Path:
+def place(cache: Path, name: str) -> Path:
     """Where a map belongs; those that older code made are deleted."""
     cache.mkdir(parents=True, exist_ok=True)
     path = cache / f"{name}_{fingerprint(MAKING)}.scene"

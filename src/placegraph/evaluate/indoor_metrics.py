@@ -166,12 +166,9 @@ def measure(
 
 
 def mean_particles(stats: dict[str, Any]) -> float:
-    """Mean number of particles over frames and passes, from an estimate's `stats`; NaN if unsaid."""
-    count = stats.get("particles")
-    if count is None:
-        return math.nan
-    values = np.asarray(count, np.float64)
-    return float(values.mean()) if values.size else math.nan
+    """Mean number of particles over passes and frames, from an estimate's `stats`; NaN if unsaid."""
+    counts = [n for of_pass in stats.get("particles", ()) for n in of_pass]
+    return float(np.mean(counts)) if counts else math.nan
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ import numpy as np
 from placegraph.errors import PlacegraphError
 from placegraph.evaluate.decimate import coarse, decimate, fine
 from placegraph.evaluate.indoor_maps import with_mesh
+from placegraph.evaluate.indoor_metrics import mean_particles
 from placegraph.evaluate.indoor_windows import true_poses
 from placegraph.formats.capture import open_capture
-from placegraph.geometry import rotation_z, split_pose
+from placegraph.geometry import level_from_camera, rotation_z, split_pose
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.observe import sight, views
@@ -27,6 +28,7 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.raycast import RayCaster
 from placegraph.indoor.raycast.warp import WarpCaster
 from placegraph.indoor.raycast.warp_device import open_device
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.scorer import Scorer
 
 if TYPE_CHECKING:
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.observe import Background
     from placegraph.indoor.score import View
 
 PARTICLES = (50, 200, 1000, 5000)
@@ -42,6 +44,8 @@ STRIDES = (40.0, 20.0, 10.0, 5.0)
 TRIANGLES = (1_000, 5_000, 20_000, 80_000, 300_000, 1_000_000)
 BASE = (1000, 20.0, 20_000)
 """Particles, stride and triangles of the row that the others differ from in one thing."""
+FRAMES = 10
+"""Frames of a sequence that are localized."""
 
 
 @dataclass(frozen=True)
@@ -125,19 +129,25 @@ def scattered_poses(folder: Path, count: int, rng: np.random.Generator) -> Float
     return rows
 
 
-def view_of(scene: SceneMap, folder: Path, stride: float) -> View:
+def view_of(scene: SceneMap, folder: Path, stride: float, background: Background) -> View:
     """The first frame of a sequence with labels, depth and colour."""
     frame = open_capture(folder)[0]
     options = FilterOptions()
     sighting = sight(frame, LabelsEncoder(scene), options)
-    return views([sighting], stride, options, len(scene))[0]
+    return views([sighting], stride, options, background)[0]
 
 
 def cost(
-    scene: SceneMap, folder: Path, particles: int, stride: float, *, device: str = "cpu"
+    scene: SceneMap,
+    folder: Path,
+    particles: int,
+    stride: float,
+    background: Background,
+    *,
+    device: str = "cpu",
 ) -> Cost:
     """Time to score poses against the first frame of a sequence."""
-    view = view_of(scene, folder, stride)
+    view = view_of(scene, folder, stride, background)
     poses = scattered_poses(folder, particles, np.random.default_rng(0))
     scorer = Scorer(scene, FilterOptions().likelihood, device)
     nothing = view._replace(
@@ -158,12 +168,18 @@ def cost(
 def costs(scene: SceneMap, folder: Path, *, device: str = "cpu") -> list[Cost]:
     """One row for every number of particles, rays and triangles, the others as in `BASE`."""
     particles, stride, triangles = BASE
+    background = scene.visibility(FilterOptions()).background
     middle = resized(scene, triangles)
-    rows = [cost(middle, folder, n, stride, device=device) for n in PARTICLES]
-    rows += [cost(middle, folder, particles, s, device=device) for s in STRIDES if s != stride]
+    rows = [cost(middle, folder, n, stride, background, device=device) for n in PARTICLES]
+    rows += [
+        cost(middle, folder, particles, s, background, device=device)
+        for s in STRIDES
+        if s != stride
+    ]
     for n in TRIANGLES:
         if n != triangles:
-            rows.append(cost(resized(scene, n), folder, particles, stride, device=device))
+            other = resized(scene, n)
+            rows.append(cost(other, folder, particles, stride, background, device=device))
     return rows
 
 
@@ -181,7 +197,10 @@ def engines(scene: SceneMap, folder: Path, *, particles: int = 1000) -> dict[str
 
     An engine that is not there has none.
     """
-    rays = view_of(scene, folder, BASE[1]).directions.astype(np.float64)
+    camera = open_capture(folder).camera
+    u, v = np.meshgrid(*(np.arange(BASE[1] / 2, n, BASE[1]) for n in (camera.width, camera.height)))
+    level = level_from_camera([0.0, 1.0, 0.0])
+    rays = camera.directions(np.stack([u, v], axis=-1).reshape(-1, 2)) @ level.T
     poses = scattered_poses(folder, particles, np.random.default_rng(0))
     directions = np.concatenate([rays @ rotation_z(yaw).T for yaw in poses[:, 3]])
     origins = np.repeat(poses[:, :3], len(rays), axis=0)
@@ -201,6 +220,69 @@ def engines(scene: SceneMap, folder: Path, *, particles: int = 1000) -> dict[str
         seconds = median_time(lambda c=caster: c.cast(origins, directions), times=3)  # type: ignore[misc]
         found[name] = len(origins) / seconds
     return found
+
+
+def localizing(
+    scene: Path, folders: Sequence[Path], options: FilterOptions, device: str
+) -> dict[str, Any]:
+    """Time a frame, by stage, of the first frames of each sequence; run in a fresh process."""
+    opened = SceneMap.open(scene)
+    stages: dict[str, float] = {}
+    total = {"seconds": 0.0, "rays": 0.0, "poses": 0.0, "scoring": 0.0, "particles": 0.0}
+    start = time.perf_counter()
+    opened.localize(open_capture(folders[0])[:FRAMES], options=options, seed=1, device=device)
+    first = time.perf_counter() - start
+    for folder in folders:
+        capture = open_capture(folder)[:FRAMES]
+        start = time.perf_counter()
+        estimate = opened.localize(capture, options=options, seed=0, device=device)
+        total["seconds"] += time.perf_counter() - start
+        stats = estimate.stats
+        for stage, seconds in stats["seconds"].items():
+            stages[stage] = stages.get(stage, 0.0) + seconds
+        total["rays"] += stats["rays"]
+        total["poses"] += stats["poses_scored"]
+        total["scoring"] += stats["seconds_scoring"]
+        total["particles"] += mean_particles(stats) * FRAMES
+    frames = FRAMES * len(folders)
+    return {
+        "device": device,
+        "frame_seconds": total["seconds"] / frames,
+        "stage_seconds": {stage: seconds / frames for stage, seconds in stages.items()},
+        "passes": len(options.passes),
+        "particles": total["particles"] / frames,
+        "poses_a_frame": total["poses"] / frames,
+        "rays_a_frame": total["rays"] / frames,
+        "rays_per_second": total["rays"] / total["scoring"],
+        "scoring_share": total["scoring"] / total["seconds"],
+        "first_call_seconds": first,
+        "peak_bytes": peak(),
+    }
+
+
+def tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
+    """Time of an update of the tracker before and after it first says OK; in a fresh process."""
+    opened = SceneMap.open(scene)
+    before: list[float] = []
+    after: list[float] = []
+    for number, folder in enumerate([folders[0], *folders]):
+        capture = open_capture(folder)
+        tracker = opened.tracker(capture.camera, seed=0)
+        found = False
+        for frame in capture:
+            start = time.perf_counter()
+            status = tracker.update(frame).status.name
+            seconds = time.perf_counter() - start
+            if number:  # the first sequence warms the process
+                (after if found else before).append(seconds)
+            found |= status == "OK"
+    return {
+        "before_ok_seconds": float(np.median(before)),
+        "after_ok_seconds": float(np.median(after)) if after else None,
+        "after_ok_p95_seconds": float(np.percentile(after, 95)) if after else None,
+        "updates": len(before) + len(after),
+        "peak_bytes": peak(),
+    }
 
 
 def peak() -> int:
