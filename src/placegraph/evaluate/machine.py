@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGES = ("placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark")
+PACKAGES = ("placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex", "warp-lang")
 
 
 def machine() -> dict[str, object]:
@@ -18,8 +18,15 @@ def machine() -> dict[str, object]:
         "cores": os.cpu_count(),
         "system": platform.platform(),
         "python": sys.version.split()[0],
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": {name: found for name in PACKAGES if (found := _version(name))},
     }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""  # an extra that is not installed
 
 
 def _processor() -> str:
