@@ -269,7 +269,8 @@ class Camera:
         k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * 8)[:8]
         r2 = np.sum(xy * xy, axis=-1)
         above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return above / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        ratio: Floats = above / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        return ratio
 
     def _tangential(self, xy: Floats) -> Floats:
         p1, p2 = self.distortion[2:4]

@@ -10,8 +10,15 @@ from numba import njit
 
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import compose
-from placegraph.indoor.raycast.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE
-from placegraph.indoor.raycast.packets import new_packet, trace16
+from placegraph.indoor.raycast.packets import (
+    DIRECTION,
+    FAR,
+    LANES,
+    ORIGIN,
+    TRIANGLE,
+    new_packet,
+    trace16,
+)
 from placegraph.indoor.score import COLOUR, DEPTH, SEMANTIC
 
 if TYPE_CHECKING:
@@ -19,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.raycast.packets import Tracer
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.score import View
     from placegraph.indoor.scorer import Scorer
@@ -94,9 +102,9 @@ def agreement(
 
 def explain(scene: SceneMap, agreed: Agreement) -> tuple[Evidence, ...]:
     """Evidence in words, the heaviest first."""
-    rows = np.argsort(-np.abs(agreed.weights), kind="stable")
-    rows = [int(n) for n in rows if agreed.told[n] > 0][:_MOST]
-    out = [_of_object(scene, n, float(agreed.weights[n]), float(agreed.told[n])) for n in rows]
+    order = np.argsort(-np.abs(agreed.weights), kind="stable")
+    rows = order[agreed.told[order] > 0][:_MOST].tolist()
+    out = [_of_object(scene, n, float(agreed.weights[n])) for n in rows]
     if not np.isnan(agreed.depth):
         out.append(
             Evidence(
@@ -127,7 +135,7 @@ def explain(scene: SceneMap, agreed: Agreement) -> tuple[Evidence, ...]:
     return tuple(out)
 
 
-def _of_object(scene: SceneMap, n: int, weight: float, told: float) -> Evidence:
+def _of_object(scene: SceneMap, n: int, weight: float) -> Evidence:
     graph = scene.graph
     verdict = "for" if weight > _TELLING else "against" if weight < -_TELLING else "silent"
     name = graph.names[n] if graph.names else ""
@@ -141,7 +149,9 @@ def _of_object(scene: SceneMap, n: int, weight: float, told: float) -> Evidence:
 
 
 @njit(cache=True, nogil=True)
-def look(tracer, pose, directions):
+def look(
+    tracer: Tracer, pose: NDArray[np.float64], directions: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Triangles (R,) int32, -1: none, and depths (R,) float32 [m] from one pose (4,)."""
     n = len(directions)
     triangles = np.empty(n, np.int32)

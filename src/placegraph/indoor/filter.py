@@ -58,9 +58,7 @@ class ParticleFilter:
         explained = float(values.max())
         self.dropped = self.usual is not None and explained < self.usual - _DROP
         self.usual = (
-            explained
-            if self.usual is None
-            else (1.0 - _MEMORY) * self.usual + _MEMORY * explained
+            explained if self.usual is None else (1.0 - _MEMORY) * self.usual + _MEMORY * explained
         )
         self.particles, _ = self.particles.reweighted(flat * values)
 

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.options import MotionNoise
 
 
-def level_poses(
-    odometry: NDArray[np.float64], gravity: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def level_poses(odometry: NDArray[np.float64], gravity: NDArray[np.float64]) -> NDArray[np.float64]:
     """Poses (T, 4) x, y, z, yaw in a level frame of odometry (T, 4, 4) and gravity (T, 3).
 
     The odometry's own frame may stand at any slant: it is set upright by the mean of what gravity

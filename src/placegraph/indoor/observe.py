@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.geometry import level_from_camera
-from placegraph.indoor.score import COLOUR, DEPTH, SEMANTIC, Noise, View
+from placegraph.indoor.score import COLOUR, DEPTH, Noise, View
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -124,9 +124,7 @@ def _view(
         usual_depth=usual_depth(depth, directions, likelihood, background),
         colour=colour,
         footprint=samples.footprint,
-        terms=np.array(
-            [patches is not None, sighting.depth is not None, sighting.rgb is not None]
-        ),
+        terms=np.array([patches is not None, sighting.depth is not None, sighting.rgb is not None]),
     )
 
 
@@ -213,7 +211,9 @@ def _samples(camera: Camera, stride: float) -> _Samples:
 
 
 @lru_cache(maxsize=64)
-def _cells(own: Camera, stride: float, camera: Camera, rows: int, columns: int) -> NDArray[np.int64]:
+def _cells(
+    own: Camera, stride: float, camera: Camera, rows: int, columns: int
+) -> NDArray[np.int64]:
     uv = camera.project(_samples(own, stride).directions)
     with np.errstate(invalid="ignore"):
         x = np.floor(uv[:, 0] * columns / camera.width)

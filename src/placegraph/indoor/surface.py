@@ -89,7 +89,7 @@ def _density(mesh: Mesh, sizes: NDArray[np.int32]) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True, inline="always")
 def colour_at(surface, triangle, u, v, footprint):
-    """sRGB colour (3 floats, 0 to 1) at barycentrics u, v of a triangle.
+    """Colour in sRGB (3 floats, 0 to 1) at barycentrics u, v of a triangle.
 
     `footprint`: width of what the ray stands for at the hit [m].
     """

@@ -104,14 +104,10 @@ def _rows_of_ids(ids: Sequence[str]) -> dict[str, int]:
     return {id_: row for row, id_ in enumerate(ids)}
 
 
-def _majority(
-    rows: NDArray[np.int32], grid: tuple[int, int], count: int
-) -> NDArray[np.int32]:
+def _majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) -> NDArray[np.int32]:
     """Most frequent row of each patch; -1 where fewer than half its pixels are known."""
     h, w = rows.shape
-    patch = np.add.outer(
-        np.arange(h) * grid[0] // h * grid[1], np.arange(w) * grid[1] // w
-    )
+    patch = np.add.outer(np.arange(h) * grid[0] // h * grid[1], np.arange(w) * grid[1] // w)
     cells = grid[0] * grid[1]
     flat = np.where(rows >= 0, rows, count) + patch * (count + 1)
     votes = np.bincount(flat.ravel(), minlength=cells * (count + 1)).reshape(cells, count + 1)
