@@ -256,6 +256,15 @@ def test_pictures_that_cannot_be_written(run, world, tmp_path):
         fails(result, 3, out)
 
 
+def test_info_draws_the_room(run, world, tmp_path):
+    result = run("scene", "info", world.map, "--png", tmp_path / "room.png")
+    assert (result.code, result.err) == (0, "")
+    with Image.open(tmp_path / "room.png") as image:
+        assert image.size[0] == 1200
+    fails_to_write = run("scene", "info", world.map, "--png", tmp_path / "no" / "room.png")
+    fails(fails_to_write, 3, "room.png")
+
+
 def test_help(run):
     result = run("scene", "localize", "--help")
     assert result.code == 0

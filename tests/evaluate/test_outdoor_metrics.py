@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Estimate, Place, Status
+from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.evaluate.outdoor_metrics import Answer, distances, measure, score
 from placegraph.evaluate.outdoor_report import OURS, Protocol, Row, of_answers, report
 from placegraph.evaluate.tables import markdown, number, share, shares
@@ -25,14 +25,14 @@ def test_distances_are_metres():
 def test_an_estimate_is_measured():
     here = Place(10.0, 50.0, 0.7, "a", np.eye(2))
     there = Place(10.001, 50.0, 0.2, "b", np.eye(2))
-    estimate = Estimate(Status.AMBIGUOUS, (there, here), "two places fit")
+    estimate = CityEstimate(Status.AMBIGUOUS, (there, here), "two places fit")
     measured = measure(estimate, 10.0, 50.0, seconds=0.5, exact=(True, False), cell="a")
     assert measured.distance == pytest.approx([71.70, 0.0], abs=0.05)
     assert measured.exact == (True, False)
     assert measured.own_cell == (False, True)
     assert score([measured]).own_cell == {1: 0.0, 3: 1.0, 5: 1.0}
     assert (measured.status, measured.probability) == ("AMBIGUOUS", 0.2)
-    lost = measure(Estimate(Status.LOST, (), "nothing fits"), 10.0, 50.0, seconds=0.5, cell="a")
+    lost = measure(CityEstimate(Status.LOST, (), "nothing fits"), 10.0, 50.0, seconds=0.5, cell="a")
     assert (len(lost.distance), lost.exact, lost.probability) == (0, (), 0.0)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Estimate, Status
+from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.ask import (
     NO,
     NONE,
@@ -150,7 +150,7 @@ def test_nothing_to_ask(harbour):
     clear = harbour.locate("I am on Speicherweg. The bank is north of me, the hairdresser west.")
     assert clear.best.probability > 0.95
     assert clear.next_question(harbour) is None
-    assert Estimate(Status.LOST, (), "Nothing.").next_question(harbour) is None
+    assert CityEstimate(Status.LOST, (), "Nothing.").next_question(harbour) is None
 
 
 # --- answers ---

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.estimate import Estimate, Evidence, ObjectRef, Place, Status
+from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.outdoor.build import build_city
 from placegraph.outdoor.description import Description, Ignored, Mention, Relation, Sense, Statement
 from placegraph.synthetic.towns import Town
@@ -92,7 +92,7 @@ def _estimate(city, town, status, probabilities):
         ),
         (Ignored("It rains </script>", "no place"),),
     )
-    return Estimate(
+    return CityEstimate(
         status,
         tuple(modes),
         "One & only <reason>.",

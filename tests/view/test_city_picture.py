@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Estimate, Evidence, ObjectRef, Place, Status
+from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.outdoor.build import build_city
 from placegraph.synthetic.towns import Town
 from placegraph.view import draw_city, write_picture
@@ -61,7 +61,7 @@ def test_names_that_no_face_draws_do_no_harm(tmp_path):
     ref = ObjectRef("node/1", "shop=bakery", "\U00012000\U00012001", longitude, latitude)
     evidence = (Evidence("a bakery", "for", 1.0, (ref,)),)
     mode = Place(longitude, latitude - 3e-4, 0.9, "", np.eye(2), lambda: evidence)
-    estimate = Estimate(Status.OK, (mode,), "Here.")
+    estimate = CityEstimate(Status.OK, (mode,), "Here.")
     with Image.open(write_picture(city, estimate, tmp_path / "one.png")) as image:
         assert ImageColor.getrgb(PALETTE["for"][0]) in colors(image)
 

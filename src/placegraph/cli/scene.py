@@ -89,11 +89,20 @@ def build(
 
 
 @app.command("info")
-def info(map_file: MapFile, as_json: AsJson = False) -> None:
+def info(
+    map_file: MapFile,
+    as_json: AsJson = False,
+    png: Annotated[Path | None, typer.Option(help="Write a plan of the (first) scene.")] = None,
+) -> None:
     """Say what a scene map holds."""
     from placegraph.indoor.scene_map import SceneMap
 
-    told = {**facts(SceneMap.open(map_file)), "bytes": map_file.stat().st_size}
+    scene = SceneMap.open(map_file)
+    told = {**facts(scene), "bytes": map_file.stat().st_size}
+    if png is not None:
+        from placegraph.view import draw_scene
+
+        draw_scene(scene, png)
     if as_json:
         typer.echo(json.dumps(told, ensure_ascii=False))
     else:
