@@ -20,7 +20,7 @@ from placegraph.evaluate import indoor_maps
 from placegraph.evaluate.indoor_jobs import (
     ANSWERING,
     QUICK,
-    SLOW_EVERY,
+    QUICK_EVERY,
     Job,
     ask,
     chosen,
@@ -80,8 +80,6 @@ class Bench:
         """Windows of a length that a job is asked about."""
         office = job.table in HALVES
         every = self.office_every if office else self.every
-        if job.slow:
-            every = max(every, 2 * self.office_every if office else SLOW_EVERY)
         key = (job.map if office else "house", length, every)
         if key not in self._windows:
             if office:
@@ -143,7 +141,7 @@ def main(
     """Measure indoor localization and print Markdown."""
     names = [name.strip() for name in only.split(",") if name.strip()]
     if quick:
-        windows, every, office_every = "5,10", SLOW_EVERY, 2 * OFFICE_EVERY
+        windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(QUICK)
     jobs = chosen([*house_jobs(), *office_jobs()], names)
     if not jobs:
@@ -160,7 +158,7 @@ def main(
     with Progress(console=Console(stderr=True), transient=True) as tick:
         rows = [
             run(bench, job, n, journal, code=code, seed=seed, device=device, tick=tick)
-            for job in sorted(jobs, key=lambda j: (j.map, j.slow))
+            for job in sorted(jobs, key=lambda j: j.map)
             for n in ([OFFICE_LENGTH] if job.table in HALVES else lengths)
         ]
     order = {j.name: i for i, j in enumerate(jobs)}

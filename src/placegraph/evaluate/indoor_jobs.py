@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from placegraph.evaluate.indoor_metrics import Answer, measure
@@ -28,8 +28,8 @@ ANSWERING = (
     "evaluate/tsdf*.py", "evaluate/decimate*.py",
 )  # fmt: skip
 """Code that decides what the answers are."""
-SLOW_EVERY = 13
-"""Frames between windows for the paper's recipe, which takes long: starts 0 and 13, as the trial."""
+QUICK_EVERY = 13
+"""Frames between windows of the house for a first impression."""
 
 SEMANTIC = {
     "semantic": {"semantic": True},
@@ -62,9 +62,8 @@ class Job:
     map: str
     """`house`, `coarse` or a key of `HALVES`."""
     labels: Labels
-    slow: bool = False
-    lengths: tuple[int, ...] = field(default=())
-    """Lengths of windows it is asked for; empty: all."""
+    theirs: bool = False
+    """The paper's recipe, which the aims do not count."""
 
     @property
     def name(self) -> str:
@@ -102,7 +101,7 @@ def house_jobs() -> list[Job]:
                 FilterOptions.paper().only(**terms),
                 "house",
                 "instances",
-                slow=True,
+                theirs=True,
             )
         )
     for row in ("semantic", "semantic + depth", "all"):
@@ -133,7 +132,7 @@ def office_jobs() -> list[Job]:
             for row, terms in BARE.items()
         ]
         options = FilterOptions.paper().only(**BARE["depth + colour"])
-        jobs.append(Job(half, "depth + colour, paper's recipe", options, half, "none", slow=True))
+        jobs.append(Job(half, "depth + colour, paper's recipe", options, half, "none", theirs=True))
     return jobs
 
 

@@ -269,11 +269,11 @@ def aims_table(rows: Sequence[Row]) -> str:
         lines.append([f"{aim.text} {where}".strip(), f"≥ {share(aim.least)}", share(reached)])
     for length in sorted({r.length for r in rows}):
         lines += compared(at, length)
-    sure = [a for r in rows if not r.job.slow for a in r.answers]
+    sure = [a for r in rows if not r.job.theirs for a in r.answers]
     if sure:
         s = score(sure)
         lines.append(["OK answers near the truth, all our rows", "≥ .95", share(s.right)])
-        false = max((r.score.false_ok for r in rows if not r.job.slow), default=math.nan)
+        false = max((r.score.false_ok for r in rows if not r.job.theirs), default=math.nan)
         lines.append(["OK and wrong, share of a row's windows, worst row", "≤ .05", share(false)])
     return markdown(["", "aim", "reached"], lines) if lines else ""
 
