@@ -1,4 +1,4 @@
-"""Geometry: the plane is a plane, bearings are a compass's."""
+"""Geometry: the plane is a plane, bearings are a compass's, poses a group, cameras invertible."""
 
 import math
 
@@ -7,7 +7,22 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from placegraph.geometry import LocalPlane, angle_between, bearing
+from placegraph.errors import OptionError
+from placegraph.geometry import (
+    Camera,
+    LocalPlane,
+    angle_between,
+    bearing,
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_z,
+    split_pose,
+    wrap,
+)
 
 longitudes = st.floats(-180, 180)
 latitudes = st.floats(-80, 80)
@@ -120,3 +135,269 @@ def test_angle_between_is_a_metric_on_directions(a, b, c):
 def test_whole_turns_change_nothing(a, b, turns):
     turned = float(angle_between(a + 2 * math.pi * turns, b))
     assert math.isclose(turned, float(angle_between(a, b)), abs_tol=1e-9)
+
+
+# ------------------------------------------------------------------------------------- poses
+
+near = st.floats(-100, 100)
+turns = st.floats(-math.pi, math.pi, exclude_max=True)
+poses = st.tuples(near, near, near, turns).map(np.array)
+numbers = st.floats(-1, 1)
+gravities = (
+    st.tuples(numbers, numbers, numbers).map(np.array).filter(lambda g: np.linalg.norm(g) > 0.05)
+)
+quaternions = (
+    st.tuples(numbers, numbers, numbers, numbers)
+    .map(np.array)
+    .filter(lambda q: np.linalg.norm(q) > 0.05)
+)
+
+
+def is_rotation(matrices):
+    """Orthonormal and right-handed, all of them."""
+    square = matrices @ np.swapaxes(matrices, -1, -2)
+    np.testing.assert_allclose(square, np.broadcast_to(np.eye(3), square.shape), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(matrices), 1.0, atol=1e-9)
+
+
+def same_pose(a, b):
+    np.testing.assert_allclose(a[..., :3], b[..., :3], atol=1e-8)
+    np.testing.assert_allclose(wrap(a[..., 3] - b[..., 3]), 0.0, atol=1e-8)
+
+
+@given(st.floats(-1000, 1000))
+def test_wrapped_angles_point_the_same_way(angle):
+    wrapped = float(wrap(angle))
+    assert -math.pi <= wrapped < math.pi
+    assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
+    assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)
+
+
+def test_half_a_turn_has_one_name():
+    assert wrap(math.pi) == wrap(-math.pi) == -math.pi
+    assert wrap([0.0, 3 * math.pi]).tolist() == [0.0, -math.pi]
+
+
+def test_a_camera_held_upright_looks_along_x():
+    level = level_from_camera((0, 9.81, 0))  # of any length
+    forward, right, down = level @ (0, 0, 1), level @ (1, 0, 0), level @ (0, 1, 0)
+    assert (forward.tolist(), right.tolist(), down.tolist()) == ([1, 0, 0], [0, -1, 0], [0, 0, -1])
+
+
+@pytest.mark.parametrize("pitch", [-90, -60, -1, 0, 1, 30, 90])
+def test_pitching_keeps_the_heading(pitch):
+    """Looking up or down turns about the camera's own right: yaw stays, and so does its sign."""
+    a = math.radians(pitch)
+    level = level_from_camera((0, math.cos(a), math.sin(a)))
+    forward = level @ (0, 0, 1)
+    np.testing.assert_allclose(forward, (math.cos(a), 0, -math.sin(a)), atol=1e-12)
+    np.testing.assert_allclose(level @ (1, 0, 0), (0, -1, 0), atol=1e-12)
+
+
+@given(gravities, st.floats(0.01, 100))
+def test_tilt_brings_gravity_down_by_the_smallest_turn(gravity, length):
+    level = level_from_camera(gravity)
+    is_rotation(level)
+    unit = gravity / np.linalg.norm(gravity)
+    np.testing.assert_allclose(level @ unit, (0, 0, -1), atol=1e-8)
+    np.testing.assert_allclose(level_from_camera(gravity * length), level, atol=1e-9)
+    # the angle of the rotation is that between gravity and the upright camera's down
+    least = level_from_camera((0, 1, 0)).T @ level
+    cosine = (np.trace(least) - 1) / 2
+    assert math.isclose(cosine, float(unit[1]), abs_tol=1e-8)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-300, 1e-14, 1e-11, 1e-8, 1e-6, 1e-3])
+def test_a_camera_held_upside_down(off):
+    """It still looks where it looks; only how far it is turned is arbitrary but for a half turn."""
+    level = level_from_camera((off, -1.0, 0.0))
+    is_rotation(level)
+    np.testing.assert_allclose(level @ (off, -1.0, 0.0), (0, 0, -1), atol=1e-3)
+    np.testing.assert_allclose(level @ (0, 0, 1), (1, 0, 0), atol=1e-6)
+    level = level_from_camera((off, -1.0, off))
+    is_rotation(level)
+    pose, tilt = split_pose(pose_matrix((1, 2, 3, 0.5), level))
+    np.testing.assert_allclose(pose_matrix(pose, tilt)[:3, :3], rotation_z(0.5) @ level, atol=1e-7)
+
+
+@given(poses, gravities)
+def test_pose_and_tilt_come_out_of_the_matrix_again(pose, gravity):
+    level = level_from_camera(gravity)
+    matrix = pose_matrix(pose, level)
+    is_rotation(matrix[:3, :3])
+    assert matrix[3].tolist() == [0, 0, 0, 1]
+    got, tilt = split_pose(matrix)
+    same_pose(got, pose)
+    np.testing.assert_allclose(tilt, level, atol=1e-7)
+
+
+@given(quaternions, st.tuples(near, near, near))
+def test_any_rigid_pose_is_a_pose_and_a_tilt(quaternion, at):
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_from_quaternion(quaternion)
+    matrix[:3, 3] = at
+    np.testing.assert_allclose(pose_matrix(*split_pose(matrix)), matrix, atol=1e-7)
+
+
+def test_stacks_of_poses_are_made_one_by_one(rng):
+    pose, gravity = rng.normal(size=(5, 7, 4)), rng.normal((0, 3, 0), size=(5, 7, 3))
+    level = level_from_camera(gravity)
+    matrix = pose_matrix(pose, level)
+    assert matrix.shape == (5, 7, 4, 4)
+    one = pose_matrix(pose[3, 2], level_from_camera(gravity[3, 2]))
+    np.testing.assert_allclose(matrix[3, 2], one, atol=1e-12)
+    got, tilt = split_pose(matrix)
+    assert got.shape == (5, 7, 4)
+    assert tilt.shape == (5, 7, 3, 3)
+    same_pose(got, pose)
+    # one tilt for many poses
+    assert pose_matrix(pose, np.eye(3)).shape == (5, 7, 4, 4)
+
+
+@given(poses, poses, poses)
+def test_poses_are_a_group(a, b, c):
+    same_pose(compose(compose(a, b), c), compose(a, compose(b, c)))
+    same_pose(compose(a, np.zeros(4)), a)
+    same_pose(compose(np.zeros(4), a), a)
+    back = between(a, np.zeros(4))
+    same_pose(compose(a, back), np.zeros(4))
+    same_pose(compose(back, a), np.zeros(4))
+
+
+@given(poses, poses)
+def test_the_step_between_leads_there(a, b):
+    step = between(a, b)
+    same_pose(compose(a, step), b)
+    assert -math.pi <= step[3] < math.pi
+    assert math.isclose(
+        float(np.linalg.norm(step[:3])), float(np.linalg.norm((b - a)[:3])), abs_tol=1e-8
+    )
+
+
+@given(poses, poses)
+def test_composing_multiplies_matrices(a, b):
+    together = pose_matrix(a, np.eye(3)) @ pose_matrix(b, np.eye(3))
+    np.testing.assert_allclose(pose_matrix(compose(a, b), np.eye(3)), together, atol=1e-9)
+
+
+@given(turns, turns)
+def test_yaws_add_up(a, b):
+    np.testing.assert_allclose(rotation_z(a) @ rotation_z(b), rotation_z(a + b), atol=1e-12)
+    np.testing.assert_allclose(rotation_z(math.pi / 2) @ (1, 0, 0), (0, 1, 0), atol=1e-15)
+
+
+@given(quaternions)
+def test_quaternions_and_rotations(quaternion):
+    rotation = rotation_from_quaternion(quaternion)
+    is_rotation(rotation)
+    back = quaternion_from_rotation(rotation)
+    assert back[3] >= 0
+    assert math.isclose(float(np.linalg.norm(back)), 1.0, abs_tol=1e-12)
+    unit = quaternion / np.linalg.norm(quaternion)
+    assert min(np.abs(back - unit).max(), np.abs(back + unit).max()) < 1e-7
+    np.testing.assert_allclose(rotation_from_quaternion(-quaternion), rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("angle", [0.0, 1e-9, math.pi / 2, math.pi - 1e-9, math.pi])
+def test_quaternions_of_half_turns(axis, angle):
+    """Half a turn about each axis in turn makes another of the four formulas divide by zero."""
+    quaternion = np.zeros(4)
+    quaternion[axis], quaternion[3] = math.sin(angle / 2), math.cos(angle / 2)
+    back = quaternion_from_rotation(rotation_from_quaternion(quaternion))
+    assert min(np.abs(back - quaternion).max(), np.abs(back + quaternion).max()) < 1e-12
+
+
+def test_a_quarter_turn_about_z_turns_x_to_y():
+    half = math.sqrt(0.5)
+    turned = rotation_from_quaternion((0, 0, half, half))
+    np.testing.assert_allclose(turned, rotation_z(math.pi / 2), atol=1e-12)
+
+
+# ----------------------------------------------------------------------------------- cameras
+
+PLAIN = Camera(640, 360, 460.0, 455.0, 318.0, 181.5)
+WIDE = Camera(640, 480, 300.0, 305.0, 322.0, 236.0, (-0.25, 0.07, 0.001, -0.0008))
+RATIONAL = Camera(
+    640, 480, 520.0, 520.0, 320.0, 240.0, (0.3, -0.2, 0.0006, 0.0011, 0.05, 0.35, -0.15, 0.03)
+)
+cameras = st.sampled_from([PLAIN, WIDE, RATIONAL])
+
+
+def test_the_principal_point_is_straight_ahead():
+    ray = PLAIN.directions((318.0, 181.5))
+    assert ray.tolist() == [0, 0, 1]
+    # one focal length to the right of it is 45 degrees to the right, and below is down
+    np.testing.assert_allclose(PLAIN.directions((318 + 460, 181.5 + 455)), (1, 1, 1))
+
+
+@given(cameras, st.floats(0, 1), st.floats(0, 1), st.floats(0.1, 50))
+def test_pixels_to_rays_and_back(camera, across, down, depth):
+    uv = np.array([across * camera.width, down * camera.height])
+    ray = camera.directions(uv)
+    assert ray[2] == 1.0
+    np.testing.assert_allclose(camera.project(ray * depth), uv, atol=1e-4)
+
+
+@given(cameras, st.floats(-0.4, 0.4), st.floats(-0.3, 0.3), st.floats(0.1, 50))
+def test_points_to_pixels_and_back(camera, x, y, depth):
+    point = np.array([x, y, 1.0]) * depth
+    ray = camera.directions(camera.project(point))
+    np.testing.assert_allclose(ray * depth, point, atol=1e-4 * depth)
+
+
+def test_distortion_is_opencvs():
+    """The formula of OpenCV's calib3d, written out for one point."""
+    x, y = 0.3, -0.2
+    k1, k2, p1, p2 = WIDE.distortion
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2 * r2
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    expected = (300 * xd + 322, 305 * yd + 236)
+    np.testing.assert_allclose(WIDE.project((0.6, -0.4, 2.0)), expected, atol=1e-10)
+    k1, k2, p1, p2, k3, k4, k5, k6 = RATIONAL.distortion
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    radial /= 1 + k4 * r2 + k5 * r2**2 + k6 * r2**3
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    assert math.isclose(RATIONAL.project((x, y, 1.0))[0], 520 * xd + 320, abs_tol=1e-10)
+
+
+def test_what_lies_behind_has_no_pixel():
+    uv = PLAIN.project([[0, 0, 1], [0, 0, 0], [0.1, 0, -1]])
+    assert np.isnan(uv).tolist() == [[False, False], [True, True], [True, True]]
+
+
+@given(cameras, st.integers(20, 2000), st.integers(20, 2000), st.floats(0, 1), st.floats(0, 1))
+def test_a_resized_image_shows_the_same(camera, width, height, across, down):
+    small = camera.resized(width, height)
+    a = camera.directions((across * camera.width, down * camera.height))
+    b = small.directions((across * width, down * height))
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    back = small.resized(camera.width, camera.height)
+    np.testing.assert_allclose((back.fx, back.cy), (camera.fx, camera.cy))
+
+
+def test_a_camera_as_plain_numbers():
+    assert PLAIN.to_dict() == {
+        "width": 640, "height": 360, "fx": 460.0, "fy": 455.0, "cx": 318.0, "cy": 181.5,
+    }  # fmt: skip
+    assert Camera(**WIDE.to_dict() | {"distortion": WIDE.distortion}) == WIDE
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"width": 0}, "greater than 0"),
+        ({"fy": -1.0}, "greater than 0"),
+        ({"fx": math.nan}, "greater than 0"),
+        ({"fx": math.inf}, "greater than 0"),
+        ({"cx": math.inf}, "not a number"),
+        ({"distortion": (0.1, math.nan, 0, 0)}, "not a number"),
+        ({"distortion": (0.1, 0.2)}, "4, 5 or 8"),
+    ],
+)
+def test_cameras_that_are_none(change, says):
+    numbers = {"width": 640, "height": 360, "fx": 460.0, "fy": 455.0, "cx": 318.0, "cy": 181.5}
+    with pytest.raises(OptionError, match=says):
+        Camera(**numbers | change)

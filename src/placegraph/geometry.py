@@ -82,6 +82,8 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:
 
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """level_from_camera of a camera held upright: forward is x, left is y, up is z."""
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+"""Of a camera about its optical axis."""
 
 
 def wrap(angle: ArrayLike) -> Floats:
@@ -94,19 +96,23 @@ def level_from_camera(gravity: ArrayLike) -> Floats:
 
     `gravity`: (..., 3), direction of gravity in the camera's axes, of any length. The rotation is
     the smallest that brings gravity to the upright camera's down, so that it is defined for a
-    camera that looks straight down or up too; only the camera held upside down is singular.
+    camera that looks straight down or up too. A camera held upside down is turned about its
+    optical axis; yaw is not continuous there.
     """
     down = np.asarray(gravity, np.float64)
     down = down / np.linalg.norm(down, axis=-1, keepdims=True)
     # Rodrigues from `down` to (0, 1, 0): R = I + [v] + [v]^2 / (1 + c), v = down x (0, 1, 0)
     v = np.stack([-down[..., 2], np.zeros(down.shape[:-1]), down[..., 0]], axis=-1)
-    c = np.maximum(down[..., 1], -1.0 + 1e-12)
+    c, square = down[..., 1], np.sum(v * v, axis=-1)
     cross = np.zeros((*down.shape[:-1], 3, 3))
     cross[..., 0, 1], cross[..., 0, 2] = -v[..., 2], v[..., 1]
     cross[..., 1, 0], cross[..., 1, 2] = v[..., 2], -v[..., 0]
     cross[..., 2, 0], cross[..., 2, 1] = -v[..., 1], v[..., 0]
-    least = np.eye(3) + cross + cross @ cross / (1.0 + c)[..., None, None]
-    turned: Floats = _UPRIGHT @ least
+    # 1 / (1 + c) loses its digits near c = -1; there it is (1 - c) / |v|^2
+    inverse = np.where(c > 0, 1.0 / np.maximum(1.0 + c, 1.0), (1.0 - c) / np.maximum(square, 1e-24))
+    least = np.eye(3) + cross + cross @ cross * inverse[..., None, None]
+    over = (c < 0) & (square < 1e-24)
+    turned: Floats = _UPRIGHT @ np.where(over[..., None, None], _HALF_TURN, least)
     return turned
 
 
@@ -251,8 +257,11 @@ class Camera:
         uv = np.asarray(uv, np.float64)
         distorted = (uv - (self.cx, self.cy)) / (self.fx, self.fy)
         xy = distorted
-        for _ in range(20 if any(self.distortion) else 0):  # fixed point, as OpenCV does
-            xy = (distorted - self._tangential(xy)) / self._radial(xy)[..., None]
+        for _ in range(100 if any(self.distortion) else 0):
+            # fixed point, as OpenCV does, but to its end: wide corners need more than a few rounds
+            before, xy = xy, (distorted - self._tangential(xy)) / self._radial(xy)[..., None]
+            if np.abs(xy - before).max(initial=0.0) < 1e-9:
+                break
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
     def project(self, points: ArrayLike) -> Floats:
