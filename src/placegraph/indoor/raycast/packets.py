@@ -89,7 +89,8 @@ def trace16(
 ) -> None:
     """Closest hits of a packet; lanes whose `valid` is 0 are left alone.
 
-    Origin, direction and `FAR` must be set. After the call `FAR` holds the distance in units of
+    Origin, direction and `FAR` must be set, to finite numbers where `valid` is not 0: to Embree a
+    lane that is not finite spoils its neighbours. After the call `FAR` holds the distance in units of
     the direction's length and `TRIANGLE` the triangle, or `NONE`.
     """
     for lane in range(LANES):

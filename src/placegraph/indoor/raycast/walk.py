@@ -36,12 +36,16 @@ def walk16(nodes, links, corners, rows, packet, ints, valid):
     stack = np.empty(STACK, np.int32)
     slots = np.empty(LANES, np.int32)
     for i in range(LANES):
+        nothing = np.float32(0.0)
         for k in range(3):
+            nothing += np.float32(0.0) * (packet[ORIGIN + k, i] + packet[DIRECTION + k, i])
             s[OX + k * LANES + i] = packet[ORIGIN + k, i]
             s[RX + k * LANES + i] = _reciprocal(packet[DIRECTION + k, i])
         _shear(s, i, packet[DIRECTION, i], packet[DIRECTION + 1, i], packet[DIRECTION + 2, i])
         s[START + i] = packet[NEAR, i]
-        s[BEST + i] = packet[FAR, i] if valid[i] else -NEVER
+        # a lane that is off, not finite or without direction wants no box
+        wants = (valid[i] != 0) & (nothing == 0) & (s[DX + i] + s[DY + i] + s[DZ + i] != 0)
+        s[BEST + i] = packet[FAR, i] if wants else -NEVER
         slots[i] = -1
     top, reference = 0, 0
     while True:
