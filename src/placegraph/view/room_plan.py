@@ -82,11 +82,11 @@ class RoomPlan:
     @cached_property
     def bounds(self) -> Bounds:
         """Rectangle that holds the scene and a margin: low x, low y, high x, high y [m]."""
-        if not len(self.triangles):
+        if not self.rows:
             return -1.0, -1.0, 1.0, 1.0
-        used = self.scene.mesh.vertices[self.triangles.ravel(), :2]
-        west, south = (used.min(axis=0) - MARGIN).tolist()
-        east, north = (used.max(axis=0) + MARGIN).tolist()
+        own = self.boxes[self.rows, :, :2]
+        west, south = (own[:, 0].min(axis=0) - MARGIN).tolist()
+        east, north = (own[:, 1].max(axis=0) + MARGIN).tolist()
         return west, south, east, north
 
     @cached_property
