@@ -85,6 +85,17 @@ def _survivors(fits: list[Fit], level: Round) -> list[Fit]:
     return [fits[i] for i in kept if values[i] > values.max() - level.gap]
 
 
+def refine(
+    scorer: Scorer,
+    pose: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    level: Round,
+    rng: Generator,
+) -> Fit:
+    """Fit of one pose (4,), known to about `spread` (4,), to all frames."""
+    return _fit(scorer, Fit(pose, 0.0, spread, pose[None], np.zeros(1)), level, rng)
+
+
 def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     """Repeat importance sampling around one fit."""
     mean, spread = fit.pose, fit.spread

@@ -15,7 +15,7 @@ from placegraph.indoor.polish import covariance_of, probabilities
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.indoor.localize import Sequence_
+    from placegraph.indoor.sequence import Sequence_
     from placegraph.indoor.polish import Fit
 
 TEMPERATURE = 6.0

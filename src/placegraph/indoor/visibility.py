@@ -80,6 +80,8 @@ class VisibilityTable:
     layer: NDArray[np.int32]
     """(K,) layer of each position."""
 
+    mapped: NDArray[np.bool_]
+    """(K,) whether all rays of a panorama hit."""
     background: Background
     """What is seen on average."""
 
@@ -109,7 +111,9 @@ class VisibilityTable:
         d = view.directions.astype(np.float64)
         reach = np.linalg.norm(d, axis=1)
         elevation = np.arcsin(d[:, 2] / reach)
-        use = (view.patch >= 0) & (np.abs(elevation) < HIGHEST)
+        # every other sample, as on a chessboard: the bins are no finer
+        lane = np.arange(len(d)) % LANES
+        use = (view.patch >= 0) & (np.abs(elevation) < HIGHEST) & ((lane // 4 + lane) % 2 == 0)
         d, reach, elevation = d[use], reach[use], elevation[use]
         patch = view.patch[use]
         band = ((elevation / HIGHEST + 1.0) / 2.0 * ELEVATIONS).astype(np.int32)
@@ -119,8 +123,11 @@ class VisibilityTable:
         weight = (view.weight / np.maximum(share, 1))[:, None].astype(np.float32)
         semantic = np.log(np.maximum(view.semantic, 1e-6)) * weight
         terms = view.terms
+        # where labels and depth are there, colours are left to the rays: they are the dearest here
+        coloured = terms[COLOUR] and not (terms[SEMANTIC] and terms[DEPTH])
         return _scan(
             self.panoramas,
+            self.mapped,
             patch,
             np.minimum(band, ELEVATIONS - 1),
             azimuth,
@@ -128,7 +135,7 @@ class VisibilityTable:
             _depth_costs(view.depth[use] * reach, view.usual_depth[use], noise)
             if terms[DEPTH]
             else _NO_COSTS,
-            _as_bytes(view.colour[use]) if terms[COLOUR] else np.zeros((0, 3), np.float32),
+            _as_bytes(view.colour[use]) if coloured else np.zeros((0, 3), np.float32),
             np.float32(noise.colour_weight),
         )
 
@@ -168,6 +175,7 @@ def build_table(
     return VisibilityTable(
         positions=np.concatenate(positions),
         panoramas=panoramas,
+        mapped=(panoramas.ranges != _NOTHING).all(axis=(1, 2)),
         background=_background(panoramas, len(scene)),
         origin=bounds[0, :2].copy(),
         spacing=spacing,
@@ -304,12 +312,18 @@ def _panoramas(tracer, surface, points, directions, objects):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
-def _scan(panoramas, patch, band, azimuth, semantic, depth, colour, colour_weight):
+def _scan(panoramas, mapped, patch, band, azimuth, semantic, depth, colour, colour_weight):
     """Log-likelihood (K, A): for each sample, its bin's column turned through all headings."""
     n = len(panoramas.objects)
     samples = len(patch)
     out = np.empty((n, AZIMUTHS), np.float32)
+    sums = np.zeros((3, 2), np.float32)
+    for s in range(len(colour)):
+        for c in range(3):
+            sums[c, 0] += colour[s, c]
+            sums[c, 1] += colour[s, c] * colour[s, c]
     for k in prange(n):
+        whole = mapped[k]
         total = np.zeros(AZIMUTHS, np.float32)
         hits = np.zeros(AZIMUTHS, np.float32)
         m = np.zeros((3, 5, AZIMUTHS), np.float32)
@@ -329,7 +343,16 @@ def _scan(panoramas, patch, band, azimuth, semantic, depth, colour, colour_weigh
                     costs = depth[s]
                     for a in range(first, last):
                         total[a] += costs[ranges[a + offset]]
-                if len(colour):
+                if len(colour) and whole:
+                    for c in range(3):
+                        q = colour[s, c]
+                        column = panoramas.colours[k, band[s], c]
+                        for a in range(first, last):
+                            r = np.float32(column[a + offset])
+                            m[c, 1, a] += r
+                            m[c, 3, a] += r * r
+                            m[c, 4, a] += q * r
+                elif len(colour):
                     for a in range(first, last):
                         hits[a] += np.float32(ranges[a + offset] != _NOTHING)
                     for c in range(3):
@@ -343,6 +366,11 @@ def _scan(panoramas, patch, band, azimuth, semantic, depth, colour, colour_weigh
                             m[c, 2, a] += q * q * there
                             m[c, 3, a] += r * r
                             m[c, 4, a] += q * r
+        if len(colour) and whole:  # sums of the image alone: the same everywhere
+            hits[:] = samples
+            for c in range(3):
+                m[c, 0] = sums[c, 0]
+                m[c, 2] = sums[c, 1]
         if len(colour):
             _add_correlation(total, hits, m, colour_weight / np.float32(samples))
         out[k] = total
@@ -371,10 +399,11 @@ def _add_correlation(total, hits, m, weight):
 def _add_moved(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
     """Add to each pose of the reference frame what `scan` says of it moved by `step`."""
     _, nx, ny = index.shape
+    cosines, sines = np.cos(np.arange(AZIMUTHS) * STEP), np.sin(np.arange(AZIMUTHS) * STEP)
     turn = int(np.round(step[3] / STEP))
     for k in prange(len(positions)):
         for a in range(AZIMUTHS):
-            c, s = np.cos(a * STEP), np.sin(a * STEP)
+            c, s = cosines[a], sines[a]
             x = positions[k, 0] + c * step[0] - s * step[1]
             y = positions[k, 1] + s * step[0] + c * step[1]
             i = int(np.floor((x - origin[0]) / spacing))

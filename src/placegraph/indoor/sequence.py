@@ -1,0 +1,270 @@
+"""Frames of one capture in one map: searched, filtered, polished and judged together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import PassRecord, PoseEstimate
+from placegraph.geometry import between, compose
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.filter import ParticleFilter, run_pass
+from placegraph.indoor.motion import keyframes, level_poses
+from placegraph.indoor.observe import sight, views
+from placegraph.indoor.particles import Particles
+from placegraph.indoor.polish import Round, polish
+from placegraph.indoor.search import around, everywhere, near_prior, table_seeds
+from placegraph.indoor.verdict import verdict
+from placegraph.indoor.visibility import floor_under
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from placegraph.formats.frame import Frame
+    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.observe import Sighting
+    from placegraph.indoor.options import FilterOptions, Pass
+    from placegraph.indoor.polish import Fit
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.score import View
+    from placegraph.indoor.scorer import Scorer
+    from placegraph.indoor.search import Prior
+    from placegraph.indoor.visibility import VisibilityTable
+
+    Progress = Callable[[str, int, int], None]
+
+COARSE = 40.0
+"""Stride of what is looked up in the table and of the first round of the polish [px]."""
+FINE = 20.0
+"""Stride of the last round of the polish [px]."""
+_TRIES = 12  # poses tried around each seed
+_SCREENED = 10  # frames that screen the seeds
+
+
+def own_encoder(scene: SceneMap, frame: Frame) -> Encoder | None:
+    """Encoder of the labels that a capture brings itself; None where it brings none."""
+    return LabelsEncoder(scene, frame.label_kind) if frame.label_kind else None
+
+
+@dataclass(eq=False)
+class Sequence_:  # noqa: N801  `Sequence` is taken
+    """Frames of one capture, read, encoded, and with steps between them."""
+
+    scene: SceneMap
+    options: FilterOptions
+    scorer: Scorer
+    sightings: list[Sighting]
+    poses: NDArray[np.float64]
+    """(T, 4) odometry, level."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    _views: dict[float, list[View]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        scene: SceneMap,
+        frames: Sequence[Frame],
+        encoder: Encoder | None,
+        options: FilterOptions,
+        scorer: Scorer,
+    ) -> Sequence_:
+        """Read and encode keyframes; raises where nothing can be compared with the map."""
+        start = perf_counter()
+        odometry = np.stack([f.odometry for f in frames])
+        poses = level_poses(odometry, np.stack([f.gravity for f in frames]))
+        stamps = np.array([f.stamp for f in frames])
+        kept = keyframes(stamps, poses, options.every, options.every_metre)
+        options = usable(scene, options)
+        encoder = encoder or own_encoder(scene, frames[0])
+        sightings = [sight(frames[i], encoder, options) for i in kept]
+        if not any(s.patches or s.depth is not None or s.rgb is not None for s in sightings):
+            raise OptionError(
+                "Nothing to compare: the frames have no depth and no labels that the map knows, and "
+                "the map has no colours (or these terms are switched off)."
+            )
+        out = cls(scene, options, scorer, sightings, poses[kept])
+        out.seconds["reading"] = perf_counter() - start
+        return out
+
+    def __len__(self) -> int:
+        return len(self.sightings)
+
+    def views(self, stride: float) -> list[View]:
+        """Views of all frames at a stride; cut once."""
+        if stride not in self._views:
+            background = self.table.background
+            self._views[stride] = views(self.sightings, stride, self.options, background)
+        return self._views[stride]
+
+    @property
+    def table(self) -> VisibilityTable:
+        """The map's table."""
+        return self.scene.visibility(self.options)
+
+    def localized(
+        self, prior: Prior | None, rng: Generator, progress: Progress | None = None
+    ) -> PoseEstimate:
+        """Search, filter, polish, judge."""
+        with self._timed("table"):
+            self._need_table()
+            self.views(COARSE)
+        with self._timed("search"):
+            seeds = self._seeds(prior, rng)
+        with self._timed("filter"):
+            modes, history, counts = self._filtered(seeds, prior, rng, progress)
+        with self._timed("polish"):
+            fits = self._polished(modes, seeds, rng)
+        with self._timed("verdict"):
+            estimate = verdict(self, fits)
+        stats = {
+            "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
+            "particles": counts,
+            "poses_scored": self.scorer.poses,
+            "rays": self.scorer.rays,
+            "seconds_scoring": round(self.scorer.seconds, 4),
+            "device": self.scorer.device,
+        }
+        return replace(estimate, stats=stats, history=tuple(history))
+
+    def searched(self, rng: Generator) -> tuple[PoseEstimate, list[Fit]]:
+        """Search and polish without the filter: what a tracker does until it knows its pose."""
+        self._need_table()
+        seeds = self._seeds(None, rng)
+        fits = self._polished(seeds[:4], seeds, rng)
+        return verdict(self, fits), fits
+
+    def _need_table(self) -> None:
+        if not len(self.table):
+            raise OptionError(
+                f"heights: {self.scene.source or 'the map'} has no free place at "
+                f"{self.options.heights} m above its floor; give the camera's height."
+            )
+
+    # ------------------------------------------------------------------------------- stages
+
+    def _seeds(self, prior: Prior | None, rng: Generator) -> NDArray[np.float64]:
+        """Poses (K, 4) of the last frame that explain several frames at once; best first."""
+        if self.options.start == "uniform" or prior is not None:
+            return np.zeros((0, 4))
+        views_, last = self.views(COARSE), len(self) - 1
+        seeds, _ = table_seeds(self.table, views_, self.poses, self.scorer.noise, last)
+        tries = around(seeds, _TRIES, 0.3, 0.06, rng)
+        looked = spread(len(self), _SCREENED)
+        steps = between(self.poses[last], self.poses[looked])
+        values = self.scorer.together(tries, [views_[i] for i in looked], steps)
+        values = values.reshape(len(seeds), _TRIES)
+        best = tries.reshape(len(seeds), _TRIES, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
+        return best[np.argsort(-values.max(axis=1), kind="stable")]
+
+    def _filtered(
+        self,
+        seeds: NDArray[np.float64],
+        prior: Prior | None,
+        rng: Generator,
+        progress: Progress | None,
+    ) -> tuple[NDArray[np.float64], list[PassRecord], list[list[int]]]:
+        """Modes of the last frame after all passes, coarse to fine."""
+        modes, history, counts = seeds, [], []
+        steps = np.zeros((len(self), 4))
+        steps[1:] = between(self.poses[:-1], self.poses[1:])
+        total, done = len(self.options.passes) * len(self), 0
+
+        def tick() -> None:
+            nonlocal done
+            done += 1
+            if progress:
+                progress("filtering", done, total)
+
+        for number, spec in enumerate(self.options.passes):
+            # back to the first frame, from where the pass starts
+            back = between(self.poses[-1], self.poses[0])
+            start = self._start(number, spec, compose(modes, back), prior, rng)
+            filter_ = ParticleFilter(
+                self.scorer, self.options, rng, Particles.even(start), spec.particles
+            )
+            frames = [s.frame.index for s in self.sightings]
+            run = run_pass(
+                filter_, self.views(spec.stride), steps, frames, self._elsewhere, tick
+            )
+            modes = run.modes
+            counts.append(list(run.counts))
+            if self.options.record:
+                history.append(PassRecord(spec.stride, run.record))
+        return modes, history, counts
+
+    def _start(
+        self,
+        number: int,
+        spec: Pass,
+        modes: NDArray[np.float64],
+        prior: Prior | None,
+        rng: Generator,
+    ) -> NDArray[np.float64]:
+        """First particles of a pass, as poses (N, 4) of the first frame."""
+        if number:
+            kept = modes[: max(1, self.options.modes)]
+            return around(kept, max(1, spec.particles // len(kept)), spec.box, spec.turn, rng)
+        if prior is not None:
+            floor = float(floor_under(self.scene, np.array([[prior.x, prior.y]]))[0])
+            return near_prior(prior, floor, spec.particles, self.options, rng)
+        if self.options.start == "uniform":
+            floors = floor_under(self.scene, self.table.positions[:, :2])
+            return everywhere(self.table, floors, self.options, rng)
+        return around(modes, max(1, spec.particles // len(modes)), 0.3, 0.1, rng)
+
+    def _elsewhere(self, t: int, count: int) -> NDArray[np.float64]:
+        """Poses (count, 4) of frame t where that frame alone fits best: a kidnapped camera."""
+        view = self.views(COARSE)[t]
+        seeds, _ = table_seeds(self.table, [view], self.poses[[t]], self.scorer.noise, 0, count)
+        return seeds
+
+    def _polished(
+        self, modes: NDArray[np.float64], seeds: NDArray[np.float64], rng: Generator
+    ) -> list[Fit]:
+        """Fits of the last frame's pose to all frames, best first."""
+        if not self.options.polish or self.options.likelihood.kind == "gaussian":
+            return polish(self.scorer, modes, [self.round(FINE, rounds=0, most=8)], rng)
+        starts = np.concatenate([modes, seeds[:8]])
+        levels = [
+            self.round(COARSE, rounds=3, most=6, gap=60.0),
+            self.round(FINE, rounds=4, most=3, gap=40.0),
+        ]
+        return polish(self.scorer, starts, levels, rng)
+
+    def round(self, stride: float, *, rounds: int, most: int = 1, gap: float = np.inf) -> Round:
+        """A level of the polish on up to 16 frames, of the last frame's pose."""
+        looked = spread(len(self), _SCREENED if stride == COARSE else 16)
+        views_ = self.views(stride)
+        steps = between(self.poses[-1], self.poses[looked])
+        return Round([views_[i] for i in looked], steps, rounds, most, gap)
+
+    def _timed(self, stage: str) -> _Timer:
+        return _Timer(self.seconds, stage)
+
+
+class _Timer:
+    def __init__(self, seconds: dict[str, float], stage: str) -> None:
+        self.seconds, self.stage, self.start = seconds, stage, perf_counter()
+
+    def __enter__(self) -> None:
+        self.start = perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + perf_counter() - self.start
+
+
+def spread(count: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of `count` rows, evenly spread, the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
+
+
+def usable(scene: SceneMap, options: FilterOptions) -> FilterOptions:
+    """Options without the colour term where the map has no colours to compare."""
+    return replace(options, colour=options.colour and scene.coloured)
