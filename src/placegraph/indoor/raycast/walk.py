@@ -159,7 +159,7 @@ def _enter(s, nodes, at, row):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _left_first(s):
     votes = 0
     for i in range(LANES):
@@ -174,7 +174,7 @@ def _side(px, py, qx, qy):
     return np.float64(px) * np.float64(qy) - np.float64(py) * np.float64(qx)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _meet(s, corners, at):
     """Into T, U, V, where each lane meets the triangle at `at`; returns how many do nearer than BEST."""
     px, py, pz = corners[at], corners[at + 1], corners[at + 2]
