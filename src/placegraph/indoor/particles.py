@@ -69,6 +69,7 @@ def kld_count(particles: Particles, options: FilterOptions) -> int:
     than the weight of half a particle do not count.
     """
     bins = np.floor(particles.poses / BIN).astype(np.int64)
+    bins[:, 3] %= round(2.0 * np.pi / BIN[3])  # yaws that have gone round are the same
     _, inverse = np.unique(bins, axis=0, return_inverse=True)
     mass = np.bincount(inverse.ravel(), weights=particles.weights)
     k = int((mass > 0.5 / len(particles)).sum())
