@@ -86,12 +86,12 @@ def test_rays_inside_a_box_reach_its_walls(box, size, seed, power):
     directions = rng.normal(size=(64, 3)) * 10.0**power
     with np.errstate(divide="ignore"):
         walls = np.where(directions > 0, low + size - origins, low - origins) / directions
-    expected = walls.min(axis=1)
+    expected, steep = walls.min(axis=1), np.abs(directions)[np.arange(64), walls.argmin(axis=1)]
     mesh = box(low, low + size)
     for backend in ["bvh"] + ["embree"] * (not embree.obstacle()):
         hits = RayCaster(*mesh, backend=backend).cast(origins, directions)
-        error = np.abs(hits.distance - expected) * np.linalg.norm(directions, axis=1)
-        assert error.max() < 1e-3  # 200 m away four bytes hold 1.5e-5 m
+        # 150 m away four bytes hold 1.5e-5 m
+        assert (np.abs(hits.distance - expected) * steep).max() < 1e-4
 
 
 def test_rays_from_the_middle_of_a_sphere(caster, sphere, rng):
