@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder, Patches
     from placegraph.indoor.options import FilterOptions, Likelihood
 
+COARSE = 40.0
+"""Stride of what is looked up in the table and of the first round of the polish [px]."""
+FINE = 20.0
+"""Stride of the last round of the polish, and of what is judged [px]."""
+
 _TILE = 4
 
 
@@ -305,3 +310,8 @@ def _patch_weights(
     else:
         share = np.sqrt(np.minimum(1.0, likelihood.object_patches / np.maximum(counts, 1.0)))
     return [np.append(np.where(r >= 0, share[r], 0.0), 0.0).astype(np.float32) for r in rows]
+
+
+def spread(count: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of `count` rows, evenly spread, the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))

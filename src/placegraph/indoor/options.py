@@ -150,6 +150,8 @@ class FilterOptions:
         if not self.passes:
             raise OptionError("passes: the filter needs at least one.")
         _positive(self, "spacing", "per_cell", "modes", "kld_error")
+        if not (self.every >= 0 and self.every_metre >= 0):
+            raise OptionError("every, every_metre: a time and a way, not less than 0.")
         if not 0 < self.kld_confidence < 1 or not 0 <= self.injection < 1:
             raise OptionError("kld_confidence and injection are shares between 0 and 1.")
 

@@ -8,7 +8,7 @@ behind are dropped on the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,25 +64,42 @@ class Round:
 def polish(
     scorer: Scorer, starts: NDArray[np.float64], levels: Sequence[Round], rng: Generator
 ) -> list[Fit]:
-    """Fits at the modes `starts` (M, 4) of the reference frame, best first, coarse to fine."""
+    """Fits at the modes `starts` (M, 4) of the reference frame, best first, coarse to fine.
+
+    A mode that falls behind is not polished further but stays in the list, as far behind the best
+    as it was when it was left: it is what the best has to be told from.
+    """
     level = levels[0]
     values = scorer.together(starts, level.views, level.steps)
     fits = [
         Fit(pose, value, SPREAD, pose[None], np.array([value]))
         for pose, value in zip(starts, values, strict=True)
     ]
+    left: list[tuple[Fit, float]] = []  # and how far behind
     for level in levels:
-        fits = _survivors(fits, level)
+        fits, fallen = _survivors(fits, level)
+        top = fits[0].log_likelihood
+        left += [(fit, top - fit.log_likelihood) for fit in fallen]
         fits = [_fit(scorer, fit, level, rng) for fit in fits]
-    return _survivors(fits, levels[-1])
+    fits.sort(key=lambda fit: -fit.log_likelihood)
+    best = fits[0].log_likelihood
+    fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
+    poses = np.array([f.pose for f in fits])
+    kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **_NEAR)
+    return [fits[i] for i in kept]
 
 
-def _survivors(fits: list[Fit], level: Round) -> list[Fit]:
-    """Distinct fits within the gap, best first."""
+_NEAR = {"apart": 0.3, "turned": 0.2}
+"""Fits nearer than this are one."""
+
+
+def _survivors(fits: list[Fit], level: Round) -> tuple[list[Fit], list[Fit]]:
+    """Distinct fits within the gap, best first, and the other distinct ones."""
     poses = np.array([f.pose for f in fits])
     values = np.array([f.log_likelihood for f in fits])
-    kept = distinct(poses, values, level.most, apart=0.3, turned=0.2)
-    return [fits[i] for i in kept if values[i] > values.max() - level.gap]
+    kept = [fits[i] for i in distinct(poses, values, len(fits), **_NEAR)]
+    able = [f for f in kept[: level.most] if f.log_likelihood > values.max() - level.gap]
+    return able, kept[len(able) :]
 
 
 def refine(
@@ -125,8 +142,11 @@ def probabilities(values: NDArray[np.float64], temperature: float) -> NDArray[np
     return np.asarray(np.exp(logs - log_sum(logs)))
 
 
-def covariance_of(fit: Fit, temperature: float) -> NDArray[np.float64]:
-    """Covariance (4, 4) of a fit from its samples, at the likelihood's temperature."""
-    logs = (fit.values - fit.values.max()) / temperature
+_SOFT = 6.0  # nats that count as one among the samples of a fit
+
+
+def covariance_of(fit: Fit) -> NDArray[np.float64]:
+    """Covariance (4, 4) of a fit from its samples."""
+    logs = (fit.values - fit.values.max()) / _SOFT
     _, covariance = moments(fit.samples, np.exp(logs))
     return covariance + np.diag(NARROWEST**2)

@@ -98,7 +98,7 @@ def score_poses(tracer, surface, poses, view, noise):
         packet, ints, valid = new_packet()
         seen = np.zeros(patches, np.float32)
         count = np.zeros(patches, np.float32)
-        moments = np.zeros((3, 5), np.float32)
+        moments = np.zeros((3, 5), np.float64)
         for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             seen[:] = 0.0
             count[:] = 0.0

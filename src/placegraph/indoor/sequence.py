@@ -14,7 +14,7 @@ from placegraph.geometry import between, compose
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.filter import ParticleFilter, run_pass
 from placegraph.indoor.motion import keyframes, level_poses
-from placegraph.indoor.observe import sight, views
+from placegraph.indoor.observe import COARSE, FINE, sight, spread, views
 from placegraph.indoor.particles import Particles
 from placegraph.indoor.polish import Round, polish
 from placegraph.indoor.search import around, everywhere, near_prior, table_seeds
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
 
     Progress = Callable[[str, int, int], None]
 
-COARSE = 40.0
-"""Stride of what is looked up in the table and of the first round of the polish [px]."""
-FINE = 20.0
-"""Stride of the last round of the polish [px]."""
 _TRIES = 12  # poses tried around each seed
 _SCREENED = 10  # frames that screen the seeds
 
@@ -234,7 +230,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         starts = np.concatenate([modes, seeds[:8]])
         levels = [
             self.round(COARSE, rounds=3, most=6, gap=60.0),
-            self.round(FINE, rounds=4, most=3, gap=40.0),
+            self.round(FINE, rounds=4, most=3, gap=60.0),
         ]
         return polish(self.scorer, starts, levels, rng)
 
@@ -258,11 +254,6 @@ class _Timer:
 
     def __exit__(self, *_: object) -> None:
         self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + perf_counter() - self.start
-
-
-def spread(count: int, most: int) -> NDArray[np.int64]:
-    """At most `most` of `count` rows, evenly spread, the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
 
 
 def usable(scene: SceneMap, options: FilterOptions) -> FilterOptions:

@@ -13,12 +13,12 @@ from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor.filter import ParticleFilter
 from placegraph.indoor.motion import level_poses
-from placegraph.indoor.observe import sight
+from placegraph.indoor.observe import FINE, sight
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.particles import Particles, moments
 from placegraph.indoor.polish import NARROWEST, Fit, refine
 from placegraph.indoor.scorer import Scorer
-from placegraph.indoor.sequence import FINE, Sequence_, own_encoder, usable
+from placegraph.indoor.sequence import Sequence_, own_encoder, usable
 from placegraph.indoor.verdict import verdict
 
 if TYPE_CHECKING:

@@ -10,43 +10,70 @@ import numpy as np
 from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.geometry import between, compose, pose_matrix
 from placegraph.indoor.evidence import Agreement, agreement, explain
+from placegraph.indoor.observe import FINE, spread
 from placegraph.indoor.polish import covariance_of, probabilities
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Sequence
 
     from placegraph.indoor.sequence import Sequence_
     from placegraph.indoor.polish import Fit
 
-TEMPERATURE = 6.0
-"""Nats of log-likelihood that count as one: frames and patches repeat each other."""
+TEMPERATURE = 2.7
+"""Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
+that their sum is taken for worth sqrt(T) of them."""
+TEMPERATURE_DEPTH = 4.0
+"""The same where depth takes part: its errors are the map's, and go together."""
+SURE = 0.9
+"""Probability of the best mode from which on the answer is `OK`."""
+SURER = 0.999
+"""The same where depth alone speaks and the map ends in much of what is seen."""
+WIDENED = 3.0
+"""Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
+LOOSE = 0.35
+"""A pose whose position is not known better than this [m] is not `OK`."""
+
+_COVERED = 0.9
+_BLIND = 0.2
+_PATCHES_AGREE, _PATCHES_TELL = 0.4, 15.0
+_DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.78, 0.6
+_COLOURS_AGREE, _COLOURS_CONTRADICT = 0.12, 0.005
 
 
 def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     """Estimate of the last frame from fits, best first."""
     scene = sequence.scene
-    values = np.array([f.log_likelihood for f in fits])
-    shares = probabilities(values, TEMPERATURE)
-    views_ = sequence.views(20.0)
-    steps = between(sequence.poses[-1], sequence.poses)
+    last = len(sequence) - 1
+    looked = spread(len(sequence), _LOOKED)
+    views_ = sequence.views(FINE)
+    steps = between(sequence.poses[last], sequence.poses)
     levels = np.stack([s.level for s in sequence.sightings])
-    agreed = [agreement(sequence.scorer, f.pose, views_, steps) for f in fits[:3]]
+    agreed = [
+        agreement(sequence.scorer, f.pose, [views_[i] for i in looked], steps[looked])
+        for f in fits[:_EXPLAINED]
+    ]
+    values = np.array([f.log_likelihood for f in fits])
+    heat = TEMPERATURE if np.isnan(agreed[0].depth) else TEMPERATURE_DEPTH
+    if sequence.options.likelihood.kind == "gaussian":
+        heat = 1.0 / np.sqrt(len(looked))
+    shares = probabilities(values, heat * np.sqrt(len(looked)))
     modes = []
     for i, (fit, share) in enumerate(zip(fits, shares, strict=True)):
-        matrix = pose_matrix(fit.pose, levels[-1])
+        matrix = pose_matrix(fit.pose, levels[last])
         row = scene.scene_at(fit.pose[:2])
         modes.append(
             PoseMode(
                 map_from_camera=matrix,
                 pose=fit.pose,
-                covariance=covariance_of(fit, TEMPERATURE),
+                covariance=WIDENED * covariance_of(fit),
                 probability=float(share),
                 scene=scene.scenes[row],
                 scene_from_camera=scene.scene_from_map[row] @ matrix,
                 explain=partial(explain, scene, agreed[i]) if i < len(agreed) else tuple,
             )
         )
-    status, reason = _status(agreed[0], modes, values, len(sequence))
+    told = float(values[0]) / len(looked)
+    status, reason = judge(agreed[0], modes, told)
     return PoseEstimate(
         status=status,
         modes=tuple(modes),
@@ -56,7 +83,70 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     )
 
 
-def _status(
-    agreed: Agreement, modes: list[PoseMode], values: NDArray[np.float64], frames: int
-) -> tuple[Status, str]:
-    return Status.OK, "to be calibrated"
+_LOOKED = 10  # frames that agreement is measured on
+_EXPLAINED = 3  # modes that can be explained
+
+
+def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[Status, str]:
+    """Status and reason: the best mode must agree with what was seen, and beat all others.
+
+    `told`: log-likelihood ratio of the best mode against anywhere, per frame [nat].
+    """
+    against = disagreement(agreed, told)
+    if against:
+        return Status.LOST, f"Nowhere on the map fits: {against}."
+    best = modes[0]
+    rivals = sum(m.probability > 0.01 for m in modes[1:])
+    depth_alone = np.isnan(agreed.semantic) and np.isnan(agreed.colour)
+    needed = SURER if depth_alone and agreed.covered < _COVERED else SURE
+    if best.probability < needed:
+        others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
+        return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
+    doubt = _doubt(agreed)
+    if doubt:
+        return Status.AMBIGUOUS, f"One place fits best, but {doubt}."
+    loose = float(np.sqrt(np.trace(best.covariance[:2, :2])))
+    if loose > LOOSE:
+        return Status.AMBIGUOUS, f"One place fits best, but only to within {loose:.1f} m."
+    return Status.OK, f"One place fits: {_praise(agreed)}."
+
+
+def disagreement(agreed: Agreement, told: float) -> str:
+    """Why the best pose cannot be right; empty where it can."""
+    if agreed.covered < _BLIND:
+        return f"the map shows only {agreed.covered:.0%} of what the frames see"
+    backed = agreed.colour > _COLOURS_AGREE
+    if agreed.semantic < _PATCHES_AGREE:
+        return f"only {agreed.semantic:.0%} of the labelled patches see their object"
+    if agreed.depth < (_DEPTH_BACKED if backed else _DEPTH_DOUBTFUL):
+        return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
+    labelled, measured = not np.isnan(agreed.semantic), not np.isnan(agreed.depth)
+    if labelled and not measured and told < _PATCHES_TELL:
+        return "the labels seen fit many places as badly"
+    if not (labelled or measured or backed):
+        return "the colours hardly correlate with the map's anywhere"
+    return ""
+
+
+def _doubt(agreed: Agreement) -> str:
+    """What keeps a pose that is better than all others from being trusted."""
+    if np.isnan(agreed.depth):
+        return ""
+    backed = agreed.colour > _COLOURS_AGREE
+    if agreed.depth < _DEPTH_AGREES and not backed:
+        return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
+    labelled = not np.isnan(agreed.semantic)
+    if not labelled and agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
+        return "the colours do not agree"
+    return ""
+
+
+def _praise(agreed: Agreement) -> str:
+    parts = []
+    if not np.isnan(agreed.semantic):
+        parts.append(f"{agreed.semantic:.0%} of the labelled patches")
+    if not np.isnan(agreed.depth):
+        parts.append(f"{agreed.depth:.0%} of the depth readings")
+    if agreed.colour > _COLOURS_AGREE:
+        parts.append("the colours")
+    return f"{', '.join(parts) or 'what was seen'} agree with the map"

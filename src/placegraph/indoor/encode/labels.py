@@ -10,8 +10,6 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import Patches
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame, LabelKind
@@ -46,16 +44,15 @@ class LabelsEncoder:
         self.grid = grid
         graph = scene.graph
         count = len(graph)
-        if kind == "instances":
-            self.table = 2.0 * np.eye(count, dtype=np.float32) - 1.0
-            self._row_of = _rows_of_ids(graph.ids)
-        else:
-            classes = sorted({_word(label) for label in graph.labels})
-            row = {label: i for i, label in enumerate(classes)}
-            self.table = np.full((len(classes), count), -1.0, np.float32)
-            for n, label in enumerate(graph.labels):
-                self.table[row[_word(label)], n] = 1.0
-            self._row_of = row
+        # in a merged map an instance's number may be any scene's: "kitchen/7" and "attic/7"
+        words = (
+            [id_.rpartition("/")[2] for id_ in graph.ids]
+            if kind == "instances"
+            else [_word(label) for label in graph.labels]
+        )
+        self._row_of = {word: i for i, word in enumerate(dict.fromkeys(words))}
+        self.table = np.full((len(self._row_of), count), -1.0, np.float32)
+        self.table[[self._row_of[word] for word in words], np.arange(count)] = 1.0
 
     def encode(self, frame: Frame) -> Patches | None:
         """Patches of a frame's label image; None where it has none, or labels of another kind.
@@ -98,10 +95,6 @@ class ClassesOfInstances(LabelsEncoder):
 
 def _word(label: str) -> str:
     return label.strip().casefold()
-
-
-def _rows_of_ids(ids: Sequence[str]) -> dict[str, int]:
-    return {id_: row for row, id_ in enumerate(ids)}
 
 
 def _majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) -> NDArray[np.int32]:
