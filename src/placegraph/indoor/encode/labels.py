@@ -55,10 +55,7 @@ class LabelsEncoder:
         self.table[[self._row_of[word] for word in words], np.arange(count)] = 1.0
 
     def encode(self, frame: Frame) -> Patches | None:
-        """Patches of a frame's label image; None where it has none, or labels of another kind.
-
-        A capture of instances can be read as labels: each instance then stands for its label.
-        """
+        """Patches of a frame's label image; None where it has none, or labels for instances."""
         image = frame.labels()
         if image is None or (self.kind == "instances" and frame.label_kind != "instances"):
             return None
@@ -83,14 +80,26 @@ class LabelsEncoder:
 
 
 class ClassesOfInstances(LabelsEncoder):
-    """Reads a capture of instances as labels: each pixel's object stands for its label."""
+    """Reads a capture of instances as labels: each pixel's object stands for its label.
+
+    In a merged map, a number that may be any scene's stands in each scene for its label there.
+    """
 
     def __init__(self, scene: SceneMap, grid: tuple[int, int] = GRID) -> None:
-        super().__init__(scene, "labels", grid)
-        self._label_of = dict(zip(scene.graph.ids, scene.graph.labels, strict=True))
-
-    def _row(self, value: int, frame: Frame) -> int:  # noqa: ARG002  one signature for both
-        return self._row_of.get(_word(self._label_of.get(str(value), "")), -1)
+        super().__init__(scene, "instances", grid)
+        graph = scene.graph
+        parts = [id_.rpartition("/") for id_ in graph.ids]
+        kinds = [(at, _word(label)) for (at, _, _), label in zip(parts, graph.labels, strict=True)]
+        number = {kind: i for i, kind in enumerate(dict.fromkeys(kinds))}
+        kind_of = np.array([number[kind] for kind in kinds])
+        meant: dict[str, set[int]] = {}
+        for (_, _, id_), kind in zip(parts, kind_of.tolist(), strict=True):
+            meant.setdefault(id_, set()).add(kind)
+        rows = {k: i for i, k in enumerate(dict.fromkeys(map(frozenset, meant.values())))}
+        self.table = np.full((len(rows), len(graph)), -1.0, np.float32)
+        for either, row in rows.items():
+            self.table[row, np.isin(kind_of, list(either))] = 1.0
+        self._row_of = {id_: rows[frozenset(either)] for id_, either in meant.items()}
 
 
 def _word(label: str) -> str:
@@ -105,6 +114,7 @@ def _majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) -> NDA
     flat = np.where(rows >= 0, rows, count) + patch * (count + 1)
     votes = np.bincount(flat.ravel(), minlength=cells * (count + 1)).reshape(cells, count + 1)
     best = votes[:, :count].argmax(axis=1) if count else np.zeros(cells, np.int64)
-    unknown = votes[:, count] * 2 > votes.sum(axis=1)
+    pixels = votes.sum(axis=1)  # none, where the grid is finer than the image
+    unknown = (votes[:, count] * 2 > pixels) | (pixels == 0)
     out: NDArray[np.int32] = np.where(unknown, -1, best).astype(np.int32)
     return out
