@@ -78,9 +78,9 @@ def agreement(
             logs = np.log(np.maximum(mean[said] / shares[said], 1e-6))
             fits[SEMANTIC][0] += float((logs > 0).sum())
             fits[SEMANTIC][1] += float(said.sum())
-            spoken = view.semantic[:, :count].argmax(axis=1)[said]
-            np.add.at(weights, spoken, logs * view.weight[said])
-            np.add.at(told, spoken, 1.0)
+            about = _concerned(view.semantic[:, :count], view.patch[hit], objects[hit], said, logs)
+            np.add.at(weights, about, logs * view.weight[said])
+            np.add.at(told, about, 1.0)
         if view.terms[DEPTH]:
             read = hit & (view.depth > 0)
             error = distances[read] - view.depth[read]
@@ -95,9 +95,31 @@ def agreement(
             np.add.at(told, objects[read], share)
         if view.terms[COLOUR]:
             fits[COLOUR][0] += float(scorer.terms(at[None], view)[0, COLOUR])
-            fits[COLOUR][1] += max(1e-9, noise.colour_weight * float(hit.sum()) / len(used))
+            fits[COLOUR][1] += max(1e-9, noise.colour_weight * float(hit.sum()) / used.sum())
     semantic, depth, colour = (a / b if b else np.nan for a, b in fits.values())
     return Agreement(hits / max(1, samples), semantic, depth, colour, weights, told)
+
+
+def _concerned(
+    semantic: NDArray[np.float32],
+    patch: NDArray[np.int32],
+    objects: NDArray[np.int32],
+    said: NDArray[np.bool_],
+    logs: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Object that each patch in `said` speaks for or against, by what it sees: `objects` of hits.
+
+    A patch that fits speaks for the object that it sees; one that does not, against the one that it
+    named. Where it named several (all chairs of a map), it speaks against what the map shows there.
+    """
+    size, count = semantic.shape
+    pairs = patch * np.int64(count) + objects
+    sums = np.bincount(pairs, semantic[patch, objects], size * count).reshape(size, count)
+    seen = np.bincount(pairs, minlength=size * count).reshape(size, count)
+    named = semantic.argmax(axis=1)
+    several = (semantic == semantic.max(axis=1, keepdims=True)).sum(axis=1) > 1
+    blamed = np.where(several, seen.argmax(axis=1), named)
+    return np.asarray(np.where(logs > 0, sums.argmax(axis=1)[said], blamed[said]))
 
 
 def explain(scene: SceneMap, agreed: Agreement) -> tuple[Evidence, ...]:

@@ -135,8 +135,11 @@ def _doubt(agreed: Agreement) -> str:
     backed = agreed.colour > _COLOURS_AGREE
     if agreed.depth < _DEPTH_AGREES and not backed:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
-    labelled = not np.isnan(agreed.semantic)
-    if not labelled and agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
+    if not np.isnan(agreed.semantic) or np.isnan(agreed.colour) or backed:
+        return ""
+    if agreed.covered < _COVERED:
+        return "the map ends in much of what is seen, and the colours do not agree"
+    if agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
         return "the colours do not agree"
     return ""
 
