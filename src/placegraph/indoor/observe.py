@@ -276,20 +276,23 @@ def _semantic(
 
     The last row is for samples that lie in no patch.
     """
-    count = patches.table.shape[1]
+    # only the rows that are said: a merged map's table has thousands
+    said, row = np.unique(patches.rows, return_inverse=True)
+    cosines = patches.table[said]
+    count = cosines.shape[1]
     if likelihood.kind == "gaussian":
-        best = patches.table >= patches.table.max(axis=1, keepdims=True) - 1e-6
-        table = np.where(best, patches.table + 1.0, 0.0)
+        best = cosines >= cosines.max(axis=1, keepdims=True) - 1e-6
+        table = np.where(best, cosines + 1.0, 0.0)
         nowhere = 0.0
     else:
-        logits = patches.table / likelihood.sharpness
+        logits = cosines / likelihood.sharpness
         share = np.exp(logits - logits.max(axis=1, keepdims=True))
         share /= share.sum(axis=1, keepdims=True)
         table = (1.0 - likelihood.wrong) * share * count + likelihood.wrong
         table /= (table @ background.objects)[:, None]
         nowhere = 1.0
     table = np.concatenate([table, np.full((len(table), 1), nowhere)], axis=1)
-    table = np.concatenate([table[patches.rows], np.ones((1, count + 1))])
+    table = np.concatenate([table[row.ravel()], np.ones((1, count + 1))])
     return np.ascontiguousarray(table, np.float32)
 
 
