@@ -87,9 +87,15 @@ class ParticleFilter:
         self.particles = resample(self.particles, int(np.clip(count, FEWEST, self.most)), self.rng)
 
     def inject(self, poses: NDArray[np.float64]) -> None:
-        """Replace the first of the (resampled, hence equal) particles by others from elsewhere."""
-        kept = self.particles.poses[min(len(poses), len(self.particles) // 2) :]
-        self.particles = Particles.even(np.concatenate([poses, kept]))
+        """Poses from elsewhere take the place of others, at most half of them, evenly from all.
+
+        The particles were resampled, and hence are equal; but neighbours stand side by side, and a
+        mode whose particles came first would be lost.
+        """
+        old = self.particles.poses
+        left = max(len(old) - len(poses), len(old) // 2)
+        kept = old[np.linspace(0, len(old) - 1, left).round().astype(np.int64)]
+        self.particles = Particles.even(np.concatenate([poses[: self.most - left], kept]))
 
     def modes(self) -> NDArray[np.float64]:
         """Distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
