@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.indoor.motion import keyframes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scorer import Scorer
-from placegraph.indoor.sequence import Sequence_
+from placegraph.indoor.sequence import Sequence_, leveled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -73,6 +74,9 @@ def localize(
     """
     options = options or FilterOptions()
     chosen = _chosen(capture, frames)
+    stamps = np.array([frame.stamp for frame in chosen])
+    kept = keyframes(stamps, leveled(chosen), options.every, options.every_metre)
+    chosen = [chosen[i] for i in kept]
     if len(chosen) > WINDOW:
         from placegraph.indoor.tracker import follow
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
-_SAMPLES = 40
+_SAMPLES = 56
 
 
 @dataclass(frozen=True, slots=True, eq=False)

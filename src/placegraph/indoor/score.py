@@ -93,62 +93,77 @@ def score_poses(tracer, surface, poses, view, noise):
     n = len(poses)
     scores = np.zeros((n, 3), np.float32)
     chunks = min(n, _CHUNKS)
-    patches = len(view.weight)
     for chunk in prange(chunks):
-        packet, ints, valid = new_packet()
-        seen = np.zeros(patches, np.float32)
-        count = np.zeros(patches, np.float32)
-        moments = np.zeros((3, 5), np.float64)
-        for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            seen[:] = 0.0
-            count[:] = 0.0
-            moments[:] = 0.0
-            far = np.float32(0.0)
-            readings = 0
-            coloured = 0
-            ssim = np.float32(0.0)
-            tiles = len(view.directions) // LANES
-            for tile in range(tiles):
-                _aim(packet, poses[k], view.directions, tile * LANES)
-                trace16(tracer, packet, ints, valid)
-                for lane in range(LANES):
-                    r = tile * LANES + lane
-                    patch = view.patch[r]
-                    if patch < 0:
-                        continue
-                    triangle = ints[TRIANGLE, lane]
-                    seen_object = view.semantic.shape[1] - 1
-                    if triangle >= 0:
-                        seen_object = surface.object_of[triangle]
-                    seen[patch] += view.semantic[patch, seen_object]
-                    count[patch] += np.float32(1.0)
-                    if view.terms[DEPTH] and view.depth[r] > 0:
-                        readings += 1
-                        if triangle >= 0 or noise.gaussian:
-                            far += _depth(packet[FAR, lane], view.depth[r], noise)
-                            far -= view.usual_depth[r]
-                if view.terms[COLOUR]:
-                    hits, likeness = _colour(tile, packet, ints, surface, view, moments)
-                    coloured += hits
-                    ssim += likeness * hits
-            if view.terms[SEMANTIC]:
-                scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
-            samples = np.float32(0.0)
-            for patch in range(patches):
-                samples += count[patch]
-            if noise.gaussian:
-                if readings:
-                    scores[k, DEPTH] = np.float32(2.0) * (np.float32(1.0) - far / readings)
-                if samples:
-                    # SSIM lies in [-1, 1]; what the map does not show agrees with nothing
-                    scores[k, COLOUR] = max(np.float32(0.0), np.float32(2.0) * ssim / samples)
-            else:
-                scores[k, DEPTH] = np.float32(noise.depth_weight) * far / samples
-                share = np.float32(coloured) / samples
-                scores[k, COLOUR] = (
-                    np.float32(noise.colour_weight) * share * _correlation(moments, coloured)
-                )
+        first, last = chunk * n // chunks, (chunk + 1) * n // chunks
+        _score(tracer, surface, poses, view, noise, scores, first, last)
     return scores
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def score_few(tracer, surface, poses, view, noise):
+    """`score_poses` on one core: for a handful of poses, waking the others takes longer."""
+    scores = np.zeros((len(poses), 3), np.float32)
+    _score(tracer, surface, poses, view, noise, scores, 0, len(poses))
+    return scores
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _score(tracer, surface, poses, view, noise, scores, first, last):
+    """Fill rows `first` to `last` of scores (N, 3)."""
+    patches = len(view.weight)
+    packet, ints, valid = new_packet()
+    seen = np.zeros(patches, np.float32)
+    count = np.zeros(patches, np.float32)
+    moments = np.zeros((3, 5), np.float64)
+    for k in range(first, last):
+        seen[:] = 0.0
+        count[:] = 0.0
+        moments[:] = 0.0
+        far = np.float32(0.0)
+        readings = 0
+        coloured = 0
+        ssim = np.float32(0.0)
+        tiles = len(view.directions) // LANES
+        for tile in range(tiles):
+            _aim(packet, poses[k], view.directions, tile * LANES)
+            trace16(tracer, packet, ints, valid)
+            for lane in range(LANES):
+                r = tile * LANES + lane
+                patch = view.patch[r]
+                if patch < 0:
+                    continue
+                triangle = ints[TRIANGLE, lane]
+                seen_object = view.semantic.shape[1] - 1
+                if triangle >= 0:
+                    seen_object = surface.object_of[triangle]
+                seen[patch] += view.semantic[patch, seen_object]
+                count[patch] += np.float32(1.0)
+                if view.terms[DEPTH] and view.depth[r] > 0:
+                    readings += 1
+                    if triangle >= 0 or noise.gaussian:
+                        far += _depth(packet[FAR, lane], view.depth[r], noise)
+                        far -= view.usual_depth[r]
+            if view.terms[COLOUR]:
+                hits, likeness = _colour(tile, packet, ints, surface, view, moments)
+                coloured += hits
+                ssim += likeness * hits
+        if view.terms[SEMANTIC]:
+            scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
+        samples = np.float32(0.0)
+        for patch in range(patches):
+            samples += count[patch]
+        if noise.gaussian:
+            if readings:
+                scores[k, DEPTH] = np.float32(2.0) * (np.float32(1.0) - far / readings)
+            if samples:
+                # SSIM lies in [-1, 1]; what the map does not show agrees with nothing
+                scores[k, COLOUR] = max(np.float32(0.0), np.float32(2.0) * ssim / samples)
+        else:
+            scores[k, DEPTH] = np.float32(noise.depth_weight) * far / samples
+            share = np.float32(coloured) / samples
+            scores[k, COLOUR] = (
+                np.float32(noise.colour_weight) * share * _correlation(moments, coloured)
+            )
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.geometry import compose
 from placegraph.indoor.observe import combine, noise
-from placegraph.indoor.score import score_poses
+from placegraph.indoor.score import score_few, score_poses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.options import Likelihood
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.score import View
+
+_FEW = 8
 
 
 class Scorer:
@@ -53,7 +55,8 @@ class Scorer:
             scores = self._warp.score(poses, view, self.noise)
         else:
             scene = self.scene
-            scores = score_poses(scene.caster.tracer, scene.surface, poses, view, self.noise)
+            score = score_few if len(poses) <= _FEW else score_poses
+            scores = score(scene.caster.tracer, scene.surface, poses, view, self.noise)
         self.rays += len(poses) * len(view.directions)
         self.poses += len(poses)
         self.seconds += perf_counter() - start

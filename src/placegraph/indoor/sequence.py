@@ -13,7 +13,7 @@ from placegraph.estimate import PassRecord, PoseEstimate
 from placegraph.geometry import between, compose
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.filter import ParticleFilter, run_pass
-from placegraph.indoor.motion import keyframes, level_poses
+from placegraph.indoor.motion import level_poses
 from placegraph.indoor.observe import COARSE, FINE, sight, spread, views
 from placegraph.indoor.particles import Particles
 from placegraph.indoor.polish import Round, polish
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     Progress = Callable[[str, int, int], None]
 
-_TRIES = 12  # poses tried around each seed
+_TRIES = 8  # poses tried around each seed
 _SCREENED = 10  # frames that screen the seeds
 
 
@@ -71,21 +71,18 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         options: FilterOptions,
         scorer: Scorer,
     ) -> Sequence_:
-        """Read and encode keyframes; raises where nothing can be compared with the map."""
+        """Read and encode frames; raises where nothing can be compared with the map."""
         start = perf_counter()
-        odometry = np.stack([f.odometry for f in frames])
-        poses = level_poses(odometry, np.stack([f.gravity for f in frames]))
-        stamps = np.array([f.stamp for f in frames])
-        kept = keyframes(stamps, poses, options.every, options.every_metre)
+        poses = leveled(frames)
         options = usable(scene, options)
         encoder = encoder or own_encoder(scene, frames[0])
-        sightings = [sight(frames[i], encoder, options) for i in kept]
+        sightings = [sight(frame, encoder, options) for frame in frames]
         if not any(s.patches or s.depth is not None or s.rgb is not None for s in sightings):
             raise OptionError(
                 "Nothing to compare: the frames have no depth and no labels that the map knows, and "
                 "the map has no colours (or these terms are switched off)."
             )
-        out = cls(scene, options, scorer, sightings, poses[kept])
+        out = cls(scene, options, scorer, sightings, poses)
         out.seconds["reading"] = perf_counter() - start
         return out
 
@@ -228,21 +225,32 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         if not self.options.polish or self.options.likelihood.kind == "gaussian":
             return polish(self.scorer, modes, [self.round(FINE, rounds=0, most=8)], rng)
         starts = np.concatenate([modes, seeds[:8]])
+        # one round for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            self.round(COARSE, rounds=3, most=6, gap=60.0),
+            self.round(COARSE, rounds=1, most=8, frames=5),
+            self.round(COARSE, rounds=2, most=4, gap=80.0),
             self.round(FINE, rounds=4, most=3, gap=60.0),
         ]
         return polish(self.scorer, starts, levels, rng)
 
-    def round(self, stride: float, *, rounds: int, most: int = 1, gap: float = np.inf) -> Round:
-        """A level of the polish on up to 16 frames, of the last frame's pose."""
-        looked = spread(len(self), _SCREENED if stride == COARSE else 16)
+    def round(
+        self, stride: float, *, rounds: int, most: int = 1, gap: float = np.inf, frames: int = 0
+    ) -> Round:
+        """A level of the polish of the last frame's pose, on 16 frames or fewer."""
+        looked = spread(len(self), frames or (_SCREENED if stride == COARSE else 16))
         views_ = self.views(stride)
         steps = between(self.poses[-1], self.poses[looked])
         return Round([views_[i] for i in looked], steps, rounds, most, gap)
 
     def _timed(self, stage: str) -> _Timer:
         return _Timer(self.seconds, stage)
+
+
+def leveled(frames: Sequence[Frame]) -> NDArray[np.float64]:
+    """Level poses (T, 4) of the odometry of frames."""
+    return level_poses(
+        np.stack([f.odometry for f in frames]), np.stack([f.gravity for f in frames])
+    )
 
 
 class _Timer:

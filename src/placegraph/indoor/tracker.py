@@ -12,13 +12,12 @@ from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor.filter import ParticleFilter
-from placegraph.indoor.motion import level_poses
 from placegraph.indoor.observe import FINE, sight
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.particles import Particles, moments
 from placegraph.indoor.polish import NARROWEST, Fit, refine
 from placegraph.indoor.scorer import Scorer
-from placegraph.indoor.sequence import Sequence_, own_encoder, usable
+from placegraph.indoor.sequence import Sequence_, leveled, own_encoder, usable
 from placegraph.indoor.verdict import verdict
 
 if TYPE_CHECKING:
@@ -189,7 +188,7 @@ class Tracker:
         )
 
     def _sequence(self, sightings: list[Sighting]) -> Sequence_:
-        poses = _leveled([s.frame for s in sightings])
+        poses = leveled([s.frame for s in sightings])
         return Sequence_(self.scene, self.options, self.scorer, sightings, poses)
 
     def _is_keyframe(self, frame: Frame) -> bool:
@@ -206,15 +205,9 @@ def sight_level(frame: Frame) -> NDArray[np.float64]:
     return level_from_camera(frame.gravity)
 
 
-def _leveled(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    return level_poses(
-        np.stack([f.odometry for f in frames]), np.stack([f.gravity for f in frames])
-    )
-
-
 def _steps(frames: Sequence[Frame]) -> NDArray[np.float64]:
     """(T, 4), step t from frame t - 1 to frame t; the first is none."""
-    poses = _leveled(frames)
+    poses = leveled(frames)
     steps = np.zeros_like(poses)
     steps[1:] = between(poses[:-1], poses[1:])
     return steps
@@ -270,7 +263,7 @@ def _filled(
     known: list[NDArray[np.float64] | None], rows: list[int], frames: Sequence[Frame]
 ) -> NDArray[np.float64]:
     """Matrices (T, 4, 4): unknown ones by odometry from the nearest known, the earlier of two."""
-    poses = _leveled(frames)
+    poses = leveled(frames)
     out = np.empty((len(frames), 4, 4))
     for i, matrix in enumerate(known):
         if matrix is not None:
