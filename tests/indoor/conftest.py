@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 
@@ -58,10 +59,12 @@ def _world(folder, drawing, seed):
     return SimpleNamespace(drawing=drawing, interior=interior, scene=scene, folder=folder)
 
 
-def _render(world, name, seed, *, through="", frames=10, interior=None, camera=SMALL, **options):
+def _render(
+    world, name, seed, *, through="", frames=10, height=1.6, interior=None, camera=SMALL, **options
+):
     """Capture of a walk through a drawn world; `interior` is how it is by now."""
     rng = np.random.default_rng(seed)
-    walk = stroll(world.drawing, rng, frames=frames, through=through)
+    walk = stroll(world.drawing, rng, frames=frames, through=through, height=height)
     folder = world.folder / name
     write_walk(interior or world.interior, walk, folder, rng, camera=camera, **options)
     return open_capture(folder)
@@ -107,6 +110,15 @@ def walk(room_world):
 def flat_walk(flat_world):
     """Capture in the flat, from the living room to the kitchen: 10 frames."""
     return _render(flat_world, "walk", 2, through="12")
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """Compiled code on one thread: on busy cores threads mostly wait for each other."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ from placegraph.indoor.observe import sight, views
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.scorer import Scorer
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
 CAMERA = Camera(80, 48, 60.0, 60.0, 40.0, 24.0)
 # two chairs before the walls of a hall: one in the west, one in the east

@@ -21,6 +21,8 @@ from placegraph.indoor.polish import (
 )
 from placegraph.indoor.scorer import Scorer
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 
 class Hills:
     """A scorer whose log-likelihood is the highest of some paraboloids; it counts what it is asked."""
@@ -199,6 +201,6 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     scorer = Scorer(room, options.likelihood)
     fits = polish(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
     assert np.linalg.norm(error_of(fits[0], true)[:3]) < 0.05
-    assert abs(error_of(fits[0], true)[3]) < np.deg2rad(1)
+    assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
     sd = np.sqrt(np.diag(covariance_of(fits[0])))
     assert (sd < [0.15, 0.15, 0.15, 0.1]).all()

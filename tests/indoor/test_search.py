@@ -13,6 +13,7 @@ from placegraph.indoor.scorer import Scorer
 from placegraph.indoor.search import Prior, around, everywhere, near_prior
 from placegraph.indoor.visibility import floor_under
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
 
 

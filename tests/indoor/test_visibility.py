@@ -26,6 +26,7 @@ from placegraph.indoor.visibility import (
     range_of,
 )
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
 NOISE = noise(Likelihood())
 ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2 - 1) * HIGHEST

@@ -1,0 +1,539 @@
+"""A capture finds its pose in a scene map, and says so only if it has."""
+
+import hashlib
+import json
+import shutil
+
+import numba
+import numpy as np
+import pytest
+
+import placegraph as pg
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture import Capture, open_capture
+from placegraph.formats.frame import Frame
+from placegraph.geometry import level_from_camera, pose_matrix, split_pose, wrap
+from placegraph.indoor.build import build_scene
+from placegraph.indoor.encode import Patches
+from placegraph.indoor.encode.labels import ClassesOfInstances
+from placegraph.indoor.merge import merge_scenes
+from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.search import Prior
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+OPTIONS = FilterOptions()
+TWO = slice(0, 2)
+FIVE = slice(0, 5)
+
+
+def errors(mode, truth):
+    """Distance [m] and turn [deg] between a mode and a true pose (4, 4)."""
+    delta = np.linalg.inv(truth) @ mode.map_from_camera
+    turn = np.arccos(np.clip((np.trace(delta[:3, :3]) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(delta[:3, 3])), float(np.rad2deg(turn))
+
+
+def right(estimate, truth, metres=0.25, degrees=5.0):
+    """The best mode is where the camera was."""
+    distance, turn = errors(estimate.best, truth)
+    assert distance < metres, f"{distance:.2f} m off: {estimate.reason}"
+    assert turn < degrees, f"{turn:.1f} degrees off: {estimate.reason}"
+
+
+def honest(estimate, truth=None):
+    """`OK` is said only of what lies within 0.5 m and 10 degrees; of another place, never."""
+    if estimate.status is Status.OK:
+        assert truth is not None, estimate.reason
+        right(estimate, truth, 0.5, 10.0)
+
+
+def same(a, b):
+    """Two estimates in every number."""
+    assert a.status is b.status
+    assert a.reason == b.reason
+    np.testing.assert_array_equal(a.trajectory, b.trajectory)
+    np.testing.assert_array_equal(a.frames, b.frames)
+    assert len(a.modes) == len(b.modes)
+    for one, other in zip(a.modes, b.modes, strict=True):
+        np.testing.assert_array_equal(one.map_from_camera, other.map_from_camera)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+        assert one.probability == other.probability
+
+
+# ---------------------------------------------------------------------------------- cues
+
+
+@pytest.mark.parametrize(
+    "cues",
+    [
+        {"semantic": True},
+        {"depth": True},
+        {"semantic": True, "colour": True},
+        {"depth": True, "colour": True},
+    ],
+    ids="+".join,
+)
+def test_each_cue_finds_the_pose(cues, room, walk, truth):
+    estimate = room.localize(walk, options=OPTIONS.only(**cues))
+    right(estimate, truth(walk)[-1], 0.5, 10.0)
+    if "depth" in cues:
+        right(estimate, truth(walk)[-1], 0.1, 2.0)
+        assert estimate.status is Status.OK, estimate.reason
+
+
+COLOURS = "verdict: colours alone are believed where they are wrong (since they weigh 180)"
+
+
+@pytest.mark.xfail(reason=COLOURS, strict=True)
+def test_colours_alone_are_not_believed_too_soon(room, walk, truth):
+    """Small, noisy pictures of one room: whatever is found, `OK` must mean it."""
+    honest(room.localize(walk, options=OPTIONS.only(colour=True)), truth(walk)[-1])
+
+
+def test_in_a_flat_of_five_rooms(flat, flat_walk, truth):
+    estimate = flat.localize(flat_walk)
+    assert estimate.status is Status.OK, estimate.reason
+    right(estimate, truth(flat_walk)[-1], 0.1, 2.0)
+
+
+def test_labels_of_classes(room_world, room, render, truth):
+    capture = render(room_world, "classes", 2, through="123", labels="labels", frames=6)
+    assert capture.label_kind == "labels"
+    right(room.localize(capture), truth(capture)[-1], 0.1, 2.0)
+    honest(room.localize(capture, options=OPTIONS.only(semantic=True)), truth(capture)[-1])
+
+
+def test_an_encoder_of_ones_own(room, walk, truth):
+    asked = []
+
+    class Spy(ClassesOfInstances):
+        def encode(self, frame):
+            asked.append(frame.index)
+            return super().encode(frame)
+
+    estimate = room.localize(walk, frames=[2, 3, 5], encoder=Spy(room))
+    assert asked == [2, 3, 5]  # each frame once
+    right(estimate, truth(walk)[5])
+    asked.clear()
+    room.localize(walk, frames=TWO, encoder=Spy(room), options=OPTIONS.only(depth=True))
+    assert not asked
+
+
+def test_an_encoder_that_says_nothing_does_no_harm(room, walk, truth):
+    class Mute:
+        def encode(self, frame):
+            rows = np.full(4, -1, np.int32)
+            return Patches(frame.camera, (2, 2), rows, np.ones((1, len(room)), np.float32))
+
+    right(room.localize(walk, frames=[1, 3, 4], encoder=Mute()), truth(walk)[4])
+
+
+# -------------------------------------------------------------------------------- answers
+
+
+TOLD = []
+RECORDED = FilterOptions(record=True)
+
+
+@pytest.fixture(scope="module")
+def answer(room, walk):
+    """Of six frames, with what was told on the way."""
+    return room.localize(
+        walk, frames=slice(0, 6), options=RECORDED, seed=3, progress=lambda *said: TOLD.append(said)
+    )
+
+
+def test_the_answer_is_whole(answer, room, walk, truth):
+    """Pose, covariance, probability, trajectory and evidence fit each other."""
+    true = truth(walk)
+    right(answer, true[5], 0.1, 2.0)
+    assert answer.status is Status.OK
+    best = answer.best
+    np.testing.assert_array_equal(answer.trajectory[-1], best.map_from_camera)
+    matrix = pose_matrix(best.pose, level_from_camera(walk[5].gravity))
+    np.testing.assert_allclose(best.map_from_camera, matrix, atol=1e-12)
+    assert answer.frames.tolist() == list(range(6))
+    shares = [m.probability for m in answer.modes]
+    assert shares == sorted(shares, reverse=True)
+    assert sum(shares) == pytest.approx(1)
+    for mode in answer.modes:
+        assert np.linalg.eigvalsh(mode.covariance).min() > 0
+        assert mode.scene == room.scenes[0]
+        np.testing.assert_array_equal(mode.scene_from_camera, mode.map_from_camera)
+    for i, matrix in enumerate(answer.trajectory):
+        delta = np.linalg.inv(true[i]) @ matrix
+        assert np.linalg.norm(delta[:3, 3]) < 0.12
+    # the true pose lies within what the covariance allows
+    error = best.pose - split_pose(true[5])[0]
+    error[3] = wrap(error[3])
+    assert error @ np.linalg.solve(best.covariance, error) < 40
+
+
+def test_the_answer_as_json(answer, room):
+    plain = json.loads(json.dumps(answer.to_dict(), allow_nan=False))
+    assert plain["status"] == "OK"
+    assert plain["frames"] == list(range(6))
+    evidence = plain["modes"][0]["evidence"]
+    assert {e["verdict"] for e in evidence} <= {"for", "against", "silent"}
+    named = {o["id"] for e in evidence for o in e["objects"]}
+    assert named
+    assert named <= set(room.graph.ids)
+    assert {"seconds", "particles", "rays", "device"} <= set(plain["stats"])
+
+
+def test_the_history_is_for_pictures(answer):
+    passes = OPTIONS.passes
+    assert [p.stride for p in answer.history] == [p.stride for p in passes]
+    for record, spec, counts in zip(answer.history, passes, answer.stats["particles"], strict=True):
+        assert [frame for frame, _, _ in record.steps] == list(range(6))
+        for (_, poses, weights), count in zip(record.steps, counts, strict=True):
+            assert poses.shape == (count, 4)
+            assert count <= max(spec.particles, 24)
+            assert weights.sum() == pytest.approx(1)
+
+
+def test_the_same_seed_gives_the_same_answer(room, walk, answer):
+    again = room.localize(walk, frames=slice(0, 6), options=RECORDED, seed=3)
+    same(answer, again)
+    for a, b in zip(answer.history, again.history, strict=True):
+        for (_, poses, weights), (_, others, their) in zip(a.steps, b.steps, strict=True):
+            np.testing.assert_array_equal(poses, others)
+            np.testing.assert_array_equal(weights, their)
+    other = room.localize(walk, frames=slice(0, 6), seed=4)
+    assert (other.best.pose != answer.best.pose).any()
+    distance, turn = errors(other.best, answer.best.map_from_camera)
+    assert distance < 0.1
+    assert turn < 2
+
+
+def test_the_number_of_threads_does_not_matter(room, walk):
+    alone = room.localize(walk, frames=TWO)
+    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    try:
+        same(alone, room.localize(walk, frames=TWO))
+    finally:
+        numba.set_num_threads(1)
+
+
+def test_progress_was_told(answer):
+    total = len(answer.history) * 6
+    filtering = [(done, of) for what, done, of in TOLD if what == "filtering"]
+    assert filtering == [(i + 1, total) for i in range(total)]
+
+
+# --------------------------------------------------------------- what must not be looked at
+
+
+def copied(capture, folder, leave=()):
+    """Capture copied to another folder, without some of its files."""
+    shutil.copytree(capture.path, folder, ignore=shutil.ignore_patterns(*leave))
+    return open_capture(folder)
+
+
+def test_the_truth_is_not_looked_at(room, walk, tmp_path):
+    """Without trajectory.tum, and with a false one, every number is the same."""
+    blind = copied(walk, tmp_path / "blind", ["trajectory.tum"])
+    assert not (blind.path / "trajectory.tum").exists()
+    expected = room.localize(walk, frames=TWO)
+    same(expected, room.localize(blind, frames=TWO))
+    (blind.path / "trajectory.tum").write_text("not a trajectory\n", encoding="utf-8")
+    same(expected, room.localize(open_capture(blind.path), frames=TWO))
+
+
+def test_the_odometrys_frame_does_not_matter(room, walk, truth):
+    """Odometry begins anywhere, at any slant: only its steps count, and gravity."""
+    slant = np.eye(4)
+    slant[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # the map's up is the odometry's y
+    slant[:3, 3] = (30, -20, 5)
+    frames = [
+        Frame.from_arrays(
+            f.rgb(), f.camera, depth=f.depth(), depth_camera=f.depth_camera, labels=f.labels(),
+            label_camera=f.label_camera, label_kind="instances", gravity=f.gravity,
+            odometry=slant @ f.odometry, stamp=f.stamp, index=f.index,
+        )
+        for f in walk[:5]
+    ]  # fmt: skip
+    right(room.localize(frames), truth(walk)[4], 0.1, 2.0)
+
+
+def test_the_map_is_only_read(room_world, walk):
+    path = room_world.folder / "flat.scene"
+    before = hashlib.sha256(path.read_bytes()).digest()
+    scene = pg.open_map(path)
+    columns = [scene.mesh.vertices, scene.mesh.triangles, *scene.mesh.textures]
+    held = [hashlib.sha256(c.tobytes()).digest() for c in columns]
+    estimate = scene.localize(walk, frames=TWO)
+    assert estimate.best
+    assert hashlib.sha256(path.read_bytes()).digest() == before
+    assert [hashlib.sha256(c.tobytes()).digest() for c in columns] == held
+
+
+# --------------------------------------------------------------------------------- frames
+
+
+def test_frames_by_slice_list_or_capture(room, walk, truth):
+    by_slice = room.localize(walk, frames=slice(6, 8))
+    assert by_slice.frames.tolist() == [6, 7]
+    right(by_slice, truth(walk)[7])
+    same(by_slice, room.localize(walk, frames=[-4, -3]))
+    same(by_slice, room.localize(walk[6:8]))
+    same(by_slice, room.localize(list(walk[6:8])))
+
+
+@pytest.mark.parametrize("frames", [[], slice(5, 5), slice(40, 50), [10], [0, -11]])
+def test_frames_that_are_none(frames, room, walk):
+    with pytest.raises(OptionError, match="frames"):
+        room.localize(walk, frames=frames)
+
+
+def test_one_frame(room, walk, truth):
+    estimate = room.localize(walk, frames=[6])
+    assert estimate.trajectory.shape == (1, 4, 4)
+    right(estimate, truth(walk)[6], 0.3)
+
+
+def test_keyframes(room, walk, truth):
+    """At 5 Hz, one frame in 0.5 s; the last is always among them."""
+    estimate = room.localize(walk, options=FilterOptions(every=0.5))
+    assert estimate.frames.tolist() == [0, 3, 6, 9]
+    right(estimate, truth(walk)[9])
+    by_way = room.localize(walk, options=FilterOptions(every_metre=0.3))
+    assert by_way.frames[0] == 0
+    assert by_way.frames[-1] == 9
+    assert 2 < len(by_way.frames) < 10
+    right(by_way, truth(walk)[9])
+
+
+# ---------------------------------------------------------------------------------- prior
+
+
+def test_a_prior_saves_the_search(room, walk, truth):
+    pose, _ = split_pose(truth(walk)[0])
+    known = Prior(*pose[:2], yaw=float(pose[3]), spread=0.3, turn=0.2)
+    right(room.localize(walk, frames=FIVE, prior=known), truth(walk)[4])
+    # of the height and the heading nothing need be known
+    right(room.localize(walk, frames=FIVE, prior=Prior(*pose[:2], spread=0.5)), truth(walk)[4])
+
+
+def test_a_prior_that_is_wrong_is_not_believed(flat, flat_walk, truth):
+    """The camera was in another room than the prior says."""
+    pose, _ = split_pose(truth(flat_walk)[0])
+    far = max(flat.visibility(OPTIONS).positions, key=lambda p: np.linalg.norm(p[:2] - pose[:2]))
+    estimate = flat.localize(flat_walk, frames=FIVE, prior=Prior(*far[:2], spread=0.3))
+    honest(estimate, truth(flat_walk)[4])
+
+
+# ------------------------------------------------------------------------- honest failures
+
+ANYWHERE = "verdict: {} alone are believed in a place that the map does not have"
+
+
+@pytest.mark.parametrize(
+    "cues",
+    [
+        {"semantic": True, "depth": True, "colour": True},
+        {"semantic": True},
+        {"depth": True, "colour": True},
+        pytest.param(
+            {"depth": True}, marks=pytest.mark.xfail(reason=ANYWHERE.format("depths"), strict=True)
+        ),
+        pytest.param(
+            {"colour": True},
+            marks=pytest.mark.xfail(reason=ANYWHERE.format("colours"), strict=True),
+        ),
+    ],
+    ids="+".join,
+)
+def test_a_capture_of_another_place_is_not_ok(cues, flat, walk):
+    """A walk in the single room, on the map of the flat."""
+    honest(flat.localize(walk, frames=slice(0, 10, 2), options=OPTIONS.only(**cues)))
+
+
+def test_a_capture_of_a_larger_place_is_not_ok(room, flat_walk):
+    for cues in ({"semantic": True, "depth": True}, {"depth": True}):
+        honest(room.localize(flat_walk, frames=FIVE, options=OPTIONS.only(**cues)))
+
+
+@pytest.fixture(scope="module")
+def low_walk(room_world, render):
+    """A camera 0.9 m above the floor, where 1.5 to 1.8 m is assumed."""
+    return render(room_world, "low", 3, through="123", frames=6, height=0.9)
+
+
+def test_a_camera_at_its_own_height(room, low_walk, truth):
+    estimate = room.localize(low_walk, options=FilterOptions(heights=(0.8, 1.0)))
+    right(estimate, truth(low_walk)[-1], 0.1, 2.0)
+
+
+@pytest.mark.xfail(
+    reason="polish: heights far from those tried are not found; OK is said", strict=True
+)
+def test_a_camera_at_the_wrong_height_is_honest(room, low_walk, truth):
+    honest(room.localize(low_walk), truth(low_walk)[-1])
+
+
+def test_heights_beyond_the_map(room, walk):
+    with pytest.raises(OptionError, match="heights"):
+        room.localize(walk, frames=FIVE, options=FilterOptions(heights=(300.0,)))
+
+
+def test_a_map_of_one_giant_triangle(walk):
+    vertices = [[-500, -500, 0], [500, -500, 0], [0, 700, 0]]
+    scene = SceneMap.create(Mesh.plain(vertices, [[0, 1, 2]]), ["0"], ["floor"], floor=0.0)
+    estimate = scene.localize(walk, frames=TWO, options=FilterOptions(spacing=30.0))
+    assert estimate.status is not Status.OK
+    json.dumps(estimate.to_dict(), allow_nan=False)
+
+
+# ------------------------------------------------------------------------------- bad input
+
+
+def rebuilt(capture, **change):
+    """Frames in memory; `change` maps names to functions of a frame."""
+    frames = []
+    for f in capture:
+        fields = {
+            "depth": f.depth(), "depth_camera": f.depth_camera, "labels": f.labels(),
+            "label_camera": f.label_camera, "label_kind": f.label_kind, "gravity": f.gravity,
+            "odometry": f.odometry, "stamp": f.stamp, "index": f.index,
+        }  # fmt: skip
+        fields |= {name: made(f) for name, made in change.items()}
+        rgb = fields.pop("rgb", f.rgb())
+        frames.append(Frame.from_arrays(rgb, f.camera, **fields))
+    return Capture.from_frames(frames)
+
+
+def test_depth_of_zeros_is_no_depth(room, walk, truth):
+    zeros = rebuilt(walk[:4], depth=lambda f: np.zeros_like(f.depth()))
+    estimate = room.localize(zeros)
+    right(estimate, truth(walk)[3], 0.5, 10.0)
+    without = rebuilt(walk[:4], depth=lambda _: None, depth_camera=lambda _: None)
+    same(estimate, room.localize(without))
+    assert "depth" not in {e.statement for e in estimate.evidence}
+
+
+def test_some_frames_may_lack_depth_or_labels(room, walk, truth):
+    torn = rebuilt(
+        walk[:6],
+        depth=lambda f: f.depth() * (np.nan if f.index % 2 else 1),
+        labels=lambda f: np.full_like(f.labels(), -1) if f.index == 5 else f.labels(),
+    )
+    right(room.localize(torn), truth(walk)[5])
+
+
+def test_a_map_without_colours_asks_for_other_cues(room, walk, truth):
+    mesh = room.mesh
+    white = SceneMap.create(
+        Mesh.plain(mesh.vertices, mesh.triangles, mesh.object_of), room.graph.ids,
+        room.graph.labels, floor=float(room.floors[0]),
+    )  # fmt: skip
+    right(white.localize(walk, frames=FIVE), truth(walk)[4])
+    with pytest.raises(OptionError):
+        white.localize(walk, frames=FIVE, options=OPTIONS.only(colour=True))
+
+
+def test_nothing_to_compare(room, walk):
+    bare = rebuilt(
+        walk[:2], depth=lambda _: None, depth_camera=lambda _: None,
+        labels=lambda _: None, label_camera=lambda _: None, label_kind=lambda _: "labels",
+    )  # fmt: skip
+    for cues in ({"depth": True}, {"semantic": True}, {"semantic": True, "depth": True}):
+        with pytest.raises(OptionError, match="Nothing to compare"):
+            room.localize(bare, options=OPTIONS.only(**cues))
+    assert room.localize(bare).modes  # colours are left
+
+
+def test_a_torn_image_is_named(room, walk, tmp_path):
+    torn = copied(walk, tmp_path / "torn")
+    file = sorted((torn.path / "rgb").iterdir())[2]
+    file.write_bytes(file.read_bytes()[:300])
+    with pytest.raises(InputError, match=file.name):
+        room.localize(open_capture(torn.path), frames=FIVE)
+    # who does not look at colours does not mind
+    options = OPTIONS.only(semantic=True, depth=True)
+    room.localize(open_capture(torn.path), frames=FIVE, options=options)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_black_and_white_images_are_survived(level, room, walk, truth):
+    blank = rebuilt(walk[:4], rgb=lambda f: np.full_like(f.rgb(), level))
+    right(room.localize(blank), truth(walk)[3])
+    assert room.localize(blank, options=OPTIONS.only(colour=True)).status is not Status.OK
+
+
+@pytest.mark.parametrize("device", ["tpu", "gpu"])
+def test_devices_that_are_none(device, room, walk):
+    with pytest.raises(OptionError, match="device"):
+        room.localize(walk, frames=FIVE, device=device)
+
+
+# ---------------------------------------------------------------------------- other recipes
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        FilterOptions.coarse(),
+        FilterOptions(kld=False),
+        FilterOptions(start="uniform", spacing=0.3),
+        FilterOptions(polish=False),
+    ],
+    ids=["coarse", "without KLD", "uniform start", "without polish"],
+)
+def test_variants(options, room, walk, truth):
+    estimate = room.localize(walk, frames=FIVE, options=options)
+    right(estimate, truth(walk)[4], 0.3, 8.0)
+
+
+def test_the_papers_recipe(room, walk, truth):
+    """Eq. 2, a uniform start, strides 20, 8, 4: slower, but it finds its way in a room."""
+    estimate = room.localize(walk, frames=FIVE, options=FilterOptions.paper())
+    right(estimate, truth(walk)[4], 0.3, 8.0)
+
+
+# ------------------------------------------------------------------------------ many scenes
+
+
+@pytest.fixture(scope="module")
+def building(room, flat):
+    return merge_scenes({"office": room, "home": flat})
+
+
+@pytest.mark.parametrize("name", ["office", "home"])
+def test_the_right_scene_of_many(name, building, walk, flat_walk, truth):
+    capture = walk if name == "office" else flat_walk
+    estimate = building.localize(capture, frames=slice(0, 10, 2))
+    assert estimate.status is Status.OK, estimate.reason
+    best = estimate.best
+    assert best.scene == name
+    delta = np.linalg.inv(truth(capture)[8]) @ best.scene_from_camera
+    assert np.linalg.norm(delta[:3, 3]) < 0.1
+    into = building.scene_from_map[building.scenes.index(name)]
+    np.testing.assert_allclose(into @ best.map_from_camera, best.scene_from_camera, atol=1e-9)
+
+
+# ------------------------------------------------------------------------- shared real data
+
+
+@pytest.fixture(scope="module")
+def house(shared, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("house")
+    return build_scene(shared / "data/house/map/house.glb", folder / "house.scene")
+
+
+def test_the_shared_house(house, shared, truth):
+    """Five frames of a sequence, from anywhere in the house."""
+    capture = open_capture(shared / "data/house/seq00")
+    estimate = house.localize(capture, frames=slice(5, 10))
+    assert estimate.status is Status.OK, estimate.reason
+    right(estimate, truth(capture)[9], 0.1, 1.0)
+    assert estimate.frames.tolist() == [5, 6, 7, 8, 9]
+
+
+def test_the_shared_office_is_not_in_the_house(house, shared):
+    """Real frames of a place that this map does not have, with depth and colours."""
+    office = open_capture(shared / "data/office")
+    honest(house.localize(office, frames=slice(0, 10, 3)))
