@@ -66,7 +66,8 @@ class Evidence:
         """Plain numbers and strings."""
         plain = asdict(self)
         plain["objects"] = [
-            {k: v for k, v in o.items() if not (isinstance(v, float) and isnan(v))} for o in plain["objects"]
+            {k: v for k, v in o.items() if not (isinstance(v, float) and isnan(v))}
+            for o in plain["objects"]
         ]
         return plain
 

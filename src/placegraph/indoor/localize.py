@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 WINDOW = 30
 """Frames that are fitted together; of a longer capture the last ones, the rest are tracked."""
 
+
 def localize(
     scene: SceneMap,
     capture: Capture | Sequence[Frame],
@@ -96,6 +97,6 @@ def _chosen(
         rows = list(frames)
         if any(not -len(capture) <= i < len(capture) for i in rows):
             raise OptionError(f"frames: a row lies outside the capture's {len(capture)} frames.")
-    if not len(rows):
+    if not rows:
         raise OptionError(f"frames: none chosen of the capture's {len(capture)}.")
     return [capture[i] for i in rows]

@@ -179,6 +179,8 @@ class FilterOptions:
         """One pass at the coarsest stride (App. E)."""
         return cls(passes=ONE_PASS, polish=False)
 
-    def only(self, *, semantic: bool = False, depth: bool = False, colour: bool = False) -> FilterOptions:
+    def only(
+        self, *, semantic: bool = False, depth: bool = False, colour: bool = False
+    ) -> FilterOptions:
         """The same with only the terms named."""
         return replace(self, semantic=semantic, depth=depth, colour=colour)

@@ -9,8 +9,8 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import between
+from placegraph.indoor.panoramas import AZIMUTHS, STEP
 from placegraph.indoor.particles import distinct
-from placegraph.indoor.visibility import AZIMUTHS, STEP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -183,9 +183,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
                 self.scorer, self.options, rng, Particles.even(start), spec.particles
             )
             frames = [s.frame.index for s in self.sightings]
-            run = run_pass(
-                filter_, self.views(spec.stride), steps, frames, self._elsewhere, tick
-            )
+            run = run_pass(filter_, self.views(spec.stride), steps, frames, self._elsewhere, tick)
             modes = run.modes
             counts.append(list(run.counts))
             if self.options.record:

@@ -16,8 +16,8 @@ from placegraph.indoor.polish import covariance_of, probabilities
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.indoor.sequence import Sequence_
     from placegraph.indoor.polish import Fit
+    from placegraph.indoor.sequence import Sequence_
 
 TEMPERATURE = 2.7
 """Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
