@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,8 +55,9 @@ def rendered(scene, pose, kind, **change):
     )  # fmt: skip
 
 
-def judged(scene, frame, pose, kind, **wanted):
-    options = OPTIONS.only(**wanted) if wanted else OPTIONS.only(semantic=True, depth=True)
+def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
+    options = replace(OPTIONS, likelihood=likelihood)
+    options = options.only(**wanted or {"semantic": True, "depth": True})
     encoder = LabelsEncoder(scene, kind, (6, 10))
     around = scene.visibility(options).background
     seen = views([sight(frame, encoder, options)], 4.0, options, around)
@@ -73,6 +75,17 @@ def test_where_the_camera_is_everything_agrees(hall, kind):
     assert got.weights[EAST_WALL] > 5
     assert (got.weights >= 0).all()
     assert got.told[[WEST, WEST_WALL]].tolist() == [0, 0]
+
+
+def test_what_fills_many_patches_tells_only_in_part(hall):
+    """The weights of patches (`Likelihood.object_patches`) are those of the evidence."""
+    frame = rendered(hall, EASTWARD, "instances")
+    whole = judged(hall, frame, EASTWARD, "instances", semantic=True)
+    part = judged(hall, frame, EASTWARD, "instances", Likelihood(object_patches=1.0), semantic=True)
+    patches = whole.told[EAST]
+    assert patches > 5
+    assert part.weights[EAST] == pytest.approx(whole.weights[EAST] / math.sqrt(patches), rel=0.05)
+    np.testing.assert_array_equal(part.told, whole.told)
 
 
 def test_labels_speak_for_the_object_seen_not_for_its_like(hall):
@@ -109,10 +122,10 @@ def test_labels_in_the_wrong_place_speak_against_what_stands_there(hall):
     assert got.told[WEST] == got.told[WEST_WALL] == 0
 
 
-def test_depth_counts_readings_within_three_deviations(hall):
+def test_depth_counts_readings_about_where_the_map_has_them(hall):
     frame = rendered(hall, EASTWARD, "instances")
     deviation = OPTIONS.likelihood.depth_floor + OPTIONS.likelihood.depth_slope * 3
-    for off, share in ((0.0, 1.0), (2.0, 1.0), (5.0, 0.0), (-5.0, 0.0)):
+    for off, share in ((0.0, 1.0), (0.5, 1.0), (5.0, 0.0), (-5.0, 0.0)):
         moved = np.where(frame.depth() > 0, frame.depth() + off * deviation, 0)
         other = rendered(hall, EASTWARD, "instances", depth=moved)
         got = judged(hall, other, EASTWARD, "instances", depth=True)
