@@ -44,7 +44,7 @@ class Agreement:
     semantic: float
     """Of patches that see the map and say something, the share that fit; NaN: no patches."""
     depth: float
-    """Of readings where the map has a surface, the share within three deviations; NaN: none."""
+    """Of readings where the map has a surface, the share within one deviation; NaN: none."""
     colour: float
     """Mean log-likelihood of the colours per independent sample [nat]; NaN: no colours."""
     weights: NDArray[np.float64]
@@ -88,7 +88,7 @@ def agreement(
             good = 1.0 / (1.0 + error**2)
             cost = np.where(error > 0, noise.near_cost, noise.far_cost)
             ratio = good * noise.depth_gain - (1.0 - good) * cost - view.usual_depth[read]
-            fits[DEPTH][0] += float((np.abs(error) < 3.0).sum())
+            fits[DEPTH][0] += float((np.abs(error) < 1.0).sum())
             fits[DEPTH][1] += float(read.sum())
             share = noise.depth_weight / max(1, int(used.sum()))
             np.add.at(weights, objects[read], ratio * share)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     Progress = Callable[[str, int, int], None]
 
 WINDOW = 30
-"""Frames that are fitted together; of a longer capture the last ones, the rest are tracked."""
+"""Frames that are searched and fitted together; a longer capture is tracked."""
 
 
 def localize(
@@ -74,6 +75,8 @@ def localize(
 
     """
     options = options or FilterOptions()
+    if seed < 0:
+        raise OptionError(f"seed is {seed}; a seed is not negative.")
     chosen = _chosen(capture, frames)
     stamps = np.array([frame.stamp for frame in chosen])
     kept = keyframes(stamps, leveled(chosen), options.every, options.every_metre)
@@ -94,9 +97,18 @@ def _chosen(
     if isinstance(frames, slice):
         rows = rows[frames]
     elif frames is not None:
+        if isinstance(frames, (str, int)) or not all(
+            isinstance(i, (int, np.integer)) for i in frames
+        ):
+            raise OptionError(f"frames is {frames!r}; give a slice, or rows as whole numbers.")
         rows = list(frames)
         if any(not -len(capture) <= i < len(capture) for i in rows):
             raise OptionError(f"frames: a row lies outside the capture's {len(capture)} frames.")
     if not rows:
         raise OptionError(f"frames: none chosen of the capture's {len(capture)}.")
-    return [capture[i] for i in rows]
+    chosen = [capture[i] for i in rows]
+    if any(b.stamp <= a.stamp for a, b in itertools.pairwise(chosen)):
+        raise OptionError(
+            "frames: their stamps must grow; choose each frame once, in order of time."
+        )
+    return chosen

@@ -30,6 +30,9 @@ COARSE = 40.0
 FINE = 20.0
 """Stride of the last round of the polish, and of what is judged [px]."""
 
+REFERENCE = 640.0
+"""Width of the image that strides are meant for [px]."""
+
 _TILE = 4
 
 
@@ -189,7 +192,12 @@ class _Samples:
 
 @lru_cache(maxsize=16)
 def _samples(camera: Camera, stride: float) -> _Samples:
-    """Samples at the centres of cells about `stride` pixels wide that fill the whole image."""
+    """Samples at the centres of cells about `stride` pixels wide that fill the whole image.
+
+    Strides are for images up to `REFERENCE` wide; larger ones have larger pixels, not more samples.
+    """
+    asked = stride
+    stride *= max(1.0, max(camera.width, camera.height) / REFERENCE)
     columns = max(_TILE, round(camera.width / stride))
     rows = max(_TILE, round(camera.height / stride))
     across, down = -(-columns // _TILE), -(-rows // _TILE)
@@ -202,16 +210,21 @@ def _samples(camera: Camera, stride: float) -> _Samples:
     inside = (x < columns) & (y < rows)
     x, y = np.minimum(x, columns - 1), np.minimum(y, rows - 1)
     uv = np.stack([(x + 0.5) * camera.width / columns, (y + 0.5) * camera.height / rows], axis=1)
+    directions = camera.directions(uv)
+    # where the distortion cannot be undone, there is no ray to compare
+    known = np.abs(camera.project(directions) - uv).max(axis=1) < 1.0
+    directions[~known] = (0.0, 0.0, 1.0)
+    inside &= known
     return _Samples(
         uv=uv,
         inside=inside,
         row=y,
         column=x,
         shape=(rows, columns),
-        directions=camera.directions(uv),
+        directions=directions,
         footprint=camera.width / columns / camera.fx,
         camera=camera,
-        stride=stride,
+        stride=asked,
     )
 
 

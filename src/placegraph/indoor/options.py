@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
 
 from placegraph.errors import OptionError
+
+
+def _numbers(owner: object) -> None:
+    """Raise where a number of an options struct is not finite, or negative."""
+    for entry in fields(owner):  # type: ignore[arg-type]
+        value = getattr(owner, entry.name)
+        if isinstance(value, float | int) and not (np.isfinite(value) and value >= 0):
+            raise OptionError(f"{entry.name} is {value}; it must be a number, not below 0.")
+
+
+def _whole(owner: object, *names: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if int(value) != value or value < 1:
+            raise OptionError(f"{name} is {value}; it must be a whole number from 1 on.")
 
 
 def _positive(owner: object, *names: str) -> None:
@@ -27,6 +42,9 @@ class MotionNoise:
     rotation: float = 0.005
     """Yaw [rad] (the paper: 0.05)."""
     rotation_per_radian: float = 0.02
+
+    def __post_init__(self) -> None:
+        _numbers(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +91,7 @@ class Likelihood:
             raise OptionError(f"kind is {self.kind!r}; it is 'calibrated' or 'gaussian'.")
         if not 0 < self.wrong < 1:
             raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
+        _numbers(self)
         _positive(self, "sharpness", "object_patches", "depth_floor", "sigma", "depth_clip")
 
 
@@ -90,7 +109,9 @@ class Pass:
     """Most particles drawn for the pass and after a resampling."""
 
     def __post_init__(self) -> None:
-        _positive(self, "stride", "particles")
+        _numbers(self)
+        _positive(self, "stride")
+        _whole(self, "particles")
 
 
 ONE_PASS = (Pass(stride=20.0, box=0.0, turn=np.pi, particles=300),)
@@ -152,7 +173,9 @@ class FilterOptions:
             raise OptionError("heights: give at least one height of the camera above the floor.")
         if not self.passes:
             raise OptionError("passes: the filter needs at least one.")
-        _positive(self, "spacing", "per_cell", "modes", "kld_error")
+        _numbers(self)
+        _whole(self, "per_cell", "modes")
+        _positive(self, "spacing", "kld_error")
         if not (self.every >= 0 and self.every_metre >= 0):
             raise OptionError("every, every_metre: a time and a way, not less than 0.")
         if not 0 < self.kld_confidence < 1 or not 0 <= self.injection < 1:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.particles import distinct, log_sum, moments
+from placegraph.indoor.particles import APART, TURNED, distinct, log_sum, moments
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.random import Generator
     from numpy.typing import NDArray
@@ -76,8 +76,10 @@ def polish(
         for pose, value in zip(starts, values, strict=True)
     ]
     left: list[tuple[Fit, float]] = []  # and how far behind
-    for level in levels:
-        fits, fallen = _survivors(fits, level)
+    for number, level in enumerate(levels):
+        # starts within reach of one peak would climb it together: let others have a turn
+        near = _NEAR if number or len(levels) == 1 else {"apart": APART, "turned": TURNED}
+        fits, fallen = _survivors(fits, level, near)
         top = fits[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
         fits = [_fit(scorer, fit, level, rng) for fit in fits]
@@ -93,11 +95,13 @@ _NEAR = {"apart": 0.3, "turned": 0.2}
 """Fits nearer than this are one."""
 
 
-def _survivors(fits: list[Fit], level: Round) -> tuple[list[Fit], list[Fit]]:
+def _survivors(
+    fits: list[Fit], level: Round, near: Mapping[str, float]
+) -> tuple[list[Fit], list[Fit]]:
     """Distinct fits within the gap, best first, and the other distinct ones."""
     poses = np.array([f.pose for f in fits])
     values = np.array([f.log_likelihood for f in fits])
-    kept = [fits[i] for i in distinct(poses, values, len(fits), **_NEAR)]
+    kept = [fits[i] for i in distinct(poses, values, len(fits), **near)]
     able = [f for f in kept[: level.most] if f.log_likelihood > values.max() - level.gap]
     return able, kept[len(able) :]
 

@@ -211,8 +211,11 @@ class SceneMap:
     @cached_property
     def coloured(self) -> bool:
         """Whether surfaces have colours to compare: not all of them the same."""
-        texels = np.concatenate([t.reshape(-1, 3) for t in self.mesh.textures])
-        return bool(np.ptp(self.mesh.colours, axis=0).any() or np.ptp(texels, axis=0).any())
+        textures = self.mesh.textures
+        first = textures[0][0, 0]
+        if np.ptp(self.mesh.colours, axis=0).any():
+            return True
+        return any((t[::8, ::8] != first).any() or (t != first).any() for t in textures)
 
     def scene_at(self, point: ArrayLike) -> int:
         """Row of the merged scene in whose bounds a point (2,) x, y [m] lies, or the nearest."""

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
     Progress = Callable[[str, int, int], None]
 
+NEWEST = 12
+"""Frames that the last round of the polish is fitted to."""
 _TRIES = 8  # poses tried around each seed
 _SCREENED = 10  # frames that screen the seeds
 
@@ -223,22 +225,32 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         if not self.options.polish or self.options.likelihood.kind == "gaussian":
             return polish(self.scorer, modes, [self.round(FINE, rounds=0, most=8)], rng)
         starts = np.concatenate([modes, seeds[:8]])
-        # one round for all before any is dropped: a start may lie a hand's breadth off its peak
+        # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            self.round(COARSE, rounds=1, most=8, frames=5),
-            self.round(COARSE, rounds=2, most=4, gap=80.0),
-            self.round(FINE, rounds=4, most=3, gap=60.0),
+            self.round(COARSE, rounds=2, most=8, frames=5),
+            self.round(COARSE, rounds=2, most=4, gap=250.0),
+            self.round(FINE, rounds=4, most=3, gap=100.0),
         ]
         return polish(self.scorer, starts, levels, rng)
 
     def round(
         self, stride: float, *, rounds: int, most: int = 1, gap: float = np.inf, frames: int = 0
     ) -> Round:
-        """A level of the polish of the last frame's pose, on 16 frames or fewer."""
-        looked = spread(len(self), frames or (_SCREENED if stride == COARSE else 16))
+        """A level of the polish of the last frame's pose.
+
+        Coarse levels look at frames spread over the sequence, fine ones at the newest: drift has
+        bent the way to the others.
+        """
+        looked = spread(len(self), frames or _SCREENED)
+        if stride == FINE:
+            looked = self.newest()
         views_ = self.views(stride)
         steps = between(self.poses[-1], self.poses[looked])
         return Round([views_[i] for i in looked], steps, rounds, most, gap)
+
+    def newest(self) -> NDArray[np.int64]:
+        """Rows of the newest frames, which the last level is fitted to."""
+        return np.arange(max(0, len(self) - NEWEST), len(self))
 
     def _timed(self, stage: str) -> _Timer:
         return _Timer(self.seconds, stage)

@@ -39,6 +39,8 @@ FITTED = 5
 PARTICLES = 80
 APART, TURNED = 0.15, 0.12
 """A new keyframe is this far on [m], or turned by this much [rad]."""
+WAIT = 5
+"""Frames after which a camera that stands still, and is lost, is looked up again."""
 PATIENCE = 3
 """Frames that may contradict the pose before it is given up."""
 
@@ -82,6 +84,7 @@ class Tracker:
         self._last: Frame | None = None
         self._answer: PoseEstimate | None = None
         self._doubts = 0
+        self._waited = 0
 
     @property
     def following(self) -> bool:
@@ -111,14 +114,17 @@ class Tracker:
         if keyframe:
             self.keyframes.append(sighting)
         if estimate is None:
-            estimate = self._search() if keyframe else self._carried(frame)
+            self._waited += 1
+            due = keyframe or self._waited >= WAIT or self._answer is None
+            estimate = self._search(sighting) if due else self._carried(frame)
         self._last, self._answer = frame, estimate
         return estimate
 
     def reset(self) -> None:
         """Forget the pose and all frames."""
         self.keyframes.clear()
-        self._filter, self._last, self._answer, self._doubts = None, None, None, 0
+        self._filter, self._last, self._answer = None, None, None
+        self._doubts = self._waited = 0
 
     # ------------------------------------------------------------------------------ following
 
@@ -141,7 +147,6 @@ class Tracker:
         if self._doubts >= PATIENCE:
             self._filter, self._doubts = None, 0
             self.keyframes.clear()  # they led to a wrong belief
-            self.keyframes.append(sighting)
             return replace(estimate, status=Status.LOST, reason=f"Lost: {estimate.reason}")
         self._settle(fit)
         return estimate
@@ -156,9 +161,11 @@ class Tracker:
 
     # ------------------------------------------------------------------------------ searching
 
-    def _search(self) -> PoseEstimate:
-        """Look the keyframes up in the whole map."""
-        sequence = self._sequence(list(self.keyframes))
+    def _search(self, newest: Sighting) -> PoseEstimate:
+        """Look the keyframes, and the newest frame, up in the whole map."""
+        self._waited = 0
+        known = [s for s in self.keyframes if s is not newest]
+        sequence = self._sequence([*known[-KEPT + 1 :], newest])
         estimate, fits = sequence.searched(self.rng)
         if estimate.status is Status.OK:
             self._doubts = 0
@@ -251,9 +258,12 @@ def follow(
     }
     if not rows:
         return replace(estimate, stats=stats)
+    trajectory = _filled(known, rows, frames)
+    if estimate.best is not None:
+        trajectory[-1] = estimate.best.map_from_camera
     return replace(
         estimate,
-        trajectory=_filled(known, rows, frames),
+        trajectory=trajectory,
         frames=np.array([f.index for f in frames]),
         stats=stats,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.geometry import between, compose, pose_matrix
 from placegraph.indoor.evidence import Agreement, agreement, explain
-from placegraph.indoor.observe import FINE, spread
+from placegraph.indoor.observe import FINE
 from placegraph.indoor.polish import covariance_of, probabilities
 
 if TYPE_CHECKING:
@@ -35,8 +35,9 @@ LOOSE = 0.35
 
 _COVERED = 0.9
 _BLIND = 0.2
-_PATCHES_AGREE, _PATCHES_TELL = 0.4, 15.0
-_DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.78, 0.6
+_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
+_DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.8, 0.55
+_LENIENT = 0.15  # how much less the newest frame alone must agree
 _COLOURS_AGREE, _COLOURS_CONTRADICT = 0.12, 0.005
 
 
@@ -44,7 +45,7 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     """Estimate of the last frame from fits, best first."""
     scene = sequence.scene
     last = len(sequence) - 1
-    looked = spread(len(sequence), _LOOKED)
+    looked = sequence.newest()
     views_ = sequence.views(FINE)
     steps = between(sequence.poses[last], sequence.poses)
     levels = np.stack([s.level for s in sequence.sightings])
@@ -74,6 +75,11 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
         )
     told = float(values[0]) / len(looked)
     status, reason = judge(agreed[0], modes, told)
+    if status is Status.OK and len(sequence) > 1:
+        newest = agreement(sequence.scorer, fits[0].pose, views_[last:], steps[last:])
+        against = disagreement(newest, _PATCHES_TELL, _LENIENT)
+        if against:
+            status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
     return PoseEstimate(
         status=status,
         modes=tuple(modes),
@@ -83,7 +89,6 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     )
 
 
-_LOOKED = 10  # frames that agreement is measured on
 _EXPLAINED = 3  # modes that can be explained
 
 
@@ -111,19 +116,22 @@ def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[St
     return Status.OK, f"One place fits: {_praise(agreed)}."
 
 
-def disagreement(agreed: Agreement, told: float) -> str:
-    """Why the best pose cannot be right; empty where it can."""
-    if agreed.covered < _BLIND:
+def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
+    """Why the best pose cannot be right; empty where it can.
+
+    `lenient`: how much smaller shares of agreement may be than for a whole sequence.
+    """
+    if agreed.covered < _BLIND - lenient:
         return f"the map shows only {agreed.covered:.0%} of what the frames see"
     backed = agreed.colour > _COLOURS_AGREE
-    if agreed.semantic < _PATCHES_AGREE:
+    if agreed.semantic < _PATCHES_AGREE - lenient:
         return f"only {agreed.semantic:.0%} of the labelled patches see their object"
-    if agreed.depth < (_DEPTH_BACKED if backed else _DEPTH_DOUBTFUL):
+    if agreed.depth < (_DEPTH_BACKED if backed else _DEPTH_DOUBTFUL) - lenient:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
     labelled, measured = not np.isnan(agreed.semantic), not np.isnan(agreed.depth)
     if labelled and not measured and told < _PATCHES_TELL:
         return "the labels seen fit many places as badly"
-    if not (labelled or measured or backed):
+    if not (labelled or measured or backed or lenient):
         return "the colours hardly correlate with the map's anywhere"
     return ""
 

@@ -143,7 +143,7 @@ def build_table(
     progress: Callable[[str, int, int], None] | None = None,
 ) -> VisibilityTable:
     """Table of a map for cameras at `options.heights`; empty where no position is free."""
-    bounds = scene.bounds
+    bounds = _ground(scene, options.spacing)
     extent = bounds[1, :2] - bounds[0, :2]
     spacing = max(options.spacing, float(np.sqrt(np.prod(extent) / _MOST)))
     nx, ny = np.maximum(1, np.ceil(extent / spacing).astype(int))
@@ -176,6 +176,29 @@ def build_table(
         index=index.reshape(len(layers), nx, ny),
         layer=np.repeat(np.arange(len(layers), dtype=np.int32), [len(p) for p in positions]),
     )
+
+
+def _ground(scene: SceneMap, spacing: float) -> NDArray[np.float64]:
+    """Box (2, 3) in which cameras are looked for: the map's, or of a vast map its better part.
+
+    One triangle that reaches to the horizon must not spread the grid over nothing: where the box
+    would hold more cells than the table can, it is cut to where all but a hundredth of the
+    surface lies, no triangle counting for more than a square metre.
+    """
+    bounds = scene.bounds
+    if np.prod(bounds[1, :2] - bounds[0, :2]) <= _MOST * spacing**2:
+        return bounds
+    corners = scene.mesh.vertices[scene.mesh.triangles].astype(np.float64)
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.minimum(np.linalg.norm(sides, axis=1) / 2.0, 1.0)
+    out = bounds.copy()
+    for axis in range(2):
+        centre = corners[:, :, axis].mean(axis=1)
+        order = np.argsort(centre)
+        share = np.cumsum(area[order]) / area.sum()
+        ends = centre[order][np.searchsorted(share, [0.005, 0.995])]
+        out[:, axis] = np.clip(ends + np.array([-1.0, 1.0]), *bounds[:, axis])
+    return out
 
 
 def _background(panoramas: Panoramas, objects: int) -> Background:

@@ -45,8 +45,9 @@ class LabelsEncoder:
         graph = scene.graph
         count = len(graph)
         # in a merged map an instance's number may be any scene's: "kitchen/7" and "attic/7"
+        merged = len(scene.scenes) > 1
         words = (
-            [id_.rpartition("/")[2] for id_ in graph.ids]
+            [id_.rpartition("/")[2] if merged else id_ for id_ in graph.ids]
             if kind == "instances"
             else [_word(label) for label in graph.labels]
         )
