@@ -228,8 +228,8 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
             self.round(COARSE, rounds=2, most=8, frames=5),
-            self.round(COARSE, rounds=2, most=4, gap=250.0),
-            self.round(FINE, rounds=4, most=3, gap=100.0),
+            self.round(COARSE, rounds=3, most=4, gap=250.0),
+            self.round(FINE, rounds=4, most=3, gap=150.0),
         ]
         return polish(self.scorer, starts, levels, rng)
 
