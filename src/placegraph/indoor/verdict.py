@@ -37,6 +37,8 @@ _COVERED = 0.9
 _BLIND = 0.2
 _PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
 _DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.8, 0.55
+_COLOURS_ALONE = 0.4
+_WITNESSES = 4
 _LENIENT = 0.15  # how much less the newest frame alone must agree
 _COLOURS_AGREE, _COLOURS_CONTRADICT = 0.12, 0.005
 
@@ -139,7 +141,7 @@ def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
 def _doubt(agreed: Agreement) -> str:
     """What keeps a pose that is better than all others from being trusted."""
     if np.isnan(agreed.depth):
-        return ""
+        return _doubt_without_depth(agreed)
     backed = agreed.colour > _COLOURS_AGREE
     if agreed.depth < _DEPTH_AGREES and not backed:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
@@ -149,6 +151,16 @@ def _doubt(agreed: Agreement) -> str:
         return "the map ends in much of what is seen, and the colours do not agree"
     if agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
         return "the colours do not agree"
+    return ""
+
+
+def _doubt_without_depth(agreed: Agreement) -> str:
+    """Labels of a few large things, or colours that hardly correlate, fit many places."""
+    if np.isnan(agreed.semantic):
+        return "" if agreed.colour > _COLOURS_ALONE else "colours alone say too little of it"
+    witnesses = int((agreed.weights > 1.0).sum())
+    if witnesses < _WITNESSES and not agreed.colour > _COLOURS_AGREE:
+        return f"only {witnesses} of its objects were seen"
     return ""
 
 
