@@ -98,6 +98,31 @@ def test_samples_fill_the_image_whatever_the_stride(width, height, stride, bent,
     assert view.footprint == pytest.approx(width / columns / camera.fx)
 
 
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080), (1080, 1920), (641, 480)])
+def test_large_images_have_larger_pixels_not_more_samples(width, height):
+    """Strides are meant for images 640 wide; beyond, a stride is that share of the longer side."""
+    longer = max(width, height)
+    camera = Camera(width, height, longer * 0.7, longer * 0.7, width / 2, height / 2)
+    small = camera.resized(round(width * 640 / longer), round(height * 640 / longer))
+    many, few = (view_of(frame(c), 20.0) for c in (camera, small))
+    assert (many.patch >= 0).sum() == (few.patch >= 0).sum()
+    inside = many.patch >= 0
+    np.testing.assert_allclose(many.directions[inside], few.directions[inside], atol=2e-3)
+    assert many.footprint == pytest.approx(few.footprint, rel=0.01)
+
+
+def test_where_a_lens_cannot_be_undone_there_is_no_sample():
+    """Strong distortion folds the corners over: the fixed point leads elsewhere, or nowhere."""
+    folded = Camera(160, 90, 60.0, 60.0, 80.0, 45.0, (-0.6, 0.0, 0.0, 0.0))
+    view = view_of(frame(folded, depth=np.full((90, 160), 2.0)), 10.0)
+    inside = view.patch >= 0
+    assert 0.3 < inside.sum() / (16 * 9) < 0.95
+    assert np.isfinite(view.directions).all()
+    assert (view.depth[~inside] == 0).all()
+    uv = points(view, folded)[inside]
+    assert (np.abs(uv / 10 - np.floor(uv / 10) - 0.5) < 0.11).all()  # they are where cells are
+
+
 def test_samples_stand_in_tiles():
     """Sixteen neighbours in a row, for packets of rays and for SSIM."""
     view = view_of(frame(), 10.0)  # 16 x 9 samples: the last tiles are filled up

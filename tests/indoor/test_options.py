@@ -8,8 +8,6 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise, Pass
 
-UNCHECKED = pytest.mark.xfail(reason="options: this number is not checked", strict=True)
-
 
 @pytest.mark.parametrize(
     ("made", "says"),
@@ -22,7 +20,9 @@ UNCHECKED = pytest.mark.xfail(reason="options: this number is not checked", stri
         (lambda: FilterOptions(spacing=0.0), "spacing"),
         (lambda: FilterOptions(spacing=math.inf), "spacing"),
         (lambda: FilterOptions(per_cell=0), "per_cell"),
+        (lambda: FilterOptions(per_cell=1.5), "per_cell"),
         (lambda: FilterOptions(modes=0), "modes"),
+        (lambda: FilterOptions(modes=2.5), "modes"),
         (lambda: FilterOptions(kld_error=math.nan), "kld_error"),
         (lambda: FilterOptions(kld_confidence=1.0), "kld_confidence"),
         (lambda: FilterOptions(injection=1.0), "injection"),
@@ -39,13 +39,14 @@ UNCHECKED = pytest.mark.xfail(reason="options: this number is not checked", stri
         (lambda: Likelihood(depth_clip=math.nan), "depth_clip"),
         (lambda: Pass(0.0, 0.4, 0.1, 100), "stride"),
         (lambda: Pass(20.0, 0.4, 0.1, 0), "particles"),
-        pytest.param(lambda: Pass(20.0, -0.4, 0.1, 100), "box", marks=UNCHECKED),
-        pytest.param(lambda: Pass(20.0, 0.4, math.nan, 100), "turn", marks=UNCHECKED),
-        pytest.param(lambda: MotionNoise(translation=-1.0), "translation", marks=UNCHECKED),
-        pytest.param(lambda: MotionNoise(rotation=math.nan), "rotation", marks=UNCHECKED),
-        pytest.param(lambda: Likelihood(depth_slope=-0.1), "depth_slope", marks=UNCHECKED),
-        pytest.param(lambda: Likelihood(depth_gain=math.nan), "depth_gain", marks=UNCHECKED),
-        pytest.param(lambda: Likelihood(colour_weight=-1.0), "colour_weight", marks=UNCHECKED),
+        (lambda: Pass(20.0, 0.4, 0.1, 99.5), "particles"),
+        (lambda: Pass(20.0, -0.4, 0.1, 100), "box"),
+        (lambda: Pass(20.0, 0.4, math.nan, 100), "turn"),
+        (lambda: MotionNoise(translation=-1.0), "translation"),
+        (lambda: MotionNoise(rotation=math.nan), "rotation"),
+        (lambda: Likelihood(depth_slope=-0.1), "depth_slope"),
+        (lambda: Likelihood(depth_gain=math.nan), "depth_gain"),
+        (lambda: Likelihood(colour_weight=-1.0), "colour_weight"),
     ],
 )
 def test_numbers_that_make_no_sense(made, says):

@@ -220,6 +220,19 @@ def test_large_maps_get_a_wider_grid(hall, monkeypatch):
     assert build_table(hall, OPTIONS).spacing == 0.25
 
 
+def test_one_vast_triangle_does_not_spread_the_grid(hall, boxes):
+    """The hall on a plain to the horizon: cameras are looked for in the hall."""
+    colours = np.zeros((8 * len(HALL) + 8, 3), np.uint8)
+    plain = HALL | {"plain": ((-4000, -4000, -0.3), (4000, 4000, -0.2))}
+    vast = scene_of_model(boxes(plain, colours=colours))
+    table = build_table(vast, OPTIONS)
+    assert table.spacing < 0.4
+    at = table.positions
+    within = inside(at, (0, 0), (8, 6)).sum()
+    assert within > 0.3 * inside(hall.visibility(OPTIONS).positions, (0, 0), (8, 6)).sum()
+    assert inside(at, (-3, -3), (11, 9)).all()
+
+
 def test_where_no_camera_can_be_the_table_is_empty(hall):
     table = build_table(hall, FilterOptions(heights=(200.0,)))
     assert len(table) == 0

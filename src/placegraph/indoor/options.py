@@ -169,6 +169,7 @@ class FilterOptions:
             raise OptionError("semantic, depth and colour are all off; leave one on.")
         if self.start not in {"table", "uniform"}:
             raise OptionError(f"start is {self.start!r}; it is 'table' or 'uniform'.")
+        object.__setattr__(self, "heights", tuple(float(h) for h in self.heights))
         if not self.heights or not all(np.isfinite(self.heights)):
             raise OptionError("heights: give at least one height of the camera above the floor.")
         if not self.passes:
