@@ -10,10 +10,12 @@ from placegraph.indoor import visibility
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.merge import merge_scenes
+from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.motion import level_poses
 from placegraph.indoor.observe import noise, sight, views
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST, STEP, range_of
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.score import View
 from placegraph.indoor.search import SEEDS, table_seeds
 from placegraph.indoor.surface import colour_at, opponent
@@ -220,17 +222,31 @@ def test_large_maps_get_a_wider_grid(hall, monkeypatch):
     assert build_table(hall, OPTIONS).spacing == 0.25
 
 
-def test_one_vast_triangle_does_not_spread_the_grid(hall, boxes):
-    """The hall on a plain to the horizon: cameras are looked for in the hall."""
-    colours = np.zeros((8 * len(HALL) + 8, 3), np.uint8)
-    plain = HALL | {"plain": ((-4000, -4000, -0.3), (4000, 4000, -0.2))}
-    vast = scene_of_model(boxes(plain, colours=colours))
-    table = build_table(vast, OPTIONS)
-    assert table.spacing < 0.4
-    at = table.positions
-    within = inside(at, (0, 0), (8, 6)).sum()
-    assert within > 0.3 * inside(hall.visibility(OPTIONS).positions, (0, 0), (8, 6)).sum()
-    assert inside(at, (-3, -3), (11, 9)).all()
+SMALL = "visibility._ground: in a small room, a square metre is more than a hundredth of all"
+
+
+@pytest.mark.parametrize(
+    "place", ["flat", pytest.param("room", marks=pytest.mark.xfail(reason=SMALL, strict=True))]
+)
+def test_one_vast_triangle_does_not_spread_the_grid(place, request):
+    """The flat on a plain to the horizon: cameras are looked for in the flat."""
+    scene = request.getfixturevalue(place)
+    mesh, count = scene.mesh, len(scene.mesh.vertices)
+    plain = [[-4000, -4000, -0.3], [4000, -4000, -0.3], [0, 5000, -0.3]]
+    vast = SceneMap.create(
+        Mesh.plain(
+            np.concatenate([mesh.vertices, plain]),
+            np.concatenate([mesh.triangles, [[count, count + 1, count + 2]]]),
+            np.append(mesh.object_of, len(scene)),
+        ),
+        [*scene.graph.ids, "plain"], [*scene.graph.labels, "ground"], floor=float(scene.floors[0]),
+    )  # fmt: skip
+    found = build_table(vast, OPTIONS)
+    assert found.spacing == OPTIONS.spacing
+    low, high = scene.bounds
+    within = inside(found.positions, low, high)
+    assert within.sum() > 0.8 * len(scene.visibility(OPTIONS))
+    assert inside(found.positions, low, high, margin=2.0).all()
 
 
 def test_where_no_camera_can_be_the_table_is_empty(hall):
