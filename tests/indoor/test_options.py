@@ -54,7 +54,6 @@ def test_numbers_that_make_no_sense(made, says):
         made()
 
 
-@pytest.mark.xfail(reason="options: heights in a list or an array fail later", strict=True)
 @pytest.mark.parametrize("heights", [[1.5, 1.7], np.array([1.5, 1.7])], ids=["list", "array"])
 def test_heights_in_any_sequence(heights, room):
     options = FilterOptions(heights=heights, spacing=1.0)

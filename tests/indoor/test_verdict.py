@@ -13,7 +13,7 @@ from placegraph.indoor.evidence import Agreement
 from placegraph.indoor.verdict import judge
 
 ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
-GOOD = Agreement(1.0, 0.95, 0.97, 0.5, np.zeros(3), np.zeros(3))
+GOOD = Agreement(1.0, 0.95, 0.97, 0.5, np.full(8, 5.0), np.full(8, 4.0))
 TOLD = 60.0
 
 
@@ -72,6 +72,16 @@ def test_what_cannot_be_is_lost(change, says):
     assert says in reason
 
 
+def test_a_wall_and_a_floor_are_no_place():
+    """Labels alone must be those of several objects: large ones are seen everywhere."""
+    few = np.where(np.arange(8) < 2, 5.0, 0.0)
+    agreed = replace(GOOD, depth=math.nan, colour=math.nan, weights=few)
+    answer, reason = judge(agreed, modes(1.0), TOLD)
+    assert answer is Status.AMBIGUOUS
+    assert "only 2" in reason
+    assert judge(replace(agreed, colour=0.5), modes(1.0), TOLD)[0] is Status.OK
+
+
 def test_rivals_make_it_ambiguous():
     answer, reason = judge(GOOD, modes(0.55, 0.45), TOLD)
     assert answer is Status.AMBIGUOUS
@@ -88,12 +98,13 @@ def test_a_place_known_to_a_metre_only_is_not_ok():
 
 
 shares = st.floats(0, 1)
+told_weights = st.sampled_from([np.zeros(8), np.full(8, 3.0)])
 maybe = st.one_of(st.just(math.nan), shares)
 
 
 @given(
     st.builds(
-        Agreement, shares, maybe, maybe, maybe, st.just(np.zeros(3)), st.just(np.zeros(3))
+        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8))
     ),
     st.floats(0.01, 1), st.floats(0, 100), st.floats(0.01, 1),
     st.sampled_from(["covered", "semantic", "depth", "colour", "probability", "told", "spread"]),
@@ -117,7 +128,7 @@ def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread
 
 @given(
     st.builds(
-        Agreement, shares, maybe, maybe, maybe, st.just(np.zeros(3)), st.just(np.zeros(3))
+        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8))
     ),
     st.lists(st.floats(0.001, 1), min_size=1, max_size=6), st.floats(0, 100), st.floats(0.01, 2),
 )  # fmt: skip
