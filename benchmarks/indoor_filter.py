@@ -120,7 +120,10 @@ def run(
 
 def main(
     only: Annotated[
-        str, typer.Option(help="Rows with commas, such as 'classes: all' or 'b in a: *'.")
+        str,
+        typer.Option(
+            help="Rows with commas (or semicolons, where a name has commas), such as 'classes: all' or 'b in a: *'."
+        ),
     ] = "",
     windows: Annotated[str, typer.Option(help="Lengths of the house's windows.")] = ALL_LENGTHS,
     every: Annotated[int, typer.Option(help="Frames from one window of the house to the next.")] = (
@@ -139,7 +142,7 @@ def main(
     out: Annotated[Path | None, typer.Option(help="JSON file; a quick run writes none.")] = None,
 ) -> None:
     """Measure indoor localization and print Markdown."""
-    names = [name.strip() for name in only.split(",") if name.strip()]
+    names = [name.strip() for name in only.split(";" if ";" in only else ",") if name.strip()]
     if quick:
         windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(QUICK)

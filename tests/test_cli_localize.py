@@ -1,20 +1,24 @@
 """`placegraph scene localize`: frames of a drawn room find their pose on the command line."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from placegraph import open_capture, open_map
 from placegraph.cli.scene_localize import chosen_frames, pose_words, show
 from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Status
 from placegraph.formats.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
 from placegraph.synthetic.flats import Flat
 from placegraph.synthetic.walks import stroll, write_walk
+from placegraph.view import write_plan
 
 ROOM = """
 [flat]
@@ -102,10 +106,19 @@ def test_json_pictures_and_trajectory(run, world, tmp_path):
     assert apart.max() < 0.3
     assert written.stamps == pytest.approx(read_tum(world.walk / "odometry.tum").stamps)
 
-    with Image.open(png) as image:
-        assert image.size[0] == 1600, "particles of several passes"
+    assert [len(counts) for counts in told["stats"]["particles"]] == [FRAMES], "one pass"
     with Image.open(gif) as image:
-        assert image.n_frames > FRAMES
+        assert image.n_frames == FRAMES + 1, "each frame of the pass, and the result"
+
+    scene, options = open_map(world.map), FilterOptions(record=True, passes=COARSE_TO_FINE)
+    finer = scene.localize(open_capture(world.walk), options=options)
+    assert len(finer.history) == len(COARSE_TO_FINE)
+    plain = write_plan(scene, replace(finer, history=()), tmp_path / "plain.png")
+    several = write_plan(scene, finer, tmp_path / "several.png")
+    with Image.open(png) as one, Image.open(plain) as none, Image.open(several) as rows:
+        assert one.width == none.width == 1200
+        assert one.height > none.height, "a row of particles above the plan"
+        assert rows.width == 1600, "a row for each of several passes"
     assert world.map.read_bytes() == before
 
 
