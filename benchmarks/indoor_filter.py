@@ -122,7 +122,7 @@ def main(
     only: Annotated[
         str,
         typer.Option(
-            help="Rows with commas (or semicolons, where a name has commas), such as 'classes: all' or 'b in a: *'."
+            help="Rows, with commas or semicolons between, such as 'classes: all, b in a: *'."
         ),
     ] = "",
     windows: Annotated[str, typer.Option(help="Lengths of the house's windows.")] = ALL_LENGTHS,
