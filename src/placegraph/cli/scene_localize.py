@@ -64,7 +64,7 @@ def localize(
         bool, typer.Option("--colour/--no-colour", help="Use colours where the map has some.")
     ] = True,
     coarse: Annotated[
-        bool, typer.Option("--coarse", help="One pass only: faster, less exact.")
+        bool, typer.Option("--coarse", help="No polish: quicker, less exact: faster, less exact.")
     ] = False,
     every: Annotated[
         float, typer.Option(help="Keyframes: least time between frames [s]; 0 takes all.")

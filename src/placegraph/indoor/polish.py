@@ -1,9 +1,9 @@
 """Modes fitted to the whole sequence at once: better poses from fewer particles.
 
 Over a few metres odometry hardly bends, so the sequence is a rig with one unknown pose of four
-degrees of freedom. Importance sampling is repeated around each mode: samples are weighed by all
-frames together, and the next are drawn from their mean and spread. Modes that fall hopelessly
-behind are dropped on the way.
+degrees of freedom. Samples are drawn around each mode again and again: they are weighed by all
+frames together, and the next are drawn from their mean and spread (the cross-entropy method). Modes
+that fall hopelessly behind are left where they are, as rivals that the best must be told from.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Round:
     steps: NDArray[np.float64]
     """(T, 4) from the reference frame to each view."""
     rounds: int
-    """Importance sampling repeated so often."""
+    """Samples are drawn so often."""
     most: int
     """Modes that take part."""
     gap: float
@@ -118,7 +118,7 @@ def refine(
 
 
 def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
-    """Repeat importance sampling around one fit."""
+    """Draw, weigh and draw again around one fit."""
     mean, spread = fit.pose, fit.spread
     samples, values = [], []
     for _ in range(level.rounds):
