@@ -362,5 +362,6 @@ def test_demo(run, tmp_path):
     assert made >= {
         f"{n}.{e}" for n in ("clear", "ambiguous", "impossible") for e in ("html", "png")
     }
+    assert made >= {"altbau.glb", "altbau.scene", "walk", "walk.png", "walk.gif"}
     (tmp_path / "file").touch()
     fails(run("demo", "--out", tmp_path / "file"), 3, "file")
