@@ -90,7 +90,9 @@ def test_normalised_errors_of_honest_covariances_are_of_unit_variance(rng):
 
 
 def test_an_estimate_is_measured():
-    two = estimate("AMBIGUOUS", mode(at(5), 0.6), mode(at(0.3, yaw_deg=5), 0.3), particles=[[10, 40], [10]])
+    two = estimate(
+        "AMBIGUOUS", mode(at(5), 0.6), mode(at(0.3, yaw_deg=5), 0.3), particles=[[10, 40], [10]]
+    )
     got = measure(two, at(), seconds=0.5, frames=5, window="w", place="p")
     assert (got.position, got.rotation) == pytest.approx((5.0, 0.0), abs=1e-6)
     assert (got.status, got.probability, got.held) == ("AMBIGUOUS", 0.6, True)
