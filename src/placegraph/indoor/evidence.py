@@ -10,16 +10,15 @@ from numba import njit
 
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import compose
+from placegraph.indoor.observe import reading_ratio
 from placegraph.indoor.raycast.packets import (
-    DIRECTION,
     FAR,
     LANES,
-    ORIGIN,
     TRIANGLE,
     new_packet,
     trace16,
 )
-from placegraph.indoor.score import COLOUR, DEPTH, SEMANTIC
+from placegraph.indoor.score import COLOUR, DEPTH, SEMANTIC, aim
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,11 +83,9 @@ def agreement(
         if view.terms[DEPTH]:
             read = hit & (view.depth > 0)
             error = distances[read] - view.depth[read]
-            error = error / (noise.depth_floor + noise.depth_slope * view.depth[read])
-            good = 1.0 / (1.0 + error**2)
-            cost = np.where(error > 0, noise.near_cost, noise.far_cost)
-            ratio = good * noise.depth_gain - (1.0 - good) * cost - view.usual_depth[read]
-            fits[DEPTH][0] += float((np.abs(error) < 1.0).sum())
+            sd = noise.depth_floor + noise.depth_slope * view.depth[read]
+            ratio = reading_ratio(error, sd, noise) - view.usual_depth[read]
+            fits[DEPTH][0] += float((np.abs(error) < sd).sum())
             fits[DEPTH][1] += float(read.sum())
             share = noise.depth_weight / max(1, int(used.sum()))
             np.add.at(weights, objects[read], ratio * share)
@@ -179,17 +176,8 @@ def look(
     triangles = np.empty(n, np.int32)
     distances = np.empty(n, np.float32)
     packet, ints, valid = new_packet()
-    c, s = np.float32(np.cos(pose[3])), np.float32(np.sin(pose[3]))
     for tile in range(n // LANES):
-        for lane in range(LANES):
-            x, y, z = directions[tile * LANES + lane]
-            packet[ORIGIN, lane] = pose[0]
-            packet[ORIGIN + 1, lane] = pose[1]
-            packet[ORIGIN + 2, lane] = pose[2]
-            packet[DIRECTION, lane] = c * x - s * y
-            packet[DIRECTION + 1, lane] = s * x + c * y
-            packet[DIRECTION + 2, lane] = z
-            packet[FAR, lane] = np.inf
+        aim(packet, pose, directions, tile * LANES)
         trace16(tracer, packet, ints, valid)
         for lane in range(LANES):
             triangles[tile * LANES + lane] = ints[TRIANGLE, lane]

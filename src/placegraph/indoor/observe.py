@@ -255,6 +255,16 @@ def _opponents(rgb: NDArray[np.uint8], samples: _Samples) -> NDArray[np.float32]
     return out.astype(np.float32)
 
 
+def reading_ratio(
+    error: NDArray[np.floating], sd: NDArray[np.floating], model: Likelihood | Noise
+) -> NDArray[np.floating]:
+    """Log-likelihood of readings whose map lies `error` [m] beyond them; `score._depth` in arrays."""
+    with np.errstate(invalid="ignore"):
+        good = 1.0 / (1.0 + (error / sd) ** 2)
+    cost = np.where(error > 0, model.near_cost, model.far_cost)
+    return np.asarray(good * model.depth_gain - (1.0 - good) * cost)
+
+
 def usual_depth(
     depth: NDArray[np.float32],
     directions: NDArray[np.float64],
@@ -273,10 +283,7 @@ def usual_depth(
     band = ((elevation / background.highest + 1.0) / 2.0 * bands).astype(int)
     # the floor of the deviation is a bin of the table: finer is not known of the usual
     sd = likelihood.depth_floor + 0.1 + likelihood.depth_slope * measured
-    expected = background.distances[None, :]
-    good = 1.0 / (1.0 + ((expected - measured) / sd) ** 2)
-    cost = np.where(expected > measured, likelihood.near_cost, likelihood.far_cost)
-    ratio = np.exp(good * likelihood.depth_gain - (1.0 - good) * cost)
+    ratio = np.exp(reading_ratio(background.distances[None, :] - measured, sd, likelihood))
     share = background.ranges[np.clip(band, 0, bands - 1)]
     out[rows] = np.log(np.maximum((ratio * share).sum(axis=1), 1e-3))
     return out

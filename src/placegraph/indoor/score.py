@@ -125,7 +125,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
         ssim = np.float32(0.0)
         tiles = len(view.directions) // LANES
         for tile in range(tiles):
-            _aim(packet, poses[k], view.directions, tile * LANES)
+            aim(packet, poses[k], view.directions, tile * LANES)
             trace16(tracer, packet, ints, valid)
             for lane in range(LANES):
                 r = tile * LANES + lane
@@ -167,7 +167,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _aim(packet, pose, directions, first):
+def aim(packet, pose, directions, first):
     """Fill a packet with the rays of one tile from one pose."""
     c, s = np.float32(np.cos(pose[3])), np.float32(np.sin(pose[3]))
     for lane in range(LANES):

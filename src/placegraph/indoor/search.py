@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import between
+from placegraph.indoor.observe import spread
 from placegraph.indoor.panoramas import AZIMUTHS, STEP
 from placegraph.indoor.particles import distinct
 
@@ -62,7 +63,7 @@ def table_seeds(
 
     `poses`: (T, 4) odometry of all views, level. The frames looked up are spread over the sequence.
     """
-    looked = np.unique(np.linspace(0, len(views) - 1, min(LOOKS, len(views))).round().astype(int))
+    looked = spread(len(views), LOOKS)
     steps = between(poses[reference], poses[looked])
     ranks = table.ranks([views[i] for i in looked], steps, noise)
     flat = ranks.ravel()

@@ -10,7 +10,14 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
+from placegraph.geometry import (
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+    wrap,
+)
 from placegraph.indoor.filter import ParticleFilter
 from placegraph.indoor.observe import FINE, sight
 from placegraph.indoor.options import FilterOptions
@@ -178,7 +185,7 @@ class Tracker:
         if not self._answer.modes:
             return self._answer
         step = _steps([self._last, frame])[1]
-        level = sight_level(frame)
+        level = level_from_camera(frame.gravity)
         modes = []
         for mode in self._answer.modes:
             pose = compose(mode.pose, step)
@@ -203,13 +210,6 @@ class Tracker:
             return True
         step = _steps([self.keyframes[-1].frame, frame])[1]
         return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
-
-
-def sight_level(frame: Frame) -> NDArray[np.float64]:
-    """level_from_camera (3, 3) of a frame."""
-    from placegraph.geometry import level_from_camera
-
-    return level_from_camera(frame.gravity)
 
 
 def _steps(frames: Sequence[Frame]) -> NDArray[np.float64]:
@@ -283,5 +283,5 @@ def _filled(
         anchor = known[near]
         assert anchor is not None  # noqa: S101  rows are known
         pose = compose(split_pose(anchor)[0], between(poses[near], poses[i]))
-        out[i] = pose_matrix(pose, sight_level(frames[i]))
+        out[i] = pose_matrix(pose, level_from_camera(frames[i].gravity))
     return out

@@ -57,9 +57,8 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     ]
     values = np.array([f.log_likelihood for f in fits])
     heat = TEMPERATURE if np.isnan(agreed[0].depth) else TEMPERATURE_DEPTH
-    if sequence.options.likelihood.kind == "gaussian":
-        heat = 1.0 / np.sqrt(len(looked))
-    shares = probabilities(values, heat * np.sqrt(len(looked)))
+    gaussian = sequence.options.likelihood.kind == "gaussian"  # Eq. 2 is taken at its word
+    shares = probabilities(values, 1.0 if gaussian else heat * np.sqrt(len(looked)))
     modes = []
     for i, (fit, share) in enumerate(zip(fits, shares, strict=True)):
         matrix = pose_matrix(fit.pose, levels[last])

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.observe import Background
+from placegraph.errors import OptionError
+from placegraph.indoor.observe import Background, reading_ratio
 from placegraph.indoor.panoramas import (
     AZIMUTHS,
     DIRECTIONS,
@@ -34,7 +35,7 @@ from placegraph.indoor.raycast.packets import LANES
 from placegraph.indoor.score import COLOUR, DEPTH, SEMANTIC
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -137,12 +138,16 @@ class VisibilityTable:
 _NO_COSTS = np.zeros((0, 256), np.float32)
 
 
-def build_table(
-    scene: SceneMap,
-    options: FilterOptions,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> VisibilityTable:
-    """Table of a map for cameras at `options.heights`; empty where no position is free."""
+def build_table(scene: SceneMap, options: FilterOptions) -> VisibilityTable:
+    """Table of a map for cameras at `options.heights`; empty where no position is free.
+
+    Raises `OptionError` where the map has more objects than a bin of the table can name.
+    """
+    if len(scene) > np.iinfo(np.uint16).max:
+        raise OptionError(
+            f"{scene.source or 'The map'} has {len(scene):,} objects; "
+            f"up to {np.iinfo(np.uint16).max:,} can be localized in. Split it."
+        )
     bounds = _ground(scene, options.spacing)
     extent = bounds[1, :2] - bounds[0, :2]
     spacing = max(options.spacing, float(np.sqrt(np.prod(extent) / _MOST)))
@@ -156,8 +161,6 @@ def build_table(
     positions: list[NDArray[np.float64]] = []
     parts: list[Panoramas] = []
     for layer, height in enumerate(layers):
-        if progress:
-            progress("looking around", layer, len(layers))
         points = np.column_stack([grid, floors + height])
         panoramas = look_around(scene.caster.tracer, scene.surface, points, DIRECTIONS, len(scene))
         below = scene.caster.cast(points, np.tile([0.0, 0.0, -1.0], (len(points), 1)))
@@ -255,10 +258,7 @@ def _depth_costs(
     measured = ranges[:, None]
     # the true position lies up to 0.7 of the grid's spacing away from the nearest of the table
     sd = noise.depth_floor + 0.1 + noise.depth_slope * measured
-    with np.errstate(invalid="ignore"):
-        good = 1.0 / (1.0 + ((expected - measured) / sd) ** 2)
-    cost = np.where(expected > measured, noise.near_cost, noise.far_cost)
-    table = good * noise.depth_gain - (1.0 - good) * cost - usual[:, None]
+    table = reading_ratio(expected - measured, sd, noise) - usual[:, None]
     table[:, NOTHING] = 0.0
     table[ranges <= 0] = 0.0
     return np.asarray(table * (noise.depth_weight / max(1, len(ranges))), np.float32)
