@@ -266,6 +266,20 @@ class CityMap:
         return index
 
     @cached_property
+    def tokens(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+        """Tokens of every object as CSR (starts, values, weights); values are rows of `words`."""
+        from placegraph.outdoor.index import tokens_of
+
+        return tokens_of(self.objects)
+
+    @cached_property
+    def words(self) -> tuple[str, ...]:
+        """What tokens read: labels, then names (`learn.labels.of_name`)."""
+        from placegraph.outdoor.learn.labels import of_name
+
+        return (*self.objects.labels, *map(of_name, self.objects.names))
+
+    @cached_property
     def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Objects by token (label, then name), as CSR: starts and rows, ascending within a token."""
         views = self.views

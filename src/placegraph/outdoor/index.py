@@ -108,7 +108,7 @@ class ViewIndex:
         pairs = np.add.reduceat(apart, seen.starts[:-1]) ** 2 - np.add.reduceat(
             apart * apart, seen.starts[:-1]
         )
-        tokens = _tokens(objects)
+        tokens = tokens_of(objects)
         n_tokens = len(objects.labels) + len(objects.names)
         postings = _postings(seen.starts, seen.objects, seen.offsets, sight, *tokens, n_tokens)
         return cls(
@@ -174,9 +174,10 @@ def _worth_standing(
     return kept, sight[entries]
 
 
-def _tokens(
+def tokens_of(
     objects: CityObjects,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """Tokens of every object as CSR (starts, values, weights): its labels, then its names."""
     n_labels, n_names = np.diff(objects.label_starts), np.diff(objects.name_starts)
     starts = np.concatenate(([0], np.cumsum(n_labels + n_names))).astype(np.int32)
     owner_label = np.repeat(np.arange(len(objects)), n_labels)

@@ -157,6 +157,16 @@ class Vocabulary:
         return self._objects.rule(label).said.format(value) if self._objects.names(label) else value
 
     @cached_property
+    def english(self) -> dict[str, tuple[str, ...]]:
+        """English words by the label they mean first: ``amenity=cafe`` -> "cafe", "coffee shop"."""
+        found: dict[str, list[str]] = {}
+        for word in dict.fromkeys((*self._words.english, *self._english.words())):
+            senses = self.senses(word)
+            if senses and senses[0].weight >= _CLEAR:
+                found.setdefault(senses[0].label, []).append(word)
+        return {label: tuple(words) for label, words in found.items()}
+
+    @cached_property
     def _world(self) -> Lexicon:
         """The lexicon of all other languages: read when English does not know a word."""
         return read_lexicon(find("world.tsv", self._folder))
