@@ -86,18 +86,60 @@ def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.exp(-distance / WALK) * 1e6 / (2.0 * np.pi * WALK**2)
 
 
+class Candidates(NamedTuple):
+    """Viewpoints that were scored, best bounds first, and what all others weigh."""
+
+    rows: NDArray[np.int32]
+    """(K,) rows of `city.views`."""
+    scores: NDArray[np.float32]
+    """(K,) log-likelihood ratios."""
+    log_prior: NDArray[np.float64]
+    """(K,)"""
+    far: NDArray[np.float32]
+    """(K, S) what things out of sight add."""
+    rest: float
+    """Log of what all other viewpoints weigh together."""
+
+
 def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
     """Score the viewpoints of a city."""
+    if not query.used:
+        return _by_prior(city.views, _log_prior(city.views, prior))
+    return closer(query, city, candidates(query, city, prior))
+
+
+def closer(query: Query, city: CityMap, found: Candidates) -> Posterior:
+    """Look more closely at the best of the scored viewpoints, and apply Bayes to all."""
+    words = query.words(len(city.views.posting_starts) - 1)
+    scored = _Scored(
+        city.views.positions[found.rows].astype(np.float64),
+        found.scores,
+        found.log_prior,
+        found.far,
+    )
+    scored = _closer(query, city, words, found.rows, scored)
+    return posterior(
+        scored.positions, scored.scores.astype(np.float64), scored.log_prior, found.rest
+    )
+
+
+def _log_prior(views: ViewIndex, prior: Prior) -> NDArray[np.float64]:
+    """Log prior (W,) of all viewpoints, or nothing where nothing is known."""
+    if not prior.informative:
+        return np.zeros(0)
+    log_prior = prior.log(views.positions.astype(np.float64))
+    # what is known of the way cannot lie off the map altogether
+    mass = float(np.logaddexp.reduce(log_prior))
+    return log_prior - (mass if prior.listener is not None else max(0.0, mass))
+
+
+def candidates(query: Query, city: CityMap, prior: Prior) -> Candidates:
+    """Find and score the viewpoints that a query with statements may have been given at."""
     views, statements = city.views, query.statements
     n_views = len(views.positions)
-    log_prior = prior.log(views.positions.astype(np.float64)) if prior.informative else np.zeros(0)
-    if prior.informative:  # what is known of the way cannot lie off the map altogether
-        mass = float(np.logaddexp.reduce(log_prior))
-        log_prior -= mass if prior.listener is not None else max(0.0, mass)
+    log_prior = _log_prior(views, prior)
     highest = float(log_prior.max()) if prior.informative else -float(np.log(n_views))
     weights = np.exp(log_prior - highest)
-    if not query.used:
-        return _by_prior(views, log_prior)
     words = query.words(len(views.posting_starts) - 1)
     most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
     chosen, bounds, left_out = scan.candidates(
@@ -127,20 +169,14 @@ def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
         kept = np.logaddexp.reduce(scores[tail] + relative[tail]) - np.log(bounds[tail].sum())
         unscored = highest + kept + np.log(left_out)
     reached = scores > 0.5 * HOPELESS
-    found = _Scored(
-        views.positions[chosen[reached]].astype(np.float64),
+    share = np.exp(relative + highest).sum() if prior.informative else len(chosen) / n_views
+    unseen = floor + np.log(max(1e-12, 1.0 - share))
+    return Candidates(
+        chosen[reached],
         scores[reached],
         relative[reached] + highest,
         far[reached],
-    )
-    found = _closer(query, city, words, chosen[reached], found)
-    share = np.exp(relative + highest).sum() if prior.informative else len(chosen) / n_views
-    unseen = floor + np.log(max(1e-12, 1.0 - share))
-    return posterior(
-        found.positions,
-        found.scores.astype(np.float64),
-        found.log_prior,
-        np.logaddexp(unscored, unseen),
+        float(np.logaddexp(unscored, unseen)),
     )
 
 
