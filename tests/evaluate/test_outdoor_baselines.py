@@ -98,3 +98,11 @@ def test_bags_are_as_good_as_quoted(shared):
     assert triples == pytest.approx(0.59, abs=0.08)
     assert recall(path, "labels", 500) < triples - 0.1
     assert recall(path, "triples", 500, reach=30.0, longest=25.0) > triples
+
+
+def test_other_cells_can_be_ranked(park):
+    centers = np.array([(0.0, 5.0), (300.0, 5.0), (605.0, 0.0), (5000.0, 0.0)])
+    bag = Bag.of(park, "triples", reach=30.0, centers=centers)
+    assert np.allclose(bag.centers, centers[:3])  # nothing stands around the last
+    best = bag.locate(query(("tree", "north", "bench")), top=1)
+    assert np.allclose(park.city.plane.to_plane(best), [(300.0, 5.0)], atol=0.01)

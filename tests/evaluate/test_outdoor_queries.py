@@ -184,3 +184,16 @@ def test_real_extract(shared):
     queries = make_queries(path, n=100)
     assert len(queries) == 100
     assert all(7.3 < q.longitude < 7.5 and 43.6 < q.latitude < 43.8 for q in queries)
+
+
+def test_viewpoints_can_be_kept_to_a_part_of_the_city(town):
+    everywhere = make_queries(town, n=N)
+    middle = np.median([q.longitude for q in everywhere])
+    west = make_queries(town, n=N, where=lambda lonlat: lonlat[:, 0] < middle)
+    assert len(west) == N
+    assert all(q.longitude < middle for q in west)
+    kept = [q for q in everywhere if q.longitude < middle]
+    assert west[: len(kept)] == kept  # the same viewpoints and words, others passed over
+    assert make_queries(town, n=N, where=lambda at: np.ones(len(at), np.bool_)) == everywhere
+    with pytest.raises(OptionError, match="too few places"):
+        make_queries(town, n=1, where=lambda lonlat: lonlat[:, 0] > 180.0)

@@ -58,6 +58,7 @@ class Bag:
         position: Position = "nearest",
         names: bool = False,
         seed: int = 0,
+        centers: Floats | None = None,
     ) -> Bag:
         """Fill the bags of all 50 m cells of a city.
 
@@ -70,9 +71,11 @@ class Bag:
             Objects up to this far apart make a triple [m].
         names
             A thing's label is its name where it has one.
+        centers
+            Centres (C, 2) of other cells, east and north [m] in the plane of the raw city.
         """
         city = bins.city
-        centers = bins.centers(CELL)
+        centers = bins.centers(CELL) if centers is None else centers
         around = bins.around(centers, reach, position)
         kept = np.flatnonzero(np.diff(around.starts))
         label = city.named if names else city.label

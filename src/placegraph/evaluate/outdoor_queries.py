@@ -20,6 +20,7 @@ from placegraph.evaluate.outdoor_triples import DIRECTIONS, SHORTEST, Triples, r
 from placegraph.evaluate.outdoor_words import everyday, with_article
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.random import Generator
@@ -91,6 +92,7 @@ def make_queries(
     position: Position = "nearest",
     same_label: bool = False,
     anywhere: bool = False,
+    where: Callable[[Floats], NDArray[np.bool_]] | None = None,
 ) -> list[Query]:
     """Make `n` queries of `statements` sentences each from an OpenStreetMap extract.
 
@@ -107,6 +109,9 @@ def make_queries(
     anywhere
         Draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid of
         cells is then no longer told where to look.
+    where
+        Longitude and latitude (n, 2) [deg] to whether viewpoints may stand there (n,): parts of a
+        city that nothing was trained on, say. Other viewpoints are passed over.
 
     Raises
     ------
@@ -118,17 +123,20 @@ def make_queries(
     if setting not in SETTINGS:
         raise OptionError(f"There is no setting {setting!r}; choose one of {', '.join(SETTINGS)}.")
     bins = load(osm_path)
-    centers = bins.centers(CELL)
+    city, centers = bins.city, bins.centers(CELL)
     full = np.diff(bins.around(centers, SIGHT, position).starts) >= FEWEST
     if not full.any():
         raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
     place, speech = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     generator = _Speaker(bins, setting, statements, position, same_label=same_label)
     queries: list[Query] = []
-    for _ in range(100):
+    for _ in range(100 if where is None else 1000):
         viewpoints = centers[place.choice(np.flatnonzero(full), n)]
         viewpoints += _offsets(place, n, anywhere=anywhere)
-        for viewpoint, stream in zip(viewpoints, speech.spawn(n), strict=True):
+        streams = speech.spawn(n)
+        allowed = np.ones(n, np.bool_) if where is None else where(city.plane.to_lonlat(viewpoints))
+        for i in np.flatnonzero(allowed):
+            viewpoint, stream = viewpoints[i], streams[i]
             query = generator.describe(viewpoint, stream)
             if query is not None:
                 queries.append(query)
