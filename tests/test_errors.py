@@ -20,6 +20,8 @@ EXIT_CODES = {
     "OptionError": 7,
     "MissingExtraError": 8,
     "ServiceError": 9,
+    "StoreError": 10,
+    "IncompleteStoreError": 11,
 }
 
 

@@ -55,3 +55,15 @@ class ServiceError(PlacegraphError):
     """A service (Overpass, a language model) cannot be reached or answered nonsense."""
 
     exit_code = 9
+
+
+class StoreError(PlacegraphError):
+    """A vector store is missing, or was made from another map, model or dimension."""
+
+    exit_code = 10
+
+
+class IncompleteStoreError(StoreError):
+    """A vector store's load was begun and not finished; it is never searched."""
+
+    exit_code = 11

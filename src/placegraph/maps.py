@@ -35,6 +35,11 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap:
         from placegraph.indoor.scene_map import SceneMap
 
         return SceneMap.open(Path(path))
+    if kind == "vectors":
+        raise MapError(
+            f"{path} holds vectors of a city's cells and is no map; open the map, and give it this "
+            "file as its `store`."
+        )
     raise MapError(
         f"{path} is a {kind} map, which this placegraph does not know; update placegraph."
     )

@@ -364,10 +364,9 @@ def _open(path: Path_) -> BinaryIO:
         # Without O_NONBLOCK, opening a pipe would wait for its other end.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
-        wing = "scene" if str(path).endswith(".scene") else "city"
-        raise InputError(
-            f"{path} does not exist; build it with `placegraph {wing} build`."
-        ) from error
+        builders = {".scene": "scene build", ".vectors": "city embed"}
+        builder = builders.get(Path(path).suffix, "city build")
+        raise InputError(f"{path} does not exist; build it with `placegraph {builder}`.") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read: {_why(error)}.") from error
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
