@@ -1,5 +1,6 @@
 """Fixtures of the whole suite."""
 
+import importlib.util
 import io
 import json
 import os
@@ -62,3 +63,13 @@ def run(monkeypatch, capsys):
         return Run(code, captured.out, captured.err)
 
     return placegraph
+
+
+@pytest.fixture(scope="session")
+def kitti360pose_world():
+    """Module that writes a tiny KITTI360Pose in the published layout."""
+    path = Path(__file__).with_name("kitti360pose_world.py")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from placegraph.cli import city_kitti
 from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
 from placegraph.errors import OptionError
 
@@ -23,6 +24,8 @@ app = typer.Typer(
     help="Outdoor: a sentence finds its place in a city cut from OpenStreetMap.",
     no_args_is_help=True,
 )
+
+city_kitti.register(app)
 
 MapFile = Annotated[Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")]
 

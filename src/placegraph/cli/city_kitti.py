@@ -1,0 +1,82 @@
+"""`placegraph city convert-kitti360pose` and `placegraph city evaluate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path  # noqa: TC003  # typer reads annotations
+from typing import Annotated
+
+import typer
+
+from placegraph.cli.common import AsJson, Quiet, progress_bar
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command("convert-kitti360pose")(convert_kitti360pose)
+    app.command("evaluate")(evaluate)
+
+
+def convert_kitti360pose(
+    folder: Annotated[
+        Path, typer.Argument(help="Published folder with cells/ and poses/, of pickles.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: kitti360pose.k360.")],
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Convert KITTI360Pose from its pickles; nothing of them is ever run.
+
+    Example: placegraph city convert-kitti360pose k360_30-10_scG_pd10_pc4_spY_all -o kitti.k360
+    """
+    from dataclasses import asdict
+
+    from placegraph.formats.kitti360pose_convert import convert_kitti360pose as convert
+
+    with progress_bar(hidden=quiet or as_json) as progress:
+        task = progress.add_task("reading")
+        done = convert(
+            folder,
+            out,
+            progress=lambda step, n: progress.update(task, description=f"{step} {n:,} cells"),
+        )
+    if as_json:
+        typer.echo(json.dumps(asdict(done)))
+    elif not quiet:
+        typer.echo(
+            f"{out}: {done.cells:,} cells with {done.objects:,} objects and {done.poses:,} poses of "
+            f"the drives {', '.join(done.scenes)}.\n"
+            f"{done.points:,} points, {done.source_bytes / 1e6:,.1f} MB of pickles, became "
+            f"{done.bytes / 1e6:,.2f} MB. {done.unmatched:,} of {done.hints:,} hints are about "
+            f"things their cell does not hold; {done.padding:,} objects of padding left out."
+        )
+
+
+def evaluate(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder with descriptions.jsonl, and map.osm.pbf or a *.city.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write every answer as JSON to this file.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how well a city map finds descriptions of your own.
+
+    Example: placegraph city evaluate pairs/
+    """
+    from placegraph.evaluate.own_pairs import evaluate_folder
+
+    with progress_bar(hidden=quiet or as_json) as progress:
+        task = progress.add_task("opening")
+        found = evaluate_folder(
+            folder, progress=lambda step, n: progress.update(task, description=f"{step} {n:,}")
+        )
+    if out is not None:
+        text = json.dumps(found.to_dict(answers=True), ensure_ascii=False, indent=1)
+        out.write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        typer.echo(json.dumps(found.to_dict(), ensure_ascii=False))
+    elif not quiet:
+        typer.echo(found.table())

@@ -1,0 +1,370 @@
+"""KITTI360Pose in a file of our own: cells with their objects, poses with what was said of them.
+
+`convert_kitti360pose` makes it from the published pickles. No point cloud is kept: of an object its
+label, colour, centre, box, and where on the ground it lies, to the metre. All positions are those of
+the data's world frame, x east, y north, z up [m].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.columns import pack
+from placegraph.errors import MapError, OptionError
+from placegraph.store import pack_strings, read_map
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.store import MapFile, Write
+
+KIND = "kitti360pose"
+VERSION = 1
+GRAIN = 0.05
+"""Positions of objects are stored in these steps [m], from their cell's lower corner."""
+
+SPLITS = {
+    "train": ("0000", "0002", "0004", "0006", "0007"),
+    "validation": ("0010",),
+    "test": ("0003", "0005", "0009"),
+}
+"""Drives of each split, as published."""
+
+DIRECTIONS = ("north", "south", "east", "west", "on-top")
+"""Where a pose is said to be, seen from an object."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Columns of C cells: boxes of the world, with the objects in them."""
+
+    ids: tuple[str, ...]
+    """Drive and number: ``0003_00012``."""
+    scene: NDArray[np.int64]
+    """(C,) row of `Kitti360Pose.scenes`."""
+    boxes: Floats
+    """(C, 6) lower and upper corner [m]."""
+    sizes: Floats
+    """(C,) longest edge [m]."""
+    points: NDArray[np.int64]
+    """(C,) points of the cloud that the objects were made of."""
+    point_bytes: NDArray[np.int64]
+    """(C,) bytes of these points and their colours."""
+    object_starts: NDArray[np.int64]
+    """(C + 1,) objects of a cell."""
+
+    @property
+    def centers(self) -> Floats:
+        """Centres (C, 2) east, north [m]."""
+        return 0.5 * (self.boxes[:, 0:2] + self.boxes[:, 3:5])
+
+    def objects(self, cell: int) -> slice:
+        """Rows of the objects of a cell."""
+        return slice(int(self.object_starts[cell]), int(self.object_starts[cell + 1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """Columns of N objects; a thing that lies in several cells is an object in each."""
+
+    ids: NDArray[np.int64]
+    """(N,) unique in the cell."""
+    instances: NDArray[np.int64]
+    """(N,) of the segmented scan; the parts of a road or a hedge share one."""
+    labels: NDArray[np.int64]
+    """(N,) row of `Kitti360Pose.labels`."""
+    colours: NDArray[np.int64]
+    """(N,) row of `Kitti360Pose.colours`."""
+    rgb: NDArray[np.uint8]
+    """(N, 3) mean colour."""
+    centers: Floats
+    """(N, 3) mean of the points [m]."""
+    low: Floats
+    """(N, 3) lower corner of the points [m]."""
+    high: Floats
+    """(N, 3) upper corner of the points [m]."""
+    footprint_starts: NDArray[np.int64]
+    """(N + 1,)"""
+    footprints: Floats
+    """(F, 2) a point in each square metre of ground that an object covers [m]."""
+
+    def footprint(self, row: int) -> Floats:
+        """Points (n, 2) on the ground of an object, about a metre apart [m]."""
+        return self.footprints[self.footprint_starts[row] : self.footprint_starts[row + 1]]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Columns of P poses: places that were described, and what was said of them."""
+
+    scene: NDArray[np.int64]
+    """(P,) row of `Kitti360Pose.scenes`."""
+    positions: Floats
+    """(P, 3) [m]; the truth, for evaluation only."""
+    cells: NDArray[np.int64]
+    """(P,) row of the best cell; the truth, for evaluation only."""
+    hint_starts: NDArray[np.int64]
+    """(P + 1,) hints of a pose."""
+
+    def hints(self, pose: int) -> slice:
+        """Rows of the hints of a pose."""
+        return slice(int(self.hint_starts[pose]), int(self.hint_starts[pose + 1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Hints:
+    """Columns of H hints, each a sentence "The pose is <direction> of a <colour> <label>"."""
+
+    labels: NDArray[np.int64]
+    """(H,) row of `Kitti360Pose.labels`."""
+    colours: NDArray[np.int64]
+    """(H,) row of `Kitti360Pose.colours`."""
+    directions: NDArray[np.int64]
+    """(H,) row of `DIRECTIONS`."""
+    objects: NDArray[np.int64]
+    """(H,) id of the object in the best cell, -1 where it has none. No part of what was said."""
+    instances: NDArray[np.int64]
+    """(H,) instance of the object. No part of what was said."""
+    offsets: Floats
+    """(H, 2) from the object's centre to the pose [m]. No part of what was said."""
+    closest: Floats
+    """(H, 2) from the object's closest point to the pose [m]. No part of what was said."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kitti360Pose:
+    """The converted data: opened by `Kitti360Pose.open`, written by `convert_kitti360pose`."""
+
+    source: str
+    """Name of the folder it was made from."""
+    scenes: tuple[str, ...]
+    """Drives: ``0003``."""
+    scene_bytes: tuple[int, ...]
+    """Bytes of the cells' pickle of each drive."""
+    labels: tuple[str, ...]
+    colours: tuple[str, ...]
+    cells: Cells
+    objects: Objects
+    poses: Poses
+    hints: Hints
+
+    def split(self, name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows of the cells and of the poses of a split, or of a single drive.
+
+        Raises `OptionError` where there is no such split, or nothing of it in the file.
+        """
+        drives = SPLITS.get(name, (name,))
+        scenes = [i for i, scene in enumerate(self.scenes) if scene in drives]
+        cells = np.flatnonzero(np.isin(self.cells.scene, scenes))
+        poses = np.flatnonzero(np.isin(self.poses.scene, scenes))
+        if not len(cells) or not len(poses):
+            raise OptionError(
+                f"{self.source} has no cells and poses of {name!r}; it holds the drives "
+                f"{', '.join(self.scenes)}. Choose one of {', '.join(SPLITS)}, or a drive."
+            )
+        return cells, poses
+
+    def graph_bytes(self, cells: NDArray[np.int64]) -> int:
+        """Bytes that these cells (rows) and their objects take in a file."""
+        rows = np.concatenate([np.r_[self.cells.objects(int(c))] for c in cells])
+        return sum(len(pack(a)[2]) for a in _map_columns(self, cells, rows).values())
+
+    def save(self, write: Write) -> None:
+        """Write through `placegraph.store.writing`."""
+        every = np.arange(len(self.cells.ids)), np.arange(len(self.objects.ids))
+        p, h = self.poses, self.hints
+        arrays = _map_columns(self, *every) | {
+            "pose_scene": p.scene.astype(np.uint8),
+            "pose_position": p.positions.astype("<f8"),
+            "pose_cell": p.cells.astype(np.int32),
+            "hint_counts": np.diff(p.hint_starts).astype(np.uint16),
+            "hint_label": h.labels.astype(np.uint8),
+            "hint_colour": h.colours.astype(np.uint8),
+            "hint_direction": h.directions.astype(np.uint8),
+            "hint_object": h.objects.astype(np.int32),
+            "hint_instance": h.instances.astype("<i8"),
+            "hint_offset": h.offsets.astype(np.float32),
+            "hint_closest": h.closest.astype(np.float32),
+            "labels": pack_strings(self.labels),
+            "colours": pack_strings(self.colours),
+        }
+        meta = {
+            "source": self.source,
+            "scenes": list(self.scenes),
+            "scene_bytes": list(self.scene_bytes),
+            "grain": GRAIN,
+        }
+        write(KIND, VERSION, meta, arrays)
+
+    @classmethod
+    def open(cls, path: str | PathLike[str]) -> Kitti360Pose:
+        """Open a converted file.
+
+        Raises
+        ------
+        InputError
+            The file is missing, empty, or may not be read.
+        MapError
+            It is foreign, damaged, newer, of another kind, or its columns contradict each other.
+
+        """
+        file = read_map(path, KIND, VERSION)
+        try:
+            data = _read(file)
+            _check(data)
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            raise MapError(
+                f"{path}: its columns contradict each other ({error}). Convert the data again."
+            ) from error
+        return data
+
+    def __repr__(self) -> str:
+        return (
+            f"Kitti360Pose({self.source!r}, {len(self.cells.ids):,} cells, "
+            f"{len(self.objects.ids):,} objects, {len(self.poses.cells):,} poses)"
+        )
+
+
+def _map_columns(
+    data: Kitti360Pose, cells: NDArray[np.int64], objects: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
+    """What the map is made of, for these rows."""
+    c, o = data.cells, data.objects
+    counts = np.diff(c.object_starts)[cells]
+    corner = np.repeat(c.boxes[cells, :3], counts, axis=0)
+    squares = np.diff(o.footprint_starts)[objects]
+    ground = np.concatenate(
+        [
+            np.zeros((0, 2)),
+            *(o.footprint(int(i)) - k[:2] for i, k in zip(objects, corner, strict=True)),
+        ]
+    )
+
+    def steps(values: Floats) -> NDArray[np.int32]:
+        return np.round(values / GRAIN).astype(np.int32)
+
+    return {
+        "cell_ids": pack_strings([c.ids[i] for i in cells]),
+        "cell_scene": c.scene[cells].astype(np.uint8),
+        "cell_box": c.boxes[cells].astype("<f8"),
+        "cell_size": c.sizes[cells].astype("<f8"),
+        "cell_points": c.points[cells].astype("<i8"),
+        "cell_point_bytes": c.point_bytes[cells].astype("<i8"),
+        "object_counts": counts.astype(np.uint32),
+        "object_id": o.ids[objects].astype(np.int32),
+        "object_instance": o.instances[objects].astype("<i8"),
+        "object_label": o.labels[objects].astype(np.uint8),
+        "object_colour": o.colours[objects].astype(np.uint8),
+        "object_rgb": o.rgb[objects],
+        "object_center": steps(o.centers[objects] - corner),
+        "object_low": steps(o.low[objects] - corner),
+        "object_extent": steps(o.high[objects] - o.low[objects]),
+        "footprint_counts": squares.astype(np.uint32),
+        "footprint": steps(ground),
+    }
+
+
+def _read(file: MapFile) -> Kitti360Pose:
+    meta = file.meta
+    grain = float(meta["grain"])
+
+    def whole(name: str, dtype: str) -> NDArray[np.int64]:
+        return file.array(name, dtype).astype(np.int64)
+
+    def metres(name: str) -> Floats:
+        return file.array(name, "<i4", 2) * grain
+
+    boxes = file.array("cell_box", "<f8", 2)
+    object_starts = _starts(whole("object_counts", "<u4"))
+    corner = np.repeat(boxes[:, :3], np.diff(object_starts), axis=0)
+    footprint_starts = _starts(whole("footprint_counts", "<u4"))
+    low = metres("object_low") + corner
+    ground = np.repeat(corner[:, :2], np.diff(footprint_starts), axis=0)
+    return Kitti360Pose(
+        source=str(meta["source"]),
+        scenes=tuple(str(s) for s in meta["scenes"]),
+        scene_bytes=tuple(int(n) for n in meta["scene_bytes"]),
+        labels=file.strings("labels"),
+        colours=file.strings("colours"),
+        cells=Cells(
+            file.strings("cell_ids"),
+            whole("cell_scene", "|u1"),
+            boxes,
+            file.array("cell_size", "<f8"),
+            whole("cell_points", "<i8"),
+            whole("cell_point_bytes", "<i8"),
+            object_starts,
+        ),
+        objects=Objects(
+            whole("object_id", "<i4"),
+            whole("object_instance", "<i8"),
+            whole("object_label", "|u1"),
+            whole("object_colour", "|u1"),
+            file.array("object_rgb", "|u1", 2),
+            metres("object_center") + corner,
+            low,
+            low + metres("object_extent"),
+            footprint_starts,
+            metres("footprint") + ground,
+        ),
+        poses=Poses(
+            whole("pose_scene", "|u1"),
+            file.array("pose_position", "<f8", 2),
+            whole("pose_cell", "<i4"),
+            _starts(whole("hint_counts", "<u2")),
+        ),
+        hints=Hints(
+            whole("hint_label", "|u1"),
+            whole("hint_colour", "|u1"),
+            whole("hint_direction", "|u1"),
+            whole("hint_object", "<i4"),
+            whole("hint_instance", "<i8"),
+            file.array("hint_offset", "<f4", 2).astype(np.float64),
+            file.array("hint_closest", "<f4", 2).astype(np.float64),
+        ),
+    )
+
+
+def _starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate(([0], np.cumsum(counts)))
+
+
+def _check(data: Kitti360Pose) -> None:
+    """Raise `ValueError` where columns differ in length or point outside a table."""
+    c, o, p, h = data.cells, data.objects, data.poses, data.hints
+    n_scenes, n_cells = len(data.scenes), len(c.ids)
+    _check_lengths((c, n_cells), (o, len(o.ids)), (p, len(p.cells)), (h, len(h.labels)))
+    for values, count, what in (
+        (c.scene, n_scenes, "scenes"),
+        (p.scene, n_scenes, "scenes"),
+        (p.cells, n_cells, "cells"),
+        (np.concatenate([o.labels, h.labels]), len(data.labels), "labels"),
+        (np.concatenate([o.colours, h.colours]), len(data.colours), "colours"),
+        (h.directions, len(DIRECTIONS), "directions"),
+    ):
+        if len(values) and not 0 <= values.min() <= values.max() < count:
+            raise ValueError(f"a row lies outside the table of {what}")
+    ends = (c.object_starts, len(o.ids)), (p.hint_starts, len(h.labels))
+    if any(starts[-1] != n for starts, n in (*ends, (o.footprint_starts, len(o.footprints)))):
+        raise ValueError("counts do not add up")
+    if (np.diff(o.footprint_starts) < 1).any() or len(data.scene_bytes) != n_scenes:
+        raise ValueError("an object lies nowhere, or a scene has no size")
+    widths = (c.boxes, 6), (o.rgb, 3), (o.centers, 3), (p.positions, 3), (h.offsets, 2)
+    if any(a.shape[1] != w for a, w in (*widths, (h.closest, 2), (o.footprints, 2))):
+        raise ValueError("a column is too wide or too narrow")
+    if not all(np.isfinite(a).all() for a in (c.boxes, c.sizes, p.positions, o.centers)):
+        raise ValueError("a number is not finite")
+
+
+def _check_lengths(*tables: tuple[Cells | Objects | Poses | Hints, int]) -> None:
+    for table, length in tables:
+        for column in fields(table):
+            rows = len(getattr(table, column.name)) - column.name.endswith("_starts")
+            if rows != length and column.name != "footprints":
+                raise ValueError(f"{column.name} does not have {length} rows")
