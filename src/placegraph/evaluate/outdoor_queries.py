@@ -128,7 +128,7 @@ def make_queries(
     if not full.any():
         raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
     place, speech = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    generator = _Speaker(bins, setting, statements, position, same_label=same_label)
+    generator = Teller(bins, setting, statements, position, same_label=same_label)
     queries: list[Query] = []
     for _ in range(100 if where is None else 1000):
         viewpoints = centers[place.choice(np.flatnonzero(full), n)]
@@ -156,7 +156,7 @@ def _offsets(rng: Generator, n: int, *, anywhere: bool) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Speaker:
+class Teller:
     """Describes viewpoints in one setting."""
 
     bins: Bins
@@ -167,10 +167,12 @@ class _Speaker:
 
     @property
     def city(self) -> RawCity:
+        """What the extract holds."""
         return self.bins.city
 
     @property
     def label(self) -> NDArray[np.int32]:
+        """Labels of the objects (N,), names where the setting keeps them."""
         return self.city.named if self.setting == "names" else self.city.label
 
     def describe(self, viewpoint: Floats, rng: Generator) -> Query | None:
