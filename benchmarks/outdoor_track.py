@@ -1,0 +1,124 @@
+"""What is a way worth? A few sentences along a walk, against one place at a time.
+
+    python benchmarks/outdoor_track.py
+    python benchmarks/outdoor_track.py --cities monaco --walks 20
+
+Walks of 3 to 5 places, two sentences at each, made of the raw extracts; the last place is sought.
+Prints a Markdown table and writes JSON. `docs/benchmarks.md` explains the protocol of the sentences.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+import placegraph as pg
+from placegraph.evaluate.machine import machine
+from placegraph.evaluate.outdoor_metrics import Answer, Score, measure, score
+from placegraph.evaluate.outdoor_walks import METHODS, Method, Walk, follow, make_walks
+from placegraph.evaluate.tables import markdown, number, share, shares
+
+if TYPE_CHECKING:
+    from placegraph.evaluate.outdoor_queries import Setting
+    from placegraph.outdoor.city import CityMap
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared/data/osm"
+EXTRACTS = {path.name.split("_")[0]: path for path in sorted(DATA.glob("*_*.osm*"))}
+SETTINGS: tuple[Setting, ...] = ("none", "replaced")
+
+
+def ask(city: CityMap, walks: list[Walk], method: Method) -> tuple[Score, list[float]]:
+    """Score a method on walks; also the seconds of all its calls."""
+    answers: list[Answer] = []
+    seconds: list[float] = []
+    for walk in walks:
+        estimate, took = follow(city, walk, method)
+        seconds += took
+        last = walk.last
+        answers.append(measure(estimate, last.longitude, last.latitude, seconds=max(took)))
+    return score(answers), seconds
+
+
+def row_of(
+    name: str, setting: Setting, method: Method, found: Score, s: list[float]
+) -> dict[str, Any]:
+    """One row, in plain numbers."""
+    told = found.to_dict()
+    for key in ("exact", "own_cell", "p50_ms", "p95_ms"):
+        del told[key]
+    ms = np.percentile(1e3 * np.array(s), (50, 95)).round(2).tolist()
+    return {"city": name, "setting": setting, "method": method} | told | {"ms_a_call_p50_p95": ms}
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown of all rows."""
+    return markdown(
+        ["city", "relations", "method", "25 m", "50 m", "5 in 50 m", "median", "OK", "right of OK",
+         "calibration", "of perfect", "ms a call"],
+        [
+            [
+                r["city"],
+                "true" if r["setting"] == "none" else "20 % wrong",
+                r["method"],
+                *(share(r["within"][radius]["1"]) for radius in ("25 m", "50 m")),
+                share(r["within"]["50 m"]["5"]),
+                number(np.inf if r["median_m"] is None else r["median_m"], 0, "m"),
+                share(r["status"].get("OK", 0.0)),
+                share(r["right"].get("OK")),
+                shares([r["calibration_error"]]),
+                shares([r["calibration_error_of_perfect"]]),
+                "/".join(f"{ms:.0f}" for ms in r["ms_a_call_p50_p95"]),
+            ]
+            for r in rows
+        ],
+    )  # fmt: skip
+
+
+def main(
+    cities: Annotated[
+        str, typer.Option(help="Names with commas.")
+    ] = "monaco,toronto,vancouver,ankara",
+    walks: Annotated[int, typer.Option(help="Walks a city and setting.")] = 100,
+    statements: Annotated[int, typer.Option(help="Sentences at a place.")] = 2,
+    seed: Annotated[int, typer.Option(help="Seed of the walks.")] = 0,
+    cache: Annotated[Path, typer.Option(help="Folder for maps.")] = ROOT / ".benchmark-cache",
+    out: Annotated[Path, typer.Option(help="JSON file.")] = ROOT
+    / "benchmarks/results/outdoor_track.json",
+) -> None:
+    """Follow simulated walks and say where they end."""
+    cache.mkdir(exist_ok=True)
+    rows: list[dict[str, Any]] = []
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(
+            "walking", total=len(cities.split(",")) * len(SETTINGS) * len(METHODS)
+        )
+        for name in cities.split(","):
+            path = cache / f"{name}.city"
+            city = pg.CityMap.open(path) if path.exists() else pg.build_city(EXTRACTS[name], path)
+            for walk in make_walks(EXTRACTS[name], n=2, statements=statements, seed=seed + 1):
+                for method in METHODS:  # warm
+                    follow(city, walk, method)
+            for setting in SETTINGS:
+                made = make_walks(
+                    EXTRACTS[name], n=walks, statements=statements, setting=setting, seed=seed
+                )
+                for method in METHODS:
+                    rows.append(row_of(name, setting, method, *ask(city, made, method)))
+                    progress.advance(task)
+    print(table(rows))
+    out.parent.mkdir(exist_ok=True)
+    record = {
+        "machine": machine(), "walks": walks, "statements": statements, "seed": seed, "rows": rows,
+    }  # fmt: skip
+    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
