@@ -32,7 +32,7 @@ OPPOSITE = np.array([SOUTH, NORTH, WEST, EAST, NEAR, CONTAINS, INSIDE, ALONG, PR
 """Channel seen from the other end."""
 HALF = 25.0
 """Things within a square of twice this edge around a place belong to it [m]."""
-MOST_THINGS = 40
+MOST_THINGS = 32
 """At most this many things of a place are read, the nearest ones."""
 MOST_MENTIONS = 24
 """At most this many things of a text are read."""
@@ -357,22 +357,4 @@ def text_relations(edge_starts, ends, channels, negated, rows, size):
                 said = channels[e, r] * (1.0 - 2.0 * negated[e])
                 out[q, r, i, j] += said
                 out[q, OPPOSITE[r], j, i] += said
-    return out
-
-
-@njit(cache=True, nogil=True)
-def agreement(fits, starts, word_starts, words, weights, rows, size):
-    """How well the things of places `rows` (K,) fit mentions by their words: (K, M + 1, size).
-
-    `fits` (T, M) says it for every word of the map's vocabulary. The speaker fits the centre.
-    """
-    out = np.zeros((len(rows), fits.shape[1] + 1, size), np.float32)
-    for k in range(len(rows)):
-        out[k, 0, 0] = 1.0
-        first = starts[rows[k]]
-        for i in range(starts[rows[k] + 1] - first):
-            for w in range(word_starts[first + i], word_starts[first + i + 1]):
-                for m in range(fits.shape[1]):
-                    fit = fits[words[w], m] * weights[w]
-                    out[k, m + 1, i + 1] = max(out[k, m + 1, i + 1], fit)
     return out

@@ -1,0 +1,199 @@
+"""Compiled loops of the network over packed graphs: what would be padding is never touched.
+
+Node states of B graphs are packed: one row a node, `starts` (B + 1,) says where a graph begins.
+Relations and agreement come padded, and are read only where there are nodes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def messages(x, starts, relations):
+    """Sum over neighbours j of relation r, (N, R * c), of x (N, c); rows are scaled by their degree."""
+    c, n_relations = x.shape[1], relations.shape[1]
+    out = np.zeros((len(x), n_relations * c), np.float32)
+    for b in range(len(starts) - 1):
+        first = starts[b]
+        n = starts[b + 1] - first
+        for r in range(n_relations):
+            for i in range(n):
+                degree = np.float32(1.0)
+                for j in range(n):
+                    degree += abs(relations[b, r, i, j])
+                if degree == 1.0:
+                    continue
+                scale = np.float32(1.0) / np.sqrt(degree)
+                for j in range(n):
+                    a = relations[b, r, i, j] * scale
+                    if a != 0.0:
+                        for k in range(c):
+                            out[first + i, r * c + k] += a * x[first + j, k]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def self_attention(qkv, starts, heads):
+    """Attention of every node to its graph, (N, d), from queries, keys and values (N, 3 d)."""
+    d = qkv.shape[1] // 3
+    size = d // heads
+    scale = np.float32(1.0 / np.sqrt(size))
+    out = np.zeros((len(qkv), d), np.float32)
+    weights = np.empty(np.max(starts[1:] - starts[:-1]), np.float32)
+    for b in range(len(starts) - 1):
+        first = starts[b]
+        n = starts[b + 1] - first
+        for h in range(heads):
+            q, k, v = h * size, d + h * size, 2 * d + h * size
+            for i in range(first, first + n):
+                for j in range(n):
+                    dot = np.float32(0.0)
+                    for c in range(size):
+                        dot += qkv[i, q + c] * qkv[first + j, k + c]
+                    weights[j] = dot * scale
+                _softmax(weights[:n], np.float32(-1e30))
+                for j in range(n):
+                    for c in range(size):
+                        out[i, q + c] += weights[j] * qkv[first + j, v + c]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _softmax(weights, nothing):
+    """Softmax in place, with one more entry `nothing` that takes its share."""
+    top = nothing
+    for j in range(len(weights)):
+        top = max(top, weights[j])
+    total = np.exp(nothing - top)
+    for j in range(len(weights)):
+        weights[j] = np.exp(weights[j] - top)
+        total += weights[j]
+    for j in range(len(weights)):
+        weights[j] /= total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, heads):
+    """Attention of texts to places and back.
+
+    `qk` are queries of the texts (N, d) and keys of the places (M, d), `values` those of the
+    places and of the texts. Returns what text nodes see (N, d), what things mean (M, d), and the
+    weights (N, heads, largest place) by which text nodes see things.
+    """
+    q, k = qk
+    of_place, of_text = values
+    d = q.shape[1]
+    size = d // heads
+    scale = np.float32(1.0 / np.sqrt(size))
+    most = np.max(m_starts[1:] - m_starts[:-1])
+    widest = np.max(t_starts[1:] - t_starts[:-1])
+    to_place = np.zeros((len(q), heads, most), np.float32)
+    seen, meant = np.zeros_like(q), np.zeros_like(k)
+    alike = np.empty((widest, most), np.float32)
+    column = np.empty(widest, np.float32)
+    for p in range(len(t_starts) - 1):
+        t0, m0 = t_starts[p], m_starts[p]
+        n, m = t_starts[p + 1] - t0, m_starts[p + 1] - m0
+        for h in range(heads):
+            off = h * size
+            for i in range(n):
+                for j in range(m):
+                    dot = np.float32(0.0)
+                    for c in range(off, off + size):
+                        dot += q[t0 + i, c] * k[m0 + j, c]
+                    alike[i, j] = dot * scale
+                    to_place[t0 + i, h, j] = alike[i, j] + word[0, h] * agreement[p, i, j]
+                weights = to_place[t0 + i, h, :m]
+                _softmax(weights, nothing[0, h])
+                for j in range(m):
+                    for c in range(off, off + size):
+                        seen[t0 + i, c] += weights[j] * of_place[m0 + j, c]
+            for j in range(m):
+                for i in range(n):
+                    column[i] = alike[i, j] + word[1, h] * agreement[p, i, j]
+                _softmax(column[:n], nothing[1, h])
+                for i in range(n):
+                    for c in range(off, off + size):
+                        meant[m0 + j, c] += column[i] * of_text[t0 + i, c]
+    return seen, meant, to_place
+
+
+LITERAL = 4
+"""Numbers of `literal`."""
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def literal(agreement, holds, ends, counts, sizes):
+    """What statements say of places if words alone decide, (P, S, LITERAL): logs of sums.
+
+    `agreement` (P, n, m), `holds` (P, S, m, m), `ends` (P, S, 2), `counts` (P,) statements,
+    `sizes` (P,) nodes of a place. The sums are of pairs of things that fit and stand so, of things
+    that fit the source, that fit the target, and of all.
+    """
+    out = np.zeros((len(counts), holds.shape[1], LITERAL), np.float32)
+    for p in range(len(counts)):
+        for s in range(counts[p]):
+            _literal(
+                agreement[p, ends[p, s, 0]], agreement[p, ends[p, s, 1]], holds[p, s],
+                sizes[p], out[p, s],
+            )  # fmt: skip
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _literal(source, target, as_said, m, out):
+    held = of_source = of_target = np.float32(0.0)
+    for i in range(m):
+        row = np.float32(0.0)
+        for j in range(m):
+            row += as_said[i, j] * target[j]
+        held += row * source[i]
+        of_source += source[i]
+        of_target += target[i]
+    least = np.float32(0.02)
+    out[0], out[1] = np.log(held + least), np.log(of_source + least)
+    out[2], out[3] = np.log(of_target + least), np.log(np.float32(m))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def heard(weights, agreement, t_starts, m_starts, relations, ends, channels, bounds):
+    """What every statement of every pair finds, (E, 3 H + LITERAL).
+
+    Of each head how far what its ends attend to stands as said, how far they attend to anything,
+    and the ratio; then `literal`. `bounds` (P + 1,) are those of a pair's statements, `ends`
+    (E, 2) nodes within a text, row p of `relations` those of the place of pair p.
+    """
+    heads, most = weights.shape[1], weights.shape[2]
+    features = np.zeros((len(ends), 3 * heads + LITERAL), np.float32)
+    as_said = np.empty((most, most), np.float32)
+    for p in range(len(bounds) - 1):
+        m = m_starts[p + 1] - m_starts[p]
+        for e in range(bounds[p], bounds[p + 1]):
+            as_said[:m, :m] = 0.0
+            for r in range(channels.shape[1]):
+                said = channels[e, r]
+                if said > 0.0:
+                    for i in range(m):
+                        for j in range(m):
+                            as_said[i, j] += said * relations[p, r, i, j]
+            a, b = t_starts[p] + ends[e, 0], t_starts[p] + ends[e, 1]
+            for h in range(heads):
+                held = source = target = np.float32(0.0)
+                for i in range(m):
+                    row = np.float32(0.0)
+                    for j in range(m):
+                        row += as_said[i, j] * weights[b, h, j]
+                    held += row * weights[a, h, i]
+                    source += weights[a, h, i]
+                    target += weights[b, h, i]
+                there = source * target
+                features[e, h] = held
+                features[e, heads + h] = there
+                features[e, 2 * heads + h] = held / (there + np.float32(0.05))
+            _literal(
+                agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], as_said, m,
+                features[e, 3 * heads :],
+            )  # fmt: skip
+    return features

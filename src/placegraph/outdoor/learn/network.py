@@ -1,0 +1,252 @@
+"""The network without PyTorch: graph embeddings (Eq. 9-10) and joint matching (Eq. 14-17).
+
+Weights are those that `train` writes; equations and names are `torch_network.py`'s, and a test
+holds the two together. Linear maps run as one product over the nodes of all graphs at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from placegraph.errors import MapError
+from placegraph.outdoor.learn import kernels
+from placegraph.outdoor.learn.batches import (
+    GraphBatch,
+    WordFits,
+    agreements,
+    place_batch,
+    text_batch,
+)
+from placegraph.outdoor.learn.labels import Bags
+from placegraph.outdoor.learn.weights import read_weights, shipped
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.learn.batches import Floats, Rows
+    from placegraph.outdoor.learn.graphs import PlaceGraphs, TextGraphs
+    from placegraph.outdoor.learn.shape import Shape
+
+BLOCK = 1024
+"""Places embedded at once."""
+
+
+class States(NamedTuple):
+    """Encoded graphs."""
+
+    nodes: Floats
+    """(N, d) node states, packed."""
+    starts: Rows
+    """(B + 1,)"""
+    embeddings: Floats
+    """(B, D) of unit length."""
+    relations: Floats
+    """(B, R, size, size)"""
+
+
+class Matches(NamedTuple):
+    """What the joint model says of K places."""
+
+    logit: Floats
+    """(K,) log odds that text and place match (Eq. 17)."""
+    cosine: Floats
+    """(K,) of the joint embeddings (Eq. 15)."""
+
+    @property
+    def probability(self) -> Floats:
+        """(K,) that text and place match."""
+        return np.asarray(1.0 / (1.0 + np.exp(-self.logit)), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class GraphTransformer:
+    """Graph encoders of both sides and the joint model, ready to run."""
+
+    shape: Shape
+    arrays: dict[str, Floats]
+    """Weights by PyTorch's names."""
+    fingerprint: str
+    """Of the weights: embeddings of two models must not be compared."""
+    fusion: float
+    """Weight of the matching logit beside relational matching's log-likelihood ratio."""
+
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def default() -> GraphTransformer:
+        """Return the network that comes with placegraph."""
+        return GraphTransformer.open(shipped())
+
+    @classmethod
+    def open(cls, path: str | PathLike[str]) -> GraphTransformer:
+        """Open a weights file; raises `InputError` or `MapError` where it does not fit this version."""
+        weights = read_weights(path)
+        try:
+            network = cls(weights.shape, weights.arrays, weights.fingerprint, weights.fusion)
+            network.check()
+        except (KeyError, ValueError) as error:
+            raise MapError(
+                f"{path}: its weights do not fit together ({error}). Train or install them again."
+            ) from error
+        return network
+
+    def check(self) -> None:
+        """Raise `KeyError` or `ValueError` where a weight is missing or of another shape."""
+        for name, wanted in self.shape.arrays().items():
+            if self.arrays[name].shape != wanted:
+                raise ValueError(f"{name} has shape {self.arrays[name].shape} instead of {wanted}")
+
+    def word_vectors(self, words: tuple[str, ...]) -> Floats:
+        """Vectors (W, d) of labels, names (`labels.of_name`) and any other words."""
+        if not words:
+            return np.zeros((0, self.shape.width), np.float32)
+        return Bags.of(words).vectors(self.arrays["table"])
+
+    def embed_texts(self, texts: TextGraphs) -> Floats:
+        """Embeddings (Q, D) of text graphs (Eq. 9), of unit length."""
+        return self.encode_texts(texts, np.arange(len(texts))).embeddings
+
+    def embed_places(self, places: PlaceGraphs, vectors: Floats | None = None) -> Floats:
+        """Embeddings (K, D) of place graphs (Eq. 10), of unit length."""
+        vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
+        order = np.argsort(np.diff(places.starts), kind="stable")  # alike sizes: little padding
+        out = np.empty((len(places), self.shape.dimension), np.float32)
+        for at in range(0, len(order), BLOCK):
+            rows = order[at : at + BLOCK]
+            out[rows] = self.encode_places(places, rows, vectors).embeddings
+        return out
+
+    def encode_texts(self, texts: TextGraphs, rows: Rows) -> States:
+        """Node states and embeddings of texts `rows`."""
+        return self._encode("text", text_batch(texts, rows), self.word_vectors(texts.vocabulary))
+
+    def encode_places(self, places: PlaceGraphs, rows: Rows, vectors: Floats) -> States:
+        """Node states and embeddings of places `rows`; `vectors` are those of their vocabulary."""
+        return self._encode("place", place_batch(places, rows), vectors)
+
+    def match(
+        self,
+        texts: TextGraphs,
+        text: int,
+        places: PlaceGraphs,
+        rows: Rows,
+        words: WordFits,
+        vectors: Floats | None = None,
+    ) -> Matches:
+        """Match one text with places `rows` (K,), all at once (Eq. 14-17)."""
+        vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
+        said = self.encode_texts(texts, np.array([text]))
+        return self.match_states(texts, text, said, places, rows, words, vectors)
+
+    def match_states(
+        self,
+        texts: TextGraphs,
+        text: int,
+        said: States,
+        places: PlaceGraphs,
+        rows: Rows,
+        words: WordFits,
+        vectors: Floats,
+    ) -> Matches:
+        """As `match`, for a text that is encoded already."""
+        rows = np.asarray(rows, np.int64)
+        stands = self.encode_places(places, rows, vectors)
+        n, k = len(said.nodes), len(rows)
+        t, m = np.tile(said.nodes, (k, 1)), stands.nodes
+        t_starts, m_starts = np.arange(k + 1) * n, stands.starts
+        size = stands.relations.shape[3]
+        agree = agreements(texts, places, np.full(k, text), rows, words, (n, size))
+        edges = slice(texts.edge_starts[text], texts.edge_starts[text + 1])
+        ends = np.tile(texts.ends[edges], (k, 1))
+        channels = np.tile(texts.channels[edges], (k, 1))
+        bounds = np.arange(k + 1) * (edges.stop - edges.start)
+        rarity = words.rarity[texts.starts[text] : texts.starts[text + 1]][ends]
+        known = np.column_stack([channels, np.tile(texts.negated[edges], k), rarity])
+        heads = self.shape.heads
+        total = np.zeros(k, np.float32)
+        for layer in range(self.shape.crossings):
+            name = f"cross.{layer}"
+            seen, meant, weights = kernels.cross_attention(
+                (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
+                (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
+                t_starts, m_starts, agree,
+                self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], heads,
+            )  # fmt: skip
+            features = kernels.heard(
+                weights, agree, t_starts, m_starts, stands.relations, ends, channels, bounds
+            )
+            evidence = np.maximum(
+                self._linear(f"{name}.evidence", np.column_stack([features, known])), 0.0
+            )
+            verdict = self._linear(f"{name}.verdict", evidence)[:, 0]
+            total += verdict.reshape(k, edges.stop - edges.start).sum(axis=1)
+            to_ends = self._linear(f"{name}.said", evidence)
+            told = np.zeros_like(t)
+            first = np.repeat(t_starts[:-1], np.diff(bounds))
+            d = self.shape.width
+            np.add.at(told, first + ends[:, 0], to_ends[:, :d])
+            np.add.at(told, first + ends[:, 1], to_ends[:, d:])
+            t = self._norm(
+                f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told
+            )
+            m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
+            t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
+        e_t = self._pool("pool_text", t, t_starts)
+        e_m = self._pool("pool_place", m, m_starts)
+        hidden = self._linear("judge.0", np.column_stack([e_t, e_m, e_t * e_m]))
+        logit = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0] + total
+        cosine = (e_t * e_m).sum(axis=1) / np.maximum(
+            np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1), 1e-5
+        )
+        return Matches(logit, cosine)
+
+    def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> States:
+        """GPS layers: messages along labelled edges plus attention to the whole graph."""
+        b, size = batch.mask.shape
+        at = np.flatnonzero(batch.mask.reshape(-1))
+        starts = np.concatenate(([0], np.cumsum(batch.mask.sum(axis=1)))).astype(np.int64)
+        words = np.zeros((b * size, self.shape.width), np.float32)
+        if len(batch.words.at):
+            rows = vectors[batch.words.words] * batch.words.weights[:, None]
+            words[batch.words.at] = np.add.reduceat(rows, batch.words.starts, axis=0)
+        nodes = batch.nodes.reshape(b * size, -1)[at]
+        x = self._norm(f"{side}.norm", words[at] + self._linear(f"{side}.features", nodes))
+        for layer in range(self.shape.layers):
+            name = f"{side}.layers.{layer}"
+            told = kernels.messages(self._linear(f"{name}.message", x), starts, batch.relations)
+            seen = kernels.self_attention(self._linear(f"{name}.qkv", x), starts, self.shape.heads)
+            x = self._norm(
+                f"{name}.norm",
+                x + self._linear(f"{name}.along", told) + self._linear(f"{name}.out", seen),
+            )
+            x = self._feed(f"{name}.feed", x)
+        pooled = self._pool(f"{side}.pool", x, starts)
+        length = np.maximum(np.linalg.norm(pooled, axis=1, keepdims=True), 1e-12)
+        return States(x, starts, pooled / length, batch.relations)
+
+    def _linear(self, name: str, x: Floats) -> Floats:
+        y = x @ self.arrays[f"{name}.weight"].T
+        if f"{name}.bias" in self.arrays:
+            y += self.arrays[f"{name}.bias"]
+        return np.asarray(y, np.float32)
+
+    def _norm(self, name: str, x: Floats) -> Floats:
+        x = x - x.mean(axis=1, keepdims=True)
+        x /= np.sqrt((x * x).mean(axis=1, keepdims=True) + 1e-5)
+        x *= self.arrays[f"{name}.weight"]
+        return np.asarray(x + self.arrays[f"{name}.bias"], np.float32)
+
+    def _feed(self, name: str, x: Floats) -> Floats:
+        hidden = np.maximum(self._linear(f"{name}.up", x), 0.0)
+        return self._norm(f"{name}.norm", x + self._linear(f"{name}.down", hidden))
+
+    def _pool(self, name: str, x: Floats, starts: NDArray[np.int64]) -> Floats:
+        """Gated sum over the nodes of each graph, projected."""
+        gate = 1.0 / (1.0 + np.exp(-self._linear(f"{name}.gate", x)))
+        total = np.add.reduceat(gate * x, starts[:-1], axis=0)
+        return self._linear(f"{name}.out", total / np.sqrt(np.diff(starts))[:, None])

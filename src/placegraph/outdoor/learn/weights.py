@@ -1,0 +1,111 @@
+"""Weights files: what `train` writes and the network reads; 16-bit numbers, checksummed, no pickle."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MapError
+from placegraph.outdoor.learn.graphs import CHANNELS, HALF, MOST_THINGS
+from placegraph.outdoor.learn.labels import BUCKETS, LONGEST, SHORTEST
+from placegraph.outdoor.learn.shape import Shape
+from placegraph.store import read_map, write_map
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+KIND = "graph-transformer"
+VERSION = 1
+LABELS = {"buckets": BUCKETS, "subwords": [SHORTEST, LONGEST]}
+"""How words become rows of the table; weights made otherwise mean something else."""
+GRAPHS = {"channels": list(CHANNELS), "half": HALF, "things": MOST_THINGS}
+"""What graphs are made of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """A trained network."""
+
+    shape: Shape
+    arrays: dict[str, NDArray[np.float32]]
+    fusion: float
+    """Weight of the matching logit beside relational matching."""
+    training: dict[str, Any]
+    """How it was trained: cities, examples, seed, curves' last points."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Of shape and weights: sixteen hexadecimal digits."""
+        digest = hashlib.sha256(repr(self.shape).encode())
+        for name in sorted(self.arrays):
+            digest.update(name.encode() + _stored(self.arrays[name]).tobytes())
+        return digest.hexdigest()[:16]
+
+
+def write_weights(path: str | PathLike[str], weights: Weights) -> None:
+    """Write a weights file, atomically; raises `MapError` where it cannot be written."""
+    meta = {
+        "shape": weights.shape.to_dict(),
+        "labels": LABELS,
+        "graphs": GRAPHS,
+        "fusion": weights.fusion,
+        "training": weights.training,
+    }
+    write_map(path, KIND, VERSION, meta, {n: _stored(a) for n, a in weights.arrays.items()})
+
+
+def read_weights(path: str | PathLike[str]) -> Weights:
+    """Read a weights file.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    MapError
+        It is damaged, none, of a newer version, or made with another label set or other graphs.
+
+    """
+    file = read_map(path, KIND, VERSION)
+    for part, here in (("labels", LABELS), ("graphs", GRAPHS)):
+        if file.meta.get(part) != here:
+            raise MapError(
+                f"{path}: the network was trained with other {part} ({file.meta.get(part)}) than "
+                f"this version of placegraph has ({here}). Train it again by `placegraph city train`."
+            )
+    try:
+        shape = Shape(**{str(k): int(v) for k, v in dict(file.meta["shape"]).items()})
+        arrays = {
+            name: file.array(name, "<f2", len(size)).astype(np.float32)
+            for name, size in shape.arrays().items()
+        }
+        return Weights(shape, arrays, float(file.meta["fusion"]), dict(file.meta["training"]))
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise MapError(
+            f"{path}: its weights do not fit together ({error}). Train or install them again."
+        ) from error
+
+
+def shipped() -> Path:
+    """Weights that come with placegraph."""
+    with as_file(files("placegraph.outdoor.learn") / "data" / "city.weights") as path:
+        return Path(path)
+
+
+def _stored(array: NDArray[Any]) -> NDArray[np.float16]:
+    return np.ascontiguousarray(array, np.float16)
+
+
+def trained(
+    shape: Shape, state: Mapping[str, NDArray[Any]], fusion: float, training: dict[str, Any]
+) -> Weights:
+    """Weights as they will be read again: rounded to 16 bits."""
+    arrays = {n: _stored(state[n]).astype(np.float32) for n in shape.arrays()}
+    return Weights(shape, arrays, fusion, training)
