@@ -37,6 +37,12 @@ def test_a_part_has_the_cells_of_the_whole(city, tmp_path):
     assert len(CityMap.open(tmp_path / "part.city").cells) == 40
 
 
+def test_a_part_lies_where_it_is_wanted(city):
+    corner = city.cells.center(next(iter(city.cells)))
+    part = crop(city, 1, around=corner)
+    assert tuple(part.cells) == (next(iter(city.cells)),)
+
+
 def test_a_part_knows_no_other_words(city):
     part = crop(city, 5)
     used = {part.objects.labels[i] for i in part.objects.label_values}

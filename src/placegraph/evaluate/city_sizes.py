@@ -14,7 +14,7 @@ from placegraph.outdoor.city import CityMap, CityObjects
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from placegraph.outdoor.raster import Sightings
 
@@ -50,10 +50,14 @@ def take(objects: CityObjects, rows: Rows) -> CityObjects:
     )
 
 
-def crop(city: CityMap, cells: int) -> CityMap:
-    """The `cells` cells that are nearest to the middle of a city, and what is seen in them.
+def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
+    """The `cells` cells that are nearest to a place, and what is seen in them.
 
-    The middle is the median of its objects, so that smaller parts lie within larger ones.
+    Parameters
+    ----------
+    around
+        East and north (2,) [m]; the median of all objects if None. Smaller parts lie within larger
+        ones around the same place.
 
     Raises
     ------
@@ -62,7 +66,8 @@ def crop(city: CityMap, cells: int) -> CityMap:
     """
     if not 1 <= cells <= len(city.cells):
         raise OptionError(f"{cells:,} cells of a city that has {len(city.cells):,}.")
-    off = cell_centers(city) - np.median(city.objects.center, axis=0)
+    middle = np.median(city.objects.center, axis=0) if around is None else np.asarray(around)
+    off = cell_centers(city) - middle
     kept = np.sort(np.argsort(np.hypot(*off.T), kind="stable")[:cells])
     points = city.cells.points[kept]
     seen = cell_sightings(city.objects, city.cells.grid, city.cells.size)
