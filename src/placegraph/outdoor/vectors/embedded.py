@@ -1,0 +1,280 @@
+"""The embedded vector store: one file, no server; exact at city size, inverted lists beyond.
+
+Figures and the choice: `docs/benchmarks.md`; the file: `docs/formats.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from placegraph.errors import MapError, OptionError, StoreError
+from placegraph.outdoor.vectors.content import (
+    GRAIN,
+    Neighbours,
+    Origin,
+    Region,
+    Vectors,
+    checked_queries,
+)
+from placegraph.outdoor.vectors.lists import Lists, make_lists
+from placegraph.outdoor.vectors.scan import search_all, search_lists
+from placegraph.store import read_map, write_map
+
+if TYPE_CHECKING:
+    from os import PathLike
+    from types import TracebackType
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.store import MapFile
+
+KIND = "vectors"
+VERSION = 1
+LARGE = 200_000
+"""From here on rows are kept in lists: reading all of them takes more than a millisecond."""
+PROBES = 192
+"""Lists that a query opens: recall of the exact top 10 is .999 at a million rows."""
+BITS = (8, 16, 32)
+_STEPS = 127
+"""Steps of an 8-bit column on either side of zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EmbeddedStore:
+    """Vectors of a map's cells in memory, searched by compiled code (Eq. 12-13).
+
+    Made by `EmbeddedStore.of`, kept by `save`, opened by `open_store`.
+    """
+
+    origin: Origin
+    """What the vectors were made from."""
+    bits: int
+    """Of a number as stored: 8, 16 or 32."""
+    ids: NDArray[np.int64]
+    """(C,)"""
+    positions: NDArray[np.int32]
+    """(C, 2) longitude and latitude in steps of `GRAIN`."""
+    rows: NDArray[Any]
+    """(C, D) float32, or int8 in steps of `steps`."""
+    steps: NDArray[np.float32]
+    """(D,) value of one step of a column; ones where rows are float32."""
+    lists: Lists | None
+    """Where rows are kept in lists, their bounds and centres."""
+
+    @classmethod
+    def of(
+        cls,
+        ids: ArrayLike,
+        vectors: ArrayLike,
+        positions: ArrayLike,
+        *,
+        origin: Origin | None = None,
+        bits: int = 16,
+        lists: bool | None = None,
+    ) -> Self:
+        """Store of vectors.
+
+        Parameters
+        ----------
+        ids
+            (C,) integers from 0, each once.
+        vectors
+            (C, D) of any length but zero; their direction is kept.
+        positions
+            (C, 2) longitude and latitude [deg].
+        origin
+            What the vectors were made from.
+        bits
+            Of a number: 32 keeps float32 as they are, 16 rounds them without a change in ranking,
+            8 changes about one in fifty of the best ten and halves the memory of a search again.
+        lists
+            Whether rows are kept in lists; where they are many if not given.
+
+        Raises
+        ------
+        OptionError
+            Columns do not fit together, or are no numbers.
+
+        """
+        if bits not in BITS:
+            raise OptionError(f"bits is {bits}; choose one of {', '.join(map(str, BITS))}.")
+        content = Vectors.of(ids, vectors, positions)
+        inverted = make_lists(content.vectors) if _in_lists(len(content), lists) else None
+        order = slice(None) if inverted is None else inverted.order
+        rows, steps = _coded(content.vectors[order], bits)
+        return cls(
+            origin or Origin(), bits, content.ids[order], content.positions[order], rows, steps,
+            inverted,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def dimension(self) -> int:
+        """D."""
+        return self.rows.shape[1]
+
+    def search(
+        self, queries: NDArray[np.float32], n: int, region: Region | None = None
+    ) -> Neighbours:
+        """Nearest `n` rows of each query, best first, equal ones by id (Eq. 12-13).
+
+        Exact where there are no lists, and within a region. With lists, recall of the exact ten is
+        about .999 at a million rows.
+
+        Parameters
+        ----------
+        queries
+            (Q, D) of any length but zero.
+        n
+            How many; what is not there is -1 with similarity -inf.
+        region
+            Only cells whose centre lies in it.
+
+        Raises
+        ------
+        OptionError
+            Queries, `n` or the region are out of range.
+
+        """
+        asked = checked_queries(queries, n, self.dimension)
+        scaled = asked * self.steps
+        found = np.full((len(asked), n), -1, np.int64)
+        similarity = np.full((len(asked), n), -np.inf, np.float32)
+        if self.lists is not None and region is None:
+            search_lists(
+                self.rows, self.ids, self.lists.starts, self.lists.centers, asked, PROBES, scaled,
+                found, similarity,
+            )  # fmt: skip
+        else:
+            box = np.zeros(0) if region is None else np.round(np.array(region.checked()) / GRAIN)
+            search_all(self.rows, self.ids, self.positions, box, scaled, found, similarity)
+        return Neighbours(found, similarity)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the file (atomically, with checksums); raises `MapError` where it cannot."""
+        meta = {
+            "map": self.origin.map,
+            "model": self.origin.model,
+            "bits": self.bits,
+            "grain": GRAIN,
+        }
+        rows = self.rows.astype(np.float16) if self.bits == 16 else self.rows
+        arrays: dict[str, NDArray[Any]] = {
+            "ids": self.ids,
+            "positions": self.positions,
+            "vectors": rows,
+        }
+        if self.bits == 8:
+            arrays["steps"] = self.steps
+        if self.lists is not None:
+            arrays |= {"starts": self.lists.starts, "centers": self.lists.centers}
+        write_map(path, KIND, VERSION, meta, arrays)
+
+    @classmethod
+    def open(cls, path: str | PathLike[str], origin: Origin | None = None) -> Self:
+        """Open a file; with `origin`, only one that was made from that map by that model.
+
+        Raises
+        ------
+        InputError, MapError
+            It is no sound file of vectors.
+        StoreError
+            It was made from another map, or by another model.
+
+        """
+        file = read_map(path, KIND, VERSION)
+        try:
+            store = cls._read(file)
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            raise MapError(
+                f"{path}: its columns contradict each other ({error}). Make it again with "
+                "`placegraph city embed`."
+            ) from error
+        refuse_other(str(path), store.origin, origin)
+        return store
+
+    @classmethod
+    def _read(cls, file: MapFile) -> Self:
+        """Raise any of KeyError, TypeError, ValueError where columns are not what they should be."""
+        meta = file.meta
+        bits = int(meta["bits"])
+        if bits not in BITS or float(meta["grain"]) != GRAIN:
+            raise ValueError(f"bits {bits}, grain {meta['grain']}")
+        ids, positions = file.array("ids", "<i8"), file.array("positions", "<i4", 2)
+        rows = file.array("vectors", {8: "|i1", 16: "<f2", 32: "<f4"}[bits], 2)
+        rows = rows if bits == 8 else rows.astype(np.float32)
+        steps = file.array("steps", "<f4") if bits == 8 else np.ones(rows.shape[1], np.float32)
+        lists = None
+        if "starts" in file.arrays:
+            starts, centers = file.array("starts", "<i8"), file.array("centers", "<f4", 2)
+            lists = Lists(np.zeros(0, np.int64), starts, centers)
+        origin = Origin(str(meta["map"]), str(meta["model"]))
+        store = cls(origin, bits, ids, positions, rows, steps, lists)
+        store._check()
+        return store
+
+    def _check(self) -> None:
+        """Raise `ValueError` where columns do not fit: compiled code believes them."""
+        count, dimension = self.rows.shape
+        sizes = (len(self.ids), len(self.positions), self.positions.shape[1], len(self.steps))
+        if not count or not dimension or sizes != (count, count, 2, dimension):
+            raise ValueError(f"{self.rows.shape} vectors with columns of {sizes}")
+        if not all(np.isfinite(a).all() for a in (self.rows, self.steps)):
+            raise ValueError("a number is not finite")
+        if self.ids.min() < 0 or len(np.unique(self.ids)) != count:
+            raise ValueError("ids are negative or not unique")
+        if self.lists is None:
+            return
+        starts, centers = self.lists.starts, self.lists.centers
+        if (
+            centers.shape != (len(starts) - 1, dimension)
+            or not np.isfinite(centers).all()
+            or (starts[0], starts[-1]) != (0, count)
+            or (np.diff(starts) < 0).any()
+        ):
+            raise ValueError("lists do not hold every vector once")
+
+    def close(self) -> None:
+        """Nothing to let go of: memory goes with the last reference."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def refuse_other(what: str, found: Origin, wanted: Origin | None) -> None:
+    """Raise `StoreError` where a store was not made from the wanted map by the wanted model."""
+    difference = wanted.differs(found) if wanted is not None else ""
+    if difference:
+        raise StoreError(
+            f"{what} holds vectors of another {difference}; make them again with `placegraph city "
+            "embed`, or name the store that belongs to this map and model."
+        )
+
+
+def _in_lists(count: int, wanted: bool | None) -> bool:
+    return count >= LARGE if wanted is None else wanted
+
+
+def _coded(vectors: NDArray[np.float32], bits: int) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """Rows as they are stored and searched, and the steps (D,) of their columns."""
+    ones = np.ones(vectors.shape[1], np.float32)
+    if bits == 32:
+        return vectors, ones
+    if bits == 16:
+        return vectors.astype(np.float16).astype(np.float32), ones
+    largest = np.abs(vectors).max(axis=0) / _STEPS
+    steps = np.where(largest > 0.0, largest, ones).astype(np.float32)
+    return np.round(vectors / steps).astype(np.int8), steps

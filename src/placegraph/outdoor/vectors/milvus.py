@@ -1,0 +1,386 @@
+"""Vectors on a Milvus server (extra `milvus`): the same interface as the embedded store.
+
+A store is a collection ``placegraph_<name>_<version>``; the version stands for the map and the
+model. Its description says what it holds. A load goes into ``..._loading``, which takes its final
+name only when every row is there: nothing else is ever searched.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import unicodedata
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from placegraph.errors import IncompleteStoreError, OptionError, StoreError
+from placegraph.outdoor.vectors.content import (
+    GRAIN,
+    Neighbours,
+    Origin,
+    Region,
+    Vectors,
+    checked_queries,
+)
+from placegraph.outdoor.vectors.server import Server
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+PREFIX = "placegraph_"
+LOADING = "_loading"
+BATCH = 10_000
+"""Rows sent, and counted, at once: 2.7 MB of 64 numbers; a server takes up to 64 MB."""
+LARGE = 200_000
+"""From here on a graph of neighbours (HNSW) is searched, below it every row."""
+MOST = 16_384
+"""Neighbours that Milvus gives at once."""
+TOGETHER = 1_000
+"""Queries sent at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoreInfo:
+    """A collection of placegraph on a server."""
+
+    collection: str
+    name: str
+    origin: Origin
+    rows: int
+    """That it has when complete."""
+    dimension: int
+    complete: bool
+    """Whether it may be searched; else its load was begun and not finished."""
+
+    def description(self) -> str:
+        """JSON that the collection carries."""
+        said = {"placegraph": 1, "name": self.name, "map": self.origin.map}
+        said |= {"model": self.origin.model, "rows": self.rows, "dimension": self.dimension}
+        return json.dumps(said, ensure_ascii=True, sort_keys=True)
+
+
+class MilvusStore:
+    """Vectors of a map's cells on a Milvus server (Eq. 12-13); opened by `open_store`."""
+
+    def __init__(self, server: Server, info: StoreInfo) -> None:
+        self._server = server
+        self.info = info
+
+    @classmethod
+    def open(
+        cls,
+        uri: str,
+        *,
+        name: str | None = None,
+        origin: Origin | None = None,
+        timeout: float = 10.0,
+    ) -> Self:
+        """Open the store of that name, or made from that map by that model, or both.
+
+        Raises
+        ------
+        ServiceError
+            The server is down, or answers nonsense.
+        StoreError
+            There is none, or only of another map or model, or several fit.
+        IncompleteStoreError
+            Its load was begun and not finished, or rows are missing.
+
+        """
+        server = Server.connect(uri, timeout)
+        try:
+            return cls.on(server, name=name, origin=origin)
+        except BaseException:
+            server.close()
+            raise
+
+    @classmethod
+    def on(cls, server: Server, *, name: str | None = None, origin: Origin | None = None) -> Self:
+        """As `open`, on a connection that is there."""
+        info = _chosen(server, name, origin)
+        server.load(info.collection)
+        there = server.count(info.collection)
+        if there != info.rows:
+            raise IncompleteStoreError(
+                f"{info.collection} on {server.address} has {there:,} of {info.rows:,} rows; drop it "
+                "with `placegraph city stores URI --drop NAME` and embed the map again."
+            )
+        return cls(server, info)
+
+    def __len__(self) -> int:
+        return self.info.rows
+
+    @property
+    def dimension(self) -> int:
+        """D."""
+        return self.info.dimension
+
+    @property
+    def origin(self) -> Origin:
+        """What the vectors were made from."""
+        return self.info.origin
+
+    def search(
+        self, queries: NDArray[np.float32], n: int, region: Region | None = None
+    ) -> Neighbours:
+        """Nearest `n` rows of each query; see `EmbeddedStore.search`.
+
+        Exact below 200,000 rows. Raises `ServiceError` where the server has gone.
+        """
+        if n > MOST:
+            raise OptionError(f"n is {n}; Milvus gives at most {MOST} neighbours at once.")
+        asked = checked_queries(queries, n, self.dimension)
+        found = np.full((len(asked), n), -1, np.int64)
+        similarity = np.full((len(asked), n), -np.inf, np.float32)
+        condition = "" if region is None else _condition(region.checked())
+        parameters = {"ef": max(128, 2 * n)} if self.info.rows >= LARGE else {}
+        for start in range(0, len(asked), TOGETHER):
+            some = asked[start : start + TOGETHER]
+            answers = self._server.search(self.info.collection, some, n, condition, parameters)
+            for row, hits in enumerate(answers, start):
+                best = sorted(hits, key=lambda hit: (-hit[1], hit[0]))
+                found[row, : len(best)] = [i for i, _ in best]
+                similarity[row, : len(best)] = [s for _, s in best]
+        return Neighbours(found, similarity)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._server.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def list_stores(server: Server) -> tuple[StoreInfo, ...]:
+    """Stores of placegraph on a server, by name of the collection; others' collections are not."""
+    names = [c for c in server.collections() if c.startswith(PREFIX)]
+    found = (described(server, name) for name in names)
+    return tuple(info for info in found if info is not None)
+
+
+def drop_store(server: Server, collection: str) -> StoreInfo:
+    """Remove a store, whole or half; raises `StoreError` where there is no such store."""
+    info = next((s for s in list_stores(server) if s.collection == collection), None)
+    if info is None:
+        raise StoreError(
+            f"{server.address} has no store {collection!r} of placegraph's; `placegraph city stores` "
+            "lists them."
+        )
+    server.drop(collection)
+    return info
+
+
+def load_milvus(
+    server: Server,
+    content: Vectors,
+    *,
+    name: str,
+    origin: Origin,
+    resume: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> MilvusStore:
+    """Bring rows to a server and open the store; a complete one of this origin is opened at once.
+
+    After a crash, of this process or the server, the rows that are there are counted by ranges of
+    ids, and only what is missing is sent.
+
+    Raises
+    ------
+    ServiceError
+        The server died meanwhile; load again with `resume`.
+    IncompleteStoreError
+        An earlier load was not finished, and this one shall not resume.
+    StoreError
+        The unfinished load, or the store, is of other rows.
+
+    """
+    tell = progress or _silent
+    final = collection_name(name, origin)
+    wanted = StoreInfo(final, name, origin, len(content), content.dimension, complete=True)
+    there = set(server.collections())
+    if final in there:
+        _refuse_other_rows(server, wanted)
+        return MilvusStore.on(server, name=name, origin=origin)
+    load = _Load(server, content, final + LOADING, tell)
+    if load.collection not in there:
+        server.create(load.collection, content.dimension, wanted.description())
+        load.send(load.batches(), replace=False)
+    elif resume:
+        _refuse_other_rows(server, wanted, LOADING)
+    else:
+        raise IncompleteStoreError(
+            f"An earlier load into {final} on {server.address} was not finished; go on with --resume "
+            f"(`resume=True`), or drop {load.collection} with `placegraph city stores`."
+        )
+    load.complete()
+    server.rename(load.collection, final)
+    return MilvusStore.on(server, name=name, origin=origin)
+
+
+class _Load:
+    """Rows on their way into a collection that is not searched yet."""
+
+    def __init__(
+        self,
+        server: Server,
+        content: Vectors,
+        collection: str,
+        tell: Callable[[str, int, int], None],
+    ) -> None:
+        self.server, self.content, self.collection, self.tell = server, content, collection, tell
+
+    def complete(self) -> None:
+        """Send what is missing until nothing is."""
+        kind, parameters = "FLAT", {}
+        if len(self.content) >= LARGE:
+            kind, parameters = "HNSW", {"M": 16, "efConstruction": 200}
+        for _ in range(3):
+            self.tell("indexing", 0, len(self.content))
+            self.server.index(self.collection, kind, parameters)
+            self.server.load(self.collection)
+            absent = self.missing()
+            if not absent:
+                return
+            self.send(absent, replace=True)
+        raise IncompleteStoreError(
+            f"{self.server.address} does not keep all rows of {self.collection}; see its log and "
+            "disk, then go on with --resume."
+        )
+
+    def batches(self) -> list[tuple[int, int]]:
+        """First and last (excluded) row of each batch."""
+        count = len(self.content)
+        return [(start, min(start + BATCH, count)) for start in range(0, count, BATCH)]
+
+    def missing(self) -> list[tuple[int, int]]:
+        """Batches that are not there, there in part, or there twice.
+
+        Each is counted: a row sent twice by a client that lost the answer must not make up for one
+        that a dying server lost.
+        """
+        ids, found = self.content.ids, []
+        for start, end in self.batches():
+            self.tell("counting", start, len(self.content))
+            condition = f"id >= {ids[start]} and id <= {ids[end - 1]}"
+            if self.server.count(self.collection, condition) != end - start:
+                found.append((start, end))
+        return found
+
+    def send(self, batches: list[tuple[int, int]], *, replace: bool) -> None:
+        """Send batches; with `replace`, what is there of their ids goes away."""
+        for start, end in batches:
+            self.tell("loading", start, len(self.content))
+            self.server.insert(self.collection, self._rows(start, end), replace=replace)
+
+    def _rows(self, start: int, end: int) -> list[dict[str, Any]]:
+        c = self.content
+        lonlat = (c.positions[start:end] * GRAIN).tolist()
+        columns = zip(c.ids[start:end].tolist(), c.vectors[start:end], lonlat, strict=True)
+        return [
+            {"id": i, "vector": vector, "longitude": place[0], "latitude": place[1]}
+            for i, vector, place in columns
+        ]
+
+
+def _silent(_step: str, _done: int, _total: int) -> None:
+    """Progress that nobody asked for."""
+
+
+def collection_name(name: str, origin: Origin) -> str:
+    """Name of the collection of a store: what Milvus allows of `name`, then the version."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    plain = re.sub(r"[^0-9A-Za-z]+", "_", plain).strip("_")[:100]
+    return f"{PREFIX}{plain or 'map'}_{origin.version}"
+
+
+def described(server: Server, collection: str) -> StoreInfo | None:
+    """What a collection holds by its own description, None where it is not placegraph's."""
+    about = server.describe(collection)
+    try:
+        said = json.loads(about["description"])
+        dimension = next(f for f in about["fields"] if f["name"] == "vector")["params"]["dim"]
+        if said["placegraph"] != 1 or said["dimension"] != int(dimension):
+            return None
+        origin = Origin(str(said["map"]), str(said["model"]))
+        complete = not collection.endswith(LOADING)
+        return StoreInfo(
+            collection, str(said["name"]), origin, int(said["rows"]), int(dimension), complete
+        )
+    except (KeyError, TypeError, ValueError, StopIteration):
+        return None
+
+
+def _chosen(server: Server, name: str | None, origin: Origin | None) -> StoreInfo:
+    """The one complete store of that name and origin."""
+    if name is None and origin is None:
+        raise OptionError("Say which store of the server: its name, or the map and the model.")
+    stem = None if name is None else collection_name(name, Origin()).removesuffix(Origin().version)
+    named = [s for s in list_stores(server) if stem is None or s.collection.startswith(stem)]
+    fitting = [s for s in named if origin is None or s.origin == origin]
+    complete = [s for s in fitting if s.complete]
+    if len(complete) == 1:
+        return complete[0]
+    what = f"store {name!r}" if name is not None else "store of this map and model"
+    if complete:
+        raise StoreError(
+            f"{server.address} has {', '.join(s.collection for s in complete)}; give name, map and "
+            "model so that one of them is meant."
+        )
+    if fitting:
+        raise IncompleteStoreError(
+            f"The {what} on {server.address} is not loaded completely; finish it with `placegraph "
+            "city embed --resume`."
+        )
+    if named and name is not None:
+        raise StoreError(
+            f"The {what} on {server.address} was made from another map or model; make one for this "
+            "with `placegraph city embed`."
+        )
+    raise StoreError(
+        f"{server.address} has no {what}; make one with `placegraph city embed --store`."
+    )
+
+
+def _refuse_other_rows(server: Server, wanted: StoreInfo, ending: str = "") -> None:
+    """Raise `StoreError` where a collection of the wanted name does not hold the wanted rows."""
+    collection = wanted.collection + ending
+    found = described(server, collection)
+    same = found is not None and (found.origin, found.rows, found.dimension) == (
+        wanted.origin,
+        wanted.rows,
+        wanted.dimension,
+    )
+    if not same:
+        holds = (
+            "what is not placegraph's"
+            if found is None
+            else (f"{found.rows:,} rows of {found.dimension} numbers")
+        )
+        raise StoreError(
+            f"{collection} on {server.address} holds {holds}, not {wanted.rows:,} of "
+            f"{wanted.dimension}; drop it, or choose another --name."
+        )
+
+
+def _condition(region: Region) -> str:
+    """Filter of a region, half a step wider: positions are multiples of a step, as its edges are."""
+    west, south, east, north = (round(x / GRAIN) * GRAIN for x in region)
+    half = 0.5 * GRAIN
+    either = "or" if region.crosses_date_line else "and"
+    return (
+        f"(longitude >= {west - half:.9f} {either} longitude <= {east + half:.9f}) "
+        f"and latitude >= {south - half:.9f} and latitude <= {north + half:.9f}"
+    )

@@ -1,0 +1,208 @@
+"""Stores by their address: a file, or the URI of a Milvus server."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from placegraph.outdoor.vectors import milvus
+from placegraph.outdoor.vectors.content import Origin, Vectors, VectorStore, map_fingerprint
+from placegraph.outdoor.vectors.embedded import EmbeddedStore
+from placegraph.outdoor.vectors.server import SCHEMES, Server
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.outdoor.cells import Cells
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.learn.graphs import PlaceGraphs
+
+Address = str | os.PathLike[str]
+
+
+class Model(Protocol):
+    """Whatever embeds; a store is of one model."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Stands for its weights and all else that a vector depends on."""
+
+    def embed_places(self, places: PlaceGraphs, /) -> NDArray[np.float32]:
+        """Embeddings (K, D) of place graphs."""
+
+
+def is_uri(where: Address) -> bool:
+    """Whether this is the address of a server, not of a file."""
+    return (
+        isinstance(where, str) and where.partition("://")[0].lower() in SCHEMES and "://" in where
+    )
+
+
+def open_store(
+    where: Address,
+    *,
+    name: str | None = None,
+    origin: Origin | None = None,
+    timeout: float = 10.0,
+) -> VectorStore:
+    """Open a store.
+
+    Parameters
+    ----------
+    where
+        A file of vectors, or ``http://[user:password@]host:port[/database]`` of a Milvus server.
+    name
+        Which store of the server; a file has none.
+    origin
+        The map and the model it has to be made from; anything if not given. A server's store is
+        found by it too.
+    timeout
+        Longest wait for a server's answer to a short question [s].
+
+    Raises
+    ------
+    InputError, MapError
+        It is no sound file of vectors.
+    StoreError
+        The store is of another map or model, or not there; `IncompleteStoreError` where its load
+        was not finished.
+    ServiceError, MissingExtraError
+        The server cannot be reached; pymilvus is not installed.
+
+    """
+    if is_uri(where):
+        return milvus.MilvusStore.open(str(where), name=name, origin=origin, timeout=timeout)
+    return EmbeddedStore.open(where, origin)
+
+
+def load_store(
+    where: Address,
+    ids: ArrayLike,
+    vectors: ArrayLike,
+    positions: ArrayLike,
+    *,
+    name: str,
+    origin: Origin,
+    bits: int = 16,
+    resume: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+    timeout: float = 10.0,
+) -> VectorStore:
+    """Write vectors to a file, or bring them to a server, and open the store.
+
+    Parameters
+    ----------
+    where
+        As for `open_store`. A file is replaced in one step.
+    ids, vectors, positions
+        (C,), (C, D) and (C, 2) longitude and latitude [deg]; see `EmbeddedStore.of`.
+    name
+        Of the store on a server, such as ``monaco``; a file has none.
+    origin
+        What the vectors were made from.
+    bits
+        Of a number in a file; a server keeps float32.
+    resume
+        Go on with a load into a server that was not finished.
+    progress
+        Is told the step, how many rows are done, and of how many.
+    timeout
+        Longest wait for a server's answer to a short question [s].
+
+    Raises
+    ------
+    Errors of `EmbeddedStore.of` and `save`, or of `load_milvus`.
+
+    """
+    if not is_uri(where):
+        store = EmbeddedStore.of(ids, vectors, positions, origin=origin, bits=bits)
+        store.save(where)
+        return store
+    content = Vectors.of(ids, vectors, positions)
+    server = Server.connect(str(where), timeout)
+    try:
+        return milvus.load_milvus(
+            server, content, name=name, origin=origin, resume=resume, progress=progress
+        )
+    except BaseException:
+        server.close()
+        raise
+
+
+def embed_city(
+    city: CityMap,
+    where: Address,
+    *,
+    name: str,
+    model: Model | None = None,
+    embeddings: NDArray[np.float32] | None = None,
+    bits: int = 16,
+    resume: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+    timeout: float = 10.0,
+) -> VectorStore:
+    """Embed the cells of a city and keep the vectors in a store; see `load_store`.
+
+    Parameters
+    ----------
+    city
+        The map.
+    where, name, bits, resume, progress, timeout
+        As for `load_store`.
+    model
+        What embeds; the model that ships with placegraph if not given.
+    embeddings
+        (C, D) rows as `city.cells.points`, where they have been made by `model` already.
+
+    """
+    if progress is not None:
+        progress("embedding", 0, len(city.cells))
+    if model is None:
+        from placegraph.outdoor.learn.network import GraphTransformer
+
+        model = GraphTransformer.default()
+    if embeddings is None:
+        from placegraph.outdoor.learn.graphs import PlaceGraphs
+
+        embeddings = model.embed_places(PlaceGraphs.of_cells(city))
+    return load_store(
+        where,
+        city.cells.points,
+        embeddings,
+        cell_positions(city.cells),
+        name=name,
+        origin=Origin(map_fingerprint(city), model.fingerprint),
+        bits=bits,
+        resume=resume,
+        progress=progress,
+        timeout=timeout,
+    )
+
+
+def list_stores(uri: str, *, timeout: float = 10.0) -> tuple[milvus.StoreInfo, ...]:
+    """Stores of placegraph on a Milvus server, half loaded ones included."""
+    server = Server.connect(uri, timeout)
+    try:
+        return milvus.list_stores(server)
+    finally:
+        server.close()
+
+
+def drop_store(uri: str, collection: str, *, timeout: float = 10.0) -> milvus.StoreInfo:
+    """Remove a store, whole or half loaded, by the name of its collection."""
+    server = Server.connect(uri, timeout)
+    try:
+        return milvus.drop_store(server, collection)
+    finally:
+        server.close()
+
+
+def cell_positions(cells: Cells) -> NDArray[np.float64]:
+    """Centres (C, 2) of all cells, longitude and latitude [deg], rows as `cells.points`."""
+    row, column = np.divmod(cells.points, cells.grid.columns)
+    first = np.array([cells.grid.east, cells.grid.north])
+    return cells.plane.to_lonlat(first + cells.grid.stride * np.stack([column, row], 1))
