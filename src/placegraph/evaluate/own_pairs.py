@@ -86,7 +86,8 @@ def evaluate_folder(folder: str | PathLike[str], *, progress: Progress | None = 
     """Locate every description of a folder on its map.
 
     The folder holds ``descriptions.jsonl`` (`read_descriptions`) and the map: one ``*.city``, or
-    ``map.osm.pbf`` (or ``.osm``, ``.osm.gz`` ...), which is built elsewhere and thrown away. Only the text, and ``heading_deg`` and
+    ``map.osm.pbf`` (or ``.osm``, ``.osm.gz`` ...), which is built elsewhere and thrown away. Only the
+    text, and ``heading_deg`` and
     ``near`` where they are given, reach the map.
 
     Raises
