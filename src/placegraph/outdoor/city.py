@@ -280,6 +280,12 @@ class CityMap:
         return (*self.objects.labels, *map(of_name, self.objects.names))
 
     @cached_property
+    def word_counts(self) -> tuple[NDArray[np.int64], int]:
+        """How many objects bear each of `words`, (T,), and how many objects there are."""
+        counts = np.bincount(self.tokens[1], minlength=len(self.words))
+        return counts, len(self.objects)
+
+    @cached_property
     def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Objects by token (label, then name), as CSR: starts and rows, ascending within a token."""
         views = self.views

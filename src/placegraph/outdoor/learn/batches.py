@@ -73,7 +73,7 @@ def text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
     rows = np.asarray(rows, np.int64)
     counts = texts.starts[rows + 1] - texts.starts[rows]
     size = int(counts.max())
-    node, at = _entries(texts.starts[rows], counts, size)
+    node, at = entries(texts.starts[rows], counts, size)
     nodes = np.zeros((len(rows), size, 2), np.float32)
     nodes[:, 0, 0] = 1.0
     nodes.reshape(-1, 2)[at, 1] = texts.counts[node]
@@ -90,7 +90,7 @@ def place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
     rows = np.asarray(rows, np.int64)
     counts = places.starts[rows + 1] - places.starts[rows]
     size = int(counts.max(initial=0)) + 1
-    thing, at = _entries(places.starts[rows], counts, size, skip=1)
+    thing, at = entries(places.starts[rows], counts, size, skip=1)
     nodes = np.zeros((len(rows), size, 7), np.float32)
     nodes[:, 0, 0] = 1.0
     flat = nodes.reshape(-1, 7)
@@ -105,7 +105,7 @@ def place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
     )
 
 
-def _entries(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Rows, Rows]:
+def entries(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Rows, Rows]:
     """Nodes of graphs with these first nodes and counts, and where they stand when padded."""
     graph = np.repeat(np.arange(len(starts)), counts)
     within = np.arange(len(graph)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -120,7 +120,7 @@ def _words(starts: Rows, words: Rows, weights: Floats, nodes: Rows, at: Rows) ->
     counts = starts[nodes + 1] - starts[nodes]
     some = counts > 0
     nodes, at, counts = nodes[some], at[some], counts[some]
-    entry, _ = _entries(starts[nodes], counts, 0)
+    entry, _ = entries(starts[nodes], counts, 0)
     return NodeWords(
         np.cumsum(counts) - counts, words[entry].astype(np.int64), weights[entry], at
     )
@@ -143,7 +143,7 @@ def pair_batch(
     m = int((places.starts[place_rows + 1] - places.starts[place_rows]).max(initial=0)) + 1
     counts = texts.edge_starts[text_rows + 1] - texts.edge_starts[text_rows]
     s = max(1, int(counts.max()))
-    edge, at = _entries(texts.edge_starts[text_rows], counts, s)
+    edge, at = entries(texts.edge_starts[text_rows], counts, s)
     ends = np.zeros((len(text_rows), s, 2), np.int64)
     said = np.zeros((len(text_rows), s, len(CHANNELS) + 1), np.float32)
     ends.reshape(-1, 2)[at] = texts.ends[edge]
@@ -151,7 +151,7 @@ def pair_batch(
         [texts.channels[edge], texts.negated[edge]]
     )
     nodes = texts.starts[text_rows + 1] - texts.starts[text_rows]
-    node, at = _entries(texts.starts[text_rows], nodes, n)
+    node, at = entries(texts.starts[text_rows], nodes, n)
     rarity = np.zeros((len(text_rows), n), np.float32)
     rarity.reshape(-1)[at] = words.rarity[node]
     agreement = agreements(texts, places, text_rows[text], place_rows[place], words, (n, m))

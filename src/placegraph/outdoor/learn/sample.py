@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
+from placegraph.errors import OptionError
 from placegraph.outdoor.cells import compass
 from placegraph.outdoor.city import AREA, LINE
 from placegraph.outdoor.description import (
@@ -91,22 +92,26 @@ class _Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Speaker:
-    """Gives descriptions of places of a city outside the tiles that are held out."""
+    """Gives descriptions of places of a city."""
 
     city: CityMap
     vocabulary: Vocabulary
-    keep_out: bool = True
-    """Whether `held_out` tiles are left alone."""
+    held: bool = False
+    """Whether it speaks in the `held_out` tiles, or in all others."""
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
-        """Viewpoints with enough in sight to speak of, outside the tiles held out."""
+        """Viewpoints in its tiles with enough in sight to speak of."""
         views = self.city.views
         close = np.hypot(*views.offsets.T) <= SIGHT
         enough = np.add.reduceat(close, views.starts[:-1]) >= FEWEST
-        if self.keep_out:
-            enough &= ~held_out(*views.positions.T)
-        return np.flatnonzero(enough)
+        places = np.flatnonzero(enough & (held_out(*views.positions.T) == self.held))
+        if not len(places):
+            raise OptionError(
+                f"{self.city!r} has no place with {FEWEST} things in sight to train or check with; "
+                "leave it out, or take a larger extract."
+            )
+        return places
 
     def examples(self, rng: Generator) -> Iterator[Example]:
         """Yield descriptions without end."""
@@ -114,7 +119,7 @@ class Speaker:
         while True:
             view = int(rng.choice(self.places))
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
-            if self.keep_out and held_out(*position):
+            if held_out(*position) != self.held:
                 continue
             nearby = views.objects[views.starts[view] : views.starts[view + 1]]
             seen = _look(self.city, nearby, position)

@@ -19,30 +19,17 @@ R = len(CHANNELS)
 EPSILON = 1e-5
 
 
-class Texts(NamedTuple):
-    """Q padded text graphs of n nodes; node 0 is the speaker."""
+class Graphs(NamedTuple):
+    """B padded graphs of n nodes; node 0 is the speaker, or the centre."""
 
     nodes: Tensor
-    """(Q, n, 2) log count, and whether it is the speaker."""
+    """(B, n, F) see `batches.GraphBatch`."""
     words: Tensor
-    """(Q, n, d) summed vectors of the words of a node."""
+    """(B, n, d) summed vectors of the words of a node."""
     mask: Tensor
-    """(Q, n) 1 where there is a node."""
+    """(B, n) 1 where there is a node."""
     relations: Tensor
-    """(Q, R, n, n)"""
-
-
-class Places(NamedTuple):
-    """K padded place graphs of m nodes; node 0 is the centre."""
-
-    nodes: Tensor
-    """(K, m, 7) kind (3), offset / 25 m (2), distance / 25 m, whether it is the centre."""
-    words: Tensor
-    """(K, m, d)"""
-    mask: Tensor
-    """(K, m)"""
-    relations: Tensor
-    """(K, R, m, m)"""
+    """(B, R, n, n)"""
 
 
 class Pairs(NamedTuple):
@@ -148,7 +135,7 @@ class Side(nn.Module):
         self.layers = nn.ModuleList(Gps(shape.width, shape.heads) for _ in range(shape.layers))
         self.pool = Pool(shape.width, shape.dimension)
 
-    def forward(self, graphs: Texts | Places) -> tuple[Tensor, Tensor]:
+    def forward(self, graphs: Graphs) -> tuple[Tensor, Tensor]:
         packing = Packing(graphs.mask)
         x = self.norm(packing.pack(graphs.words) + self.features(packing.pack(graphs.nodes)))
         degree = (1.0 + graphs.relations.abs().sum(3, keepdim=True)).rsqrt()
@@ -215,7 +202,7 @@ class Cross(nn.Module):
         """What the statements say once their ends are attended to: for nodes (P, n, d), in all (P,)."""
         p, heads, n, m = weights.shape
         by_node = weights.transpose(1, 2)  # (P, n, H, m)
-        rows = torch.arange(p)[:, None]
+        rows = torch.arange(p, device=weights.device)[:, None]
         source, target = by_node[rows, pairs.ends[..., 0]], by_node[rows, pairs.ends[..., 1]]
         held = ((source @ pairs.holds) * target).sum(-1)  # (P, S, H)
         there = source.sum(-1) * target.sum(-1)
@@ -247,9 +234,8 @@ class Network(nn.Module):
             nn.Linear(3 * shape.dimension, shape.dimension), nn.ReLU(), nn.Linear(shape.dimension, 1)
         )
 
-    def words(self, bags: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Vectors (W, d) of words: buckets, bounds of words, weights."""
-        buckets, starts, weights = bags
+    def words(self, buckets: Tensor, starts: Tensor, weights: Tensor) -> Tensor:
+        """Vectors (W, d) of words, from their parts (`labels.Bags`)."""
         return F.embedding_bag(buckets, self.table, starts, mode="sum", per_sample_weights=weights)
 
     def match(

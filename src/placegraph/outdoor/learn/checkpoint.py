@@ -1,0 +1,115 @@
+"""What an interrupted training goes on from: one folder, files without pickle, replaced whole."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from placegraph.errors import InputError, OptionError
+from placegraph.outdoor.learn.graphs import TextGraphs
+from placegraph.outdoor.learn.pool import Fits, Pool
+from placegraph.store import pack_strings, read_map, write_map
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+STATE, POOL = "training", "pool"
+VERSION = 1
+
+
+class Folder:
+    """A folder that holds pools, the state after the last epoch, and the curves."""
+
+    def __init__(self, path: str | Path, plan: Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            if not (self.path / "plan.json").exists():
+                (self.path / "plan.json").write_text(json.dumps(plan, indent=1), encoding="utf-8")
+            known = json.loads((self.path / "plan.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: no folder to train in ({error}); name another.") from error
+        self.plan: dict[str, Any] = known
+        if known != json.loads(json.dumps(plan)):
+            raise OptionError(
+                f"{path} holds a training with other cities or options; name another folder, or "
+                "delete it to begin anew."
+            )
+
+    def write_state(
+        self, epoch: int, model: torch.nn.Module, optimizer: torch.optim.Optimizer
+    ) -> None:
+        """Keep the network and the optimizer after an epoch."""
+        arrays: dict[str, NDArray[Any]] = {}
+        for name, p in model.named_parameters():
+            state = optimizer.state[p]
+            arrays[f"weight:{name}"] = p.detach().cpu().numpy()
+            for moment in ("exp_avg", "exp_avg_sq"):
+                arrays[f"{moment}:{name}"] = state[moment].cpu().numpy()
+            steps = int(state["step"])
+        write_map(self.path / "state", STATE, VERSION, {"epoch": epoch, "steps": steps}, arrays)
+
+    def read_state(self, model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> int:
+        """Restore them; returns the number of finished epochs, 0 where there is none."""
+        if not (self.path / "state").exists():
+            return 0
+        file = read_map(self.path / "state", STATE, VERSION)
+        with torch.no_grad():
+            for name, p in model.named_parameters():
+                p.copy_(torch.from_numpy(file.array(f"weight:{name}", "<f4", p.ndim).copy()))
+                optimizer.state[p] = {
+                    "step": torch.tensor(float(file.meta["steps"])),
+                    **{
+                        moment: torch.from_numpy(
+                            file.array(f"{moment}:{name}", "<f4", p.ndim).copy()
+                        ).to(p.device)
+                        for moment in ("exp_avg", "exp_avg_sq")
+                    },
+                }
+        return int(file.meta["epoch"])
+
+    def write_pool(self, name: str, pool: Pool) -> None:
+        """Keep examples."""
+        arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
+        arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
+        arrays |= {f"fit:{f.name}": getattr(pool.fits, f.name) for f in fields(Fits)}
+        arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
+        write_map(self.path / f"{name}.pool", POOL, VERSION, {}, arrays)
+
+    def read_pool(self, name: str) -> Pool | None:
+        """Examples that were kept, or None."""
+        path = self.path / f"{name}.pool"
+        if not path.exists():
+            return None
+        file = read_map(path, POOL, VERSION)
+        arrays = dict(file.arrays)
+        texts = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
+        texts["vocabulary"] = file.strings("text:vocabulary")
+        fits = Fits(**{f.name: arrays[f"fit:{f.name}"] for f in fields(Fits)})
+        rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
+        return Pool(TextGraphs(**texts), fits, **rest)
+
+    def add_to_curves(self, row: Mapping[str, float]) -> None:
+        """Append a row of figures."""
+        with (self.path / "curves.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(dict(row)) + "\n")
+
+    def curves(self) -> list[dict[str, float]]:
+        """Figures of all epochs so far."""
+        path = self.path / "curves.jsonl"
+        if not path.exists():
+            return []
+        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def plan_of(cities: Mapping[str, int], options: object) -> dict[str, Any]:
+    """What a training is: cities with their numbers of objects, and options."""
+    return {"cities": dict(cities), "options": asdict(options)}  # type: ignore[call-overload]
+
+

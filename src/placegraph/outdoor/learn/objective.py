@@ -1,0 +1,83 @@
+"""The losses (Eq. 17-19), done so that they teach.
+
+`match`: binary cross-entropy of the matching probability on hard pairs. `similarity`: the cosine of
+the joint embeddings, contrastive with a temperature over a text's own hard candidates, and the same
+over matching logits, so that they rank. `embedding`: contrastive cosine of the graph embeddings
+that candidates are found by, over all places of a batch. Places at or near the true one never
+count as wrong, whoever's candidates they are.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+LOSSES = ("match", "similarity", "embedding")
+NEVER = -1e9
+
+
+class Scores(NamedTuple):
+    """What the network says of a batch of Q texts and P pairs with P places."""
+
+    logit: Tensor
+    """(P,)"""
+    cosine: Tensor
+    """(P,)"""
+    embedding: Tensor
+    """(Q, P) cosine of the graph embeddings of every text and every place."""
+
+
+class Truth(NamedTuple):
+    """What is right."""
+
+    text: Tensor
+    """(P,) text of a pair."""
+    right: Tensor
+    """(P,) 1 right, 0 wrong, -1 neither."""
+    everywhere: Tensor
+    """(Q, P) the same of every text and every place."""
+
+
+class Temperatures(NamedTuple):
+    """Learned scales of cosines: logs of inverse temperatures."""
+
+    similarity: Tensor
+    embedding: Tensor
+
+
+def contrastive(scores: Tensor, right: Tensor) -> Tensor:
+    """Minus log share of what is right (Q, P: 1, 0 or -1) among what is right or wrong."""
+    known = scores.masked_fill(right < 0, NEVER)
+    good = scores.masked_fill(right != 1, NEVER)
+    told = (right == 1).any(1) & (right == 0).any(1)
+    loss = torch.logsumexp(known, 1) - torch.logsumexp(good, 1)
+    return (loss * told).sum() / told.sum().clamp(min=1)
+
+
+def losses(
+    scores: Scores, truth: Truth, scales: Temperatures, wanted: Collection[str] = LOSSES
+) -> dict[str, Tensor]:
+    """The losses asked for, by name; their sum is what is minimised (Eq. 19)."""
+    found: dict[str, Tensor] = {}
+    q = len(scores.embedding)
+    own = torch.arange(q)[:, None].to(truth.text) == truth.text[None]  # (Q, P)
+    right = torch.where(own, truth.right[None], -1)
+    if "match" in wanted:
+        known = truth.right >= 0
+        found["match"] = F.binary_cross_entropy_with_logits(
+            scores.logit[known], (truth.right[known] == 1).float()
+        ) + contrastive(scores.logit[None].expand(q, -1), right)
+    if "similarity" in wanted:
+        cosine = scores.cosine * scales.similarity.exp()
+        found["similarity"] = contrastive(cosine[None].expand(q, -1), right)
+    if "embedding" in wanted:
+        found["embedding"] = contrastive(
+            scores.embedding * scales.embedding.exp(), truth.everywhere
+        )
+    return found

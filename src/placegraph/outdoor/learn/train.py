@@ -1,0 +1,265 @@
+"""Training: descriptions made on the fly, hard candidates, three losses; resumable and seeded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MissingExtraError, OptionError
+from placegraph.outdoor.learn.pool import fill
+from placegraph.outdoor.learn.sample import Speaker
+from placegraph.outdoor.learn.shape import Shape
+from placegraph.outdoor.learn.weights import Weights, trained, write_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.learn.torch_batches import Lessons
+    from placegraph.outdoor.learn.torch_network import Network
+    from placegraph.outdoor.vocabulary import Vocabulary
+
+FUSIONS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)
+"""Weights of the matching logit that are tried beside relational matching."""
+WITHIN = 50.0
+"""Recall is counted within this distance [m]."""
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How to train."""
+
+    epochs: int = 10
+    examples: int = 1500
+    """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
+    steps: int = 300
+    """Batches an epoch."""
+    batch: int = 32
+    """Descriptions a batch."""
+    share: float = 0.4
+    """Share of a description's candidates that a batch looks at."""
+    rate: float = 2e-3
+    """Largest learning rate; a cosine leads to nearly nothing."""
+    decay: float = 1e-3
+    losses: tuple[str, ...] = ("match", "similarity", "embedding")
+    seed: int = 0
+    check: int = 300
+    """Descriptions a city, from the held-out tiles, for the curves."""
+    shape: Shape = field(default_factory=Shape)
+
+
+@dataclass
+class Progress:
+    """Is told how far a training is; override what is of interest."""
+
+    def filling(self, epoch: int, city: str, done: int, total: int) -> None:
+        """Descriptions are made."""
+
+    def step(self, epoch: int, done: int, total: int, losses: Mapping[str, float]) -> None:
+        """A batch was learned."""
+
+    def epoch(self, row: Mapping[str, float]) -> None:
+        """An epoch ended with these figures."""
+
+
+def train(
+    cities: Mapping[str, CityMap],
+    out: str | PathLike[str],
+    *,
+    folder: str | PathLike[str],
+    options: TrainOptions | None = None,
+    vocabulary: Vocabulary | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Weights:
+    """Train the network on cities and write a weights file (Eq. 17-19).
+
+    Parameters
+    ----------
+    cities
+        Maps by name. Every fourth square kilometre (`sample.held_out`) is left for evaluation.
+    out
+        Weights file to write.
+    folder
+        Holds what an interrupted training goes on from; the same call goes on.
+    options
+        How to train.
+    vocabulary
+        Words of the speakers; the shipped one where not given.
+    device
+        ``cpu``, ``cuda`` or ``auto``.
+    progress
+        Is told how far the training is.
+
+    Raises
+    ------
+    MissingExtraError
+        PyTorch is not installed.
+    OptionError
+        An option is out of range, or the folder holds another training.
+
+    """
+    options, progress = options or TrainOptions(), progress or Progress()
+    _check(cities, options)
+    torch = _torch()
+    from placegraph.outdoor.learn.checkpoint import Folder, plan_of
+    from placegraph.outdoor.learn.trainer import Trainer
+    from placegraph.outdoor.vocabulary import Vocabulary as Shipped
+
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    kept = Folder(folder, plan_of({n: len(c.objects) for n, c in cities.items()}, options))
+    trainer = Trainer(options, device, progress)
+    begun = kept.read_state(trainer.module, trainer.optimizer)
+    school = School(cities, vocabulary or Shipped.default(), options, progress, kept)
+    check = school.held_out()
+    past = [lessons for epoch in range(begun) for lessons in school.lessons(epoch)]
+    for epoch in range(begun, options.epochs):
+        fresh = school.lessons(epoch)
+        past += fresh
+        row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
+        row |= recalls(trainer.network, check, trainer.device)
+        kept.write_state(epoch + 1, trainer.module, trainer.optimizer)
+        kept.add_to_curves(row)
+        progress.epoch(row)
+    # of texts that were never learned from, in tiles that were
+    unseen = school.lessons(options.epochs)
+    weight = best_fusion(trainer.network, unseen, trainer.device)
+    state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
+    training = {"plan": kept.plan, "curves": kept.curves()}
+    weights = trained(options.shape, state, weight, training)
+    write_weights(out, weights)
+    return weights
+
+
+def _check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
+    if not cities:
+        raise OptionError("There is no city to train on; name at least one map.")
+    for name in ("epochs", "examples", "steps", "batch", "check"):
+        if getattr(options, name) < 1:
+            raise OptionError(f"{name} is {getattr(options, name)}; choose at least 1.")
+    if not set(options.losses) <= {"match", "similarity", "embedding"} or not options.losses:
+        raise OptionError(
+            f"losses are {options.losses}; choose among match, similarity, embedding."
+        )
+
+
+def _torch() -> Any:  # noqa: ANN401  # the module itself, which may not be there
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingExtraError(
+            "PyTorch is not installed; `pip install 'placegraph[learn]'` brings it."
+        ) from error
+    return torch
+
+
+@dataclass(frozen=True, eq=False)
+class School:
+    """Makes the examples of every epoch, or reads those that were made before."""
+
+    cities: Mapping[str, CityMap]
+    vocabulary: Vocabulary
+    options: TrainOptions
+    progress: Progress
+    kept: Any
+    """`checkpoint.Folder`"""
+
+    def lessons(self, epoch: int) -> list[Lessons]:
+        """Examples of an epoch, one pool a city."""
+        return [
+            self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held=False)
+            for name in self.cities
+        ]
+
+    def held_out(self) -> list[Lessons]:
+        """Examples from the tiles that are never trained on."""
+        return [
+            self._made(name, f"{name}-held", 1 << 20, self.options.check, held=True)
+            for name in self.cities
+        ]
+
+    def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
+        from placegraph.outdoor.learn.torch_batches import Lessons
+
+        city = self.cities[name]
+        pool = self.kept.read_pool(file)
+        if pool is None:
+            row = list(self.cities).index(name)
+            rng = np.random.default_rng([self.options.seed, epoch, row])
+            done = 0
+
+            def tick() -> None:
+                nonlocal done
+                done += 1
+                self.progress.filling(epoch, name, done, n)
+
+            pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
+            self.kept.write_pool(file, pool)
+        return Lessons(city, pool)
+
+
+def _tables(
+    network: Network, lessons: Lessons, device: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Scores (Q, K) of relational matching, of the network and of embeddings; whether near the truth."""
+    import torch
+
+    from placegraph.outdoor.learn.torch_batches import forward
+
+    pool, views = lessons.pool, lessons.city.views
+    asked = np.isfinite(pool.scores)
+    relational = np.where(asked, pool.scores, -np.inf)
+    logit, dense = np.full(asked.shape, -np.inf), np.full(asked.shape, -np.inf)
+    with torch.no_grad():
+        for at in range(0, len(pool), 64):
+            rows = np.arange(at, min(at + 64, len(pool)))
+            batch = lessons.batch(rows, asked[rows])
+            scores = forward(network, lessons, batch, device)
+            text = batch.pairs.text
+            logit[rows[text], batch.slots] = scores.logit.cpu().numpy()
+            dense[rows[text], batch.slots] = scores.embedding.cpu().numpy()[
+                text, np.arange(len(text))
+            ]
+    off = np.hypot(*(views.positions[pool.views] - pool.positions[:, None]).transpose(2, 0, 1))
+    return relational, logit, dense, (off <= WITHIN) & asked
+
+
+def recalls(network: Network, check: list[Lessons], device: str) -> dict[str, float]:
+    """Recall@1 within 50 m among what relational matching finds, mean over cities."""
+    found: dict[str, list[float]] = {}
+    for lessons in check:
+        relational, logit, dense, near = _tables(network, lessons, device)
+        for name, scores in (("relational", relational), ("network", logit), ("dense", dense)):
+            found.setdefault(name, []).append(_recall(scores, near))
+        for weight in (0.1, 0.2, 0.3, 0.5):
+            fused = _fused(relational, logit, weight)
+            found.setdefault(f"fused {weight}", []).append(_recall(fused, near))
+    return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def best_fusion(network: Network, unseen: list[Lessons], device: str) -> float:
+    """Weight of the network beside relational matching that is right most often."""
+    tables = [_tables(network, lessons, device) for lessons in unseen]
+    right = [
+        np.mean([_recall(_fused(r, n, weight), near) for r, n, _, near in tables])
+        for weight in FUSIONS
+    ]
+    return FUSIONS[int(np.argmax(np.convolve(right, [0.25, 0.5, 0.25], mode="same")))]
+
+
+def _fused(
+    relational: NDArray[np.float64], logit: NDArray[np.float64], weight: float
+) -> NDArray[np.float64]:
+    return np.where(np.isfinite(logit), relational + weight * np.nan_to_num(logit), relational)
+
+
+def _recall(scores: NDArray[np.float64], near: NDArray[np.bool_]) -> float:
+    return float(near[np.arange(len(near)), scores.argmax(axis=1)].mean())
+
+
