@@ -8,6 +8,7 @@ all viewpoints whose nearest cell it is, and the pose within it is their mean, w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import cos, sin
 from typing import TYPE_CHECKING
 
@@ -113,12 +114,19 @@ class Relational:
                     found[i] = np.average(self.points[first:last], axis=0, weights=weight)
         return found
 
+    @cached_property
+    def _prominence(self) -> Floats:
+        """Share (N,) that each object has of what is in sight, averaged over viewpoints."""
+        seen = np.diff(self.starts)
+        share = np.repeat(1.0 / ((seen + CROWD) * max(1, len(seen))), seen)
+        found: Floats = np.bincount(self.seen, share, minlength=len(self.objects)).astype(
+            np.float64
+        )
+        return found
+
     def _from_speaker(self, description: Description, told: Sequence[Statement]) -> Floats:
         fits = np.stack([self._fits(description.mentions[s.target]) for s in told])
-        seen = np.diff(self.starts)
-        viewpoint = np.repeat(np.arange(len(seen)), seen)
-        share = 1.0 / ((seen + CROWD) * max(1, len(seen)))
-        shares = (fits[:, self.seen] * share[viewpoint]).sum(axis=1)
+        shares = fits @ self._prominence
         return from_speaker(
             self.starts,
             self.seen,
