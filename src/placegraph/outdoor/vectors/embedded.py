@@ -209,10 +209,12 @@ class EmbeddedStore:
         rows = file.array("vectors", {8: "|i1", 16: "<f2", 32: "<f4"}[bits], 2)
         rows = rows if bits == 8 else rows.astype(np.float32)
         steps = file.array("steps", "<f4") if bits == 8 else np.ones(rows.shape[1], np.float32)
+        # Copies: for arrays that must not be written, the kernels would be compiled once more.
+        ids, positions, rows, steps = (np.array(a) for a in (ids, positions, rows, steps))
         lists = None
         if "starts" in file.arrays:
             starts, centers = file.array("starts", "<i8"), file.array("centers", "<f4", 2)
-            lists = Lists(np.zeros(0, np.int64), starts, centers)
+            lists = Lists(np.zeros(0, np.int64), np.array(starts), np.array(centers))
         origin = Origin(str(meta["map"]), str(meta["model"]))
         store = cls(origin, bits, ids, positions, rows, steps, lists)
         store._check()

@@ -183,7 +183,8 @@ def check_uri(uri: str) -> None:
 def shown(uri: str) -> str:
     """URI as it may stand in a message: without a password."""
     head, at, tail = uri.rpartition("@")
-    return f"{head.partition('://')[0]}://…@{tail}" if at else uri
+    scheme, found, _ = head.partition("://")
+    return f"{scheme if found else ''}{found}…@{tail}" if at else uri
 
 
 class _OursIsQuiet(logging.Filter):
