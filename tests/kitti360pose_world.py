@@ -174,17 +174,17 @@ def drive_of(module, drive, rng, n_cells=8, n_poses=2):
     return cells, poses
 
 
-def write_set(folder, *, drives=DRIVES, protocol=4, seed=0, edit=None, dumps=pickle.dumps):
+def write_set(folder, *, drives=DRIVES, protocol=4, seed=0, n_cells=8, edit=None):
     """Write a folder in the published layout; `edit(module, cells, poses)` may spoil a drive."""
     for kind in ("cells", "poses"):
         (folder / kind).mkdir(parents=True, exist_ok=True)
     with published() as module:
         for drive in drives:
             rng = np.random.default_rng([seed, int(drive)])
-            cells, poses = drive_of(module, drive, rng)
+            cells, poses = drive_of(module, drive, rng, n_cells)
             if edit is not None:
                 edit(module, cells, poses)
             name = f"2013_05_28_drive_{drive}_sync.pkl"
-            (folder / "cells" / name).write_bytes(dumps(cells, protocol=protocol))
-            (folder / "poses" / name).write_bytes(dumps(poses, protocol=protocol))
+            (folder / "cells" / name).write_bytes(pickle.dumps(cells, protocol=protocol))
+            (folder / "poses" / name).write_bytes(pickle.dumps(poses, protocol=protocol))
     return folder

@@ -16,7 +16,8 @@ from placegraph.synthetic.towns import Town
 CLEAR = "I am on Speicherweg. The museum is south of me."
 SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
 IMPOSSIBLE = "A lighthouse is north of me and a zoo is to the south."
-COMMANDS = ["city build", "city locate", "city info", "city check", "city fetch", "demo"]
+COMMANDS = ["city build", "city locate", "city info", "city check", "city fetch", "city evaluate",
+            "city convert-kitti360pose", "demo"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
 from placegraph.formats.kitti360pose import DIRECTIONS, GRAIN, KIND, Kitti360Pose
@@ -255,6 +257,33 @@ def test_a_failed_conversion_leaves_the_old_file(kitti360pose_world, tmp_path, o
     with pytest.raises(InputError, match="the file ends here"):
         convert_kitti360pose(folder, old)
     assert old.read_bytes() == out.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def small(kitti360pose_world, tmp_path_factory):
+    """Folder of one cell and two poses, to be damaged, and its sound files."""
+    folder = kitti360pose_world.write_set(
+        tmp_path_factory.mktemp("small"), drives=["0003"], n_cells=1
+    )
+    paths = [folder / kind / SYNC.format("0003") for kind in ("cells", "poses")]
+    return folder, {path: path.read_bytes() for path in paths}
+
+
+@given(st.data())
+def test_damage_gives_a_file_or_a_sentence(small, data):
+    folder, files = small
+    path = data.draw(st.sampled_from(list(files)))
+    raw = bytearray(files[path])
+    for _ in range(data.draw(st.integers(1, 3))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(bytes(raw))
+    try:
+        convert_kitti360pose(folder, folder / "out.k360")
+        assert len(Kitti360Pose.open(folder / "out.k360").cells.ids) == 1
+    except InputError as error:
+        assert SYNC.format("0003") in str(error)  # noqa: PT017
+    finally:
+        path.write_bytes(files[path])
 
 
 def test_columns_that_contradict(out, tmp_path):
