@@ -13,7 +13,7 @@ import numpy as np
 
 from placegraph.outdoor.index import STRIDE
 from placegraph.outdoor.posterior import ELSEWHERE
-from placegraph.outdoor.track_kernels import scatter
+from placegraph.outdoor.track_kernels import background, scatter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 
 MARGIN = 15
 """Cells around the viewpoints: whoever leaves the map by 300 m is still followed."""
-BACKGROUND = 0.02
-"""So much of the probability at most, in the lightest cells, moves without being spread."""
+BACKGROUND = 0.03
+"""Of a belief in more cells than `MOST_SPREAD`, the lightest are shifted whole: so much of the
+probability ..."""
+MOST_SPREAD = 40_000
+"""... or all but so many. What is that broad is no broader for being spread."""
 FINE = 8.0
 """A motion is sampled at least this finely [m] ..."""
 MOST_SAMPLES = 400_000
@@ -183,7 +186,8 @@ def laid(mass: NDArray[np.float32], grid: TrackGrid, positions: Floats, shares: 
 def moved(belief: Belief, kernel: Kernel) -> Belief:
     """Belief after a motion; what leaves the grid is elsewhere."""
     mass, weights = belief.mass, kernel.weights
-    light = BACKGROUND / max(1, int(np.count_nonzero(mass)))
+    broad = np.count_nonzero(mass) > MOST_SPREAD
+    light = background(mass.ravel(), BACKGROUND, MOST_SPREAD) if broad else 0.0
     if np.count_nonzero(mass > light) * float(np.count_nonzero(weights)) > WIDE:
         out = _by_fourier(mass, kernel)
     else:

@@ -206,7 +206,7 @@ def _sentence(text: str) -> str:
 
 def _leg(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str]:
     """What a clause says of motion, and what of it is left to be said of a place."""
-    words = in_digits(_STEPS.sub(r"\1 paces", clause))
+    words = _STEPS.sub(r"\1 paces", in_digits(clause))
     if match := _STAY.match(words):
         return [Leg(clause, 0.0, 0.0, turn=0.0, sigma=0.0)], ""
     if match := _AFTER.match(words):
