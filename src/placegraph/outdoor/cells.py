@@ -116,6 +116,26 @@ class Cells(Mapping[str, Cell]):
             [column, row]
         )
 
+    def centers(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Centres (K, 2) of the cells in `rows` of `points`, east and north [m]."""
+        row, column = np.divmod(self.points[rows], self.grid.columns)
+        return np.stack([column, row], 1) * self.grid.stride + (self.grid.east, self.grid.north)
+
+    def rows_at(self, east_north: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Rows (K,) of `points` of the cells nearest to positions (K, 2) [m]; -1 where none covers."""
+        step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
+        column, row = np.floor(step + 0.5).astype(np.int64).T
+        reach = np.abs(step - np.stack([column, row], 1)).max(axis=1) * self.grid.stride
+        on_grid = (0 <= column) & (column < self.grid.columns) & (0 <= row)
+        points = row * self.grid.columns + column
+        at = np.minimum(np.searchsorted(self.points, points), len(self.points) - 1)
+        there = on_grid & (reach <= self.size / 2) & (self.points[at] == points)
+        return np.where(there, at, -1)
+
+    def id_of(self, row: int) -> str:
+        """Id of the cell in a row of `points`."""
+        return self._id(int(self.points[row]))
+
     def bounds(self, cell: str) -> tuple[float, float, float, float]:
         """West, south, east and north edge of a cell [m]."""
         east, north = self.center(cell)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.ask import Answer
     from placegraph.outdoor.description import Description
     from placegraph.outdoor.index import ViewIndex
+    from placegraph.outdoor.learn.encoded import EncodedCity
     from placegraph.outdoor.match import Scene
     from placegraph.outdoor.names import NameIndex
 
@@ -293,6 +294,19 @@ class CityMap:
         order = np.argsort(views.token_values, kind="stable")
         counts = np.bincount(views.token_values, minlength=len(views.posting_starts) - 1)
         return np.concatenate(([0], np.cumsum(counts))), owner[order]
+
+    @cached_property
+    def encoded(self) -> EncodedCity:
+        """The city as the shipped network reads it; derived on first use."""
+        from placegraph.outdoor.learn.encoded import EncodedCity
+        from placegraph.outdoor.learn.network import GraphTransformer
+
+        return EncodedCity(self, GraphTransformer.default())
+
+    @property
+    def embeddings(self) -> NDArray[np.float32]:
+        """Embeddings (C, D) of all cells by the shipped network (Eq. 10)."""
+        return self.encoded.embeddings
 
     @cached_property
     def scene(self) -> Scene:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.index import ViewIndex
+    from placegraph.outdoor.learn.encoded import EncodedCity
     from placegraph.outdoor.query import Far, Query
 
 MOST_CANDIDATES = 400
@@ -101,11 +102,23 @@ class Candidates(NamedTuple):
     """Log of what all other viewpoints weigh together."""
 
 
-def search(query: Query, city: CityMap, prior: Prior) -> Posterior:
-    """Score the viewpoints of a city."""
+def search(
+    query: Query,
+    city: CityMap,
+    prior: Prior,
+    *,
+    rows: NDArray[np.int64] | None = None,
+    encoded: EncodedCity | None = None,
+) -> Posterior:
+    """Score the viewpoints of a city, or those in `rows`; `encoded` lets the network judge the best."""
     if not query.used:
         return _by_prior(city.views, _log_prior(city.views, prior))
-    return closer(query, city, candidates(query, city, prior))
+    found = candidates(query, city, prior, rows=rows)
+    if encoded is not None:
+        from placegraph.outdoor.rerank import rerank
+
+        found = rerank(found, query, encoded)
+    return closer(query, city, found)
 
 
 def closer(query: Query, city: CityMap, found: Candidates) -> Posterior:
@@ -133,8 +146,21 @@ def _log_prior(views: ViewIndex, prior: Prior) -> NDArray[np.float64]:
     return log_prior - (mass if prior.listener is not None else max(0.0, mass))
 
 
-def candidates(query: Query, city: CityMap, prior: Prior) -> Candidates:
-    """Find and score the viewpoints that a query with statements may have been given at."""
+def touched(query: Query, city: CityMap, most: int) -> NDArray[np.int32]:
+    """Viewpoints (at most `most`) of largest bound on their likelihood, best first."""
+    chosen, _, _ = scan.candidates(
+        query.statements, query.mentions, city.views.columns, np.zeros(0), most
+    )
+    return chosen
+
+
+def candidates(
+    query: Query, city: CityMap, prior: Prior, *, rows: NDArray[np.int64] | None = None
+) -> Candidates:
+    """Find and score the viewpoints that a query with statements may have been given at.
+
+    Where `rows` are given only these are scored, all of them.
+    """
     views, statements = city.views, query.statements
     n_views = len(views.positions)
     log_prior = _log_prior(views, prior)
@@ -142,9 +168,13 @@ def candidates(query: Query, city: CityMap, prior: Prior) -> Candidates:
     weights = np.exp(log_prior - highest)
     words = query.words(len(views.posting_starts) - 1)
     most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
-    chosen, bounds, left_out = scan.candidates(
-        statements, query.mentions, views.columns, weights, most
-    )
+    if rows is None:
+        chosen, bounds, left_out = scan.candidates(
+            statements, query.mentions, views.columns, weights, most
+        )
+    else:
+        chosen, left_out = rows.astype(np.int32), 0.0
+        bounds = np.full(len(rows), scan.HIGHEST)
     far = np.zeros((len(chosen), len(statements.op)), np.float32)
     if query.far:
         chosen, bounds, far = _with_far(query, query.far, city, weights, chosen, bounds)

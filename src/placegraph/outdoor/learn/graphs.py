@@ -15,6 +15,8 @@ from numba import njit
 from placegraph.outdoor.description import SPEAKER, Relation
 from placegraph.outdoor.learn.labels import of_name
 
+from placegraph.outdoor.raster import sightings
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -30,9 +32,9 @@ CHANNELS = ("north", "south", "east", "west", "near", "inside", "contains", "alo
 NORTH, SOUTH, EAST, WEST, NEAR, INSIDE, CONTAINS, ALONG, PRESENT = range(len(CHANNELS))
 OPPOSITE = np.array([SOUTH, NORTH, WEST, EAST, NEAR, CONTAINS, INSIDE, ALONG, PRESENT])
 """Channel seen from the other end."""
-HALF = 25.0
-"""Things within a square of twice this edge around a place belong to it [m]."""
-MOST_THINGS = 32
+REACH = 34.0
+"""Things nearer than this to its centre belong to a place: who stands 10 m aside sees them [m]."""
+MOST_THINGS = 36
 """At most this many things of a place are read, the nearest ones."""
 MOST_MENTIONS = 24
 """At most this many things of a text are read."""
@@ -190,10 +192,14 @@ class PlaceGraphs:
 
     @classmethod
     def of_cells(cls, city: CityMap) -> PlaceGraphs:
-        """Graphs of all cells of a city, rows as `city.cells.points`."""
-        from placegraph.outdoor.cells import cell_sightings
+        """Graphs around all cells of a city, rows as `city.cells.points`.
 
-        seen = cell_sightings(city.objects, city.cells.grid, city.cells.size)
+        They reach beyond the cell's edge: who stands at it speaks of what lies beyond.
+        """
+        o = city.objects
+        seen = sightings(
+            o.kind, o.part_starts, o.point_starts, o.points, grid=city.cells.grid, radius=REACH
+        )
         rows = np.searchsorted(seen.points, city.cells.points)
         return cls.of_sightings(city, seen, rows)
 
@@ -258,7 +264,7 @@ class PlaceGraphs:
 
 @njit(cache=True, nogil=True)
 def _nearest_things(starts, offsets, rows):
-    """Entries of each row within the square, the nearest `MOST_THINGS`; starts (K + 1,), entries."""
+    """Entries of each row within reach, the nearest `MOST_THINGS`; starts (K + 1,), entries."""
     chosen = np.zeros(len(rows) + 1, np.int64)
     most = 0
     for k in range(len(rows)):
@@ -270,8 +276,8 @@ def _nearest_things(starts, offsets, rows):
         distance = np.empty(last - first, np.float32)
         for e in range(first, last):
             x, y = offsets[e, 0], offsets[e, 1]
-            inside = max(abs(x), abs(y)) <= HALF
-            distance[e - first] = x * x + y * y if inside else np.float32(np.inf)
+            d2 = x * x + y * y
+            distance[e - first] = d2 if d2 <= REACH * REACH else np.float32(np.inf)
         order = np.argsort(distance, kind="mergesort")
         for i in order[:MOST_THINGS]:
             if distance[i] < np.inf:

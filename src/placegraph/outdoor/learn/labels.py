@@ -8,14 +8,14 @@ their letters in threes to fives. What training has seen is known as a whole; wh
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -41,12 +41,9 @@ class Bags:
     @classmethod
     def of(cls, words: Sequence[str]) -> Bags:
         """Parts of labels (``key=value``), names (``~`` before them) and plain words."""
-        bags = [_parts(word) for word in words]
-        return cls(
-            np.concatenate(([0], np.cumsum([len(bag) for bag in bags]))).astype(np.int64),
-            np.array([bucket for bag in bags for bucket, _ in bag], np.int64),
-            np.array([weight for bag in bags for _, weight in bag], np.float32),
-        )
+        letters = [np.frombuffer(w.encode("utf-32-le", "surrogatepass"), np.uint32) for w in words]
+        bounds = np.concatenate(([0], np.cumsum([len(x) for x in letters]))).astype(np.int64)
+        return cls(*_parts(np.concatenate([np.zeros(0, np.uint32), *letters]), bounds))
 
     def vectors(self, table: NDArray[np.float32]) -> NDArray[np.float32]:
         """Vectors (W, d) of the words, from the table (BUCKETS, d)."""
@@ -59,26 +56,54 @@ def of_name(name: str) -> str:
     return "~" + " ".join(name.split()).casefold()
 
 
-def _parts(word: str) -> list[tuple[int, float]]:
-    key, equals, value = word.partition("=")
-    if not equals:
-        value = key
-    letters = list(_subwords(value.removeprefix("~")))
-    share = LETTERS / np.sqrt(max(1, len(letters)))
-    parts = [(_bucket("w:" + word), 1.0)]
-    if equals:
-        parts.append((_bucket("k:" + key), 0.5))
-    return parts + [(_bucket("s:" + part), share) for part in letters]
+WHOLE, KEY, SUBWORD = range(3)
+"""What a part is: `cafe` as a word is not `cafe` within one."""
+EQUALS, SPACE, UNDERSCORE, TILDE, BEGIN, END = (ord(c) for c in "= _~<>")
 
 
-def _subwords(text: str) -> Iterable[str]:
-    """Letters in threes to fives of every word, with its ends marked."""
-    for word in text.replace("_", " ").split():
-        marked = f"<{word}>"
-        for size in range(SHORTEST, LONGEST + 1):
-            for i in range(len(marked) - size + 1):
-                yield marked[i : i + size]
+@njit(cache=True, nogil=True)
+def _parts(letters, bounds):
+    """Parts of words that follow each other in `letters`, as CSR: starts, buckets, weights."""
+    starts = np.zeros(len(bounds), np.int64)
+    most = (LONGEST - SHORTEST + 1) * (3 * len(letters) + 2) + 2 * len(bounds)
+    buckets, weights = np.empty(most, np.int64), np.empty(most, np.float32)
+    n = 0
+    for w in range(len(bounds) - 1):
+        word = letters[bounds[w] : bounds[w + 1]]
+        buckets[n], weights[n] = _bucket(word, WHOLE), 1.0
+        n += 1
+        value = 0
+        for i in range(len(word)):
+            if word[i] == EQUALS:
+                buckets[n], weights[n] = _bucket(word[:i], KEY), 0.5
+                n += 1
+                value = i + 1
+                break
+        if value == 0 and len(word) and word[0] == TILDE:
+            value = 1
+        first = n
+        i = value
+        while i < len(word):
+            j = i
+            while j < len(word) and word[j] != SPACE and word[j] != UNDERSCORE:
+                j += 1
+            marked = np.empty(j - i + 2, np.uint32)
+            marked[0], marked[1 : j - i + 1], marked[j - i + 1] = BEGIN, word[i:j], END
+            for size in range(SHORTEST, LONGEST + 1):
+                for k in range(len(marked) - size + 1 if j > i else 0):
+                    buckets[n] = _bucket(marked[k : k + size], SUBWORD)
+                    n += 1
+            i = j + 1
+        weights[first:n] = LETTERS / np.sqrt(max(1, n - first))
+        starts[w + 1] = n
+    return starts, buckets[:n], weights[:n]
 
 
-def _bucket(part: str) -> int:
-    return zlib.crc32(part.encode()) % BUCKETS
+@njit(cache=True, nogil=True)
+def _bucket(letters, kind):
+    """Row of the table of vectors (FNV-1a over the letters' code points)."""
+    code = np.uint64(14695981039346656037) ^ np.uint64(kind)
+    for letter in letters:
+        code = (code * np.uint64(1099511628211)) ^ np.uint64(letter)
+    code ^= code >> np.uint64(29)
+    return np.int64(code % np.uint64(BUCKETS))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import MapError
-from placegraph.outdoor.learn.graphs import CHANNELS, HALF, MOST_THINGS
+from placegraph.outdoor.learn.graphs import CHANNELS, MOST_THINGS, REACH
 from placegraph.outdoor.learn.labels import BUCKETS, LONGEST, SHORTEST
 from placegraph.outdoor.learn.shape import Shape
 from placegraph.store import read_map, write_map
@@ -26,7 +26,7 @@ KIND = "graph-transformer"
 VERSION = 1
 LABELS = {"buckets": BUCKETS, "subwords": [SHORTEST, LONGEST]}
 """How words become rows of the table; weights made otherwise mean something else."""
-GRAPHS = {"channels": list(CHANNELS), "half": HALF, "things": MOST_THINGS}
+GRAPHS = {"channels": list(CHANNELS), "reach": REACH, "things": MOST_THINGS}
 """What graphs are made of."""
 
 

@@ -1,0 +1,79 @@
+"""A city as a network reads it: vectors of its words, graphs and embeddings of its cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.outdoor.learn.batches import WordFits, word_fits
+from placegraph.outdoor.learn.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.learn.network import GraphTransformer, Matches
+from placegraph.outdoor.learn.pool import fits_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.query import Query
+    from placegraph.outdoor.vectors import VectorStore
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCity:
+    """A city read by a network; everything is derived on first use."""
+
+    city: CityMap
+    network: GraphTransformer
+
+    @cached_property
+    def words(self) -> NDArray[np.float32]:
+        """Vectors (T, d) of `city.words`."""
+        return self.network.word_vectors(self.city.words)
+
+    @cached_property
+    def cells(self) -> PlaceGraphs:
+        """Graphs of all cells, rows as `city.cells.points`."""
+        return PlaceGraphs.of_cells(self.city)
+
+    @cached_property
+    def embeddings(self) -> NDArray[np.float32]:
+        """Embeddings (C, D) of all cells (Eq. 10), rows as `city.cells.points`."""
+        return self.network.embed_places(self.cells, self.words)
+
+    @cached_property
+    def store(self) -> VectorStore:
+        """The embeddings, ready to be searched."""
+        from placegraph.outdoor.vectors import EmbeddedStore, Origin, map_fingerprint
+        from placegraph.outdoor.vectors.stores import cell_positions
+
+        origin = Origin(map_fingerprint(self.city), self.network.fingerprint)
+        cells = self.city.cells
+        return EmbeddedStore.of(
+            cells.points, self.embeddings, cell_positions(cells), origin=origin
+        )
+
+    def text(self, query: Query) -> EncodedText:
+        """A query as the network reads it."""
+        texts = TextGraphs.of([query.description])
+        fits = fits_of(texts, [query])
+        counts, total = self.city.word_counts
+        return EncodedText(
+            texts, word_fits(fits.starts, fits.tokens, fits.weights, counts, total)
+        )
+
+    def match(self, text: EncodedText, places: PlaceGraphs, rows: NDArray[np.int64]) -> Matches:
+        """Match a text with places of this city (Eq. 14-17)."""
+        return self.network.match(text.graphs, 0, places, rows, text.words, self.words)
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedText:
+    """A query as a network reads it."""
+
+    graphs: TextGraphs
+    """One text."""
+    words: WordFits
+    """How well words of the map fit its nodes."""

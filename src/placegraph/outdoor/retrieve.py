@@ -1,0 +1,210 @@
+"""The paper's pipeline on cells: candidates by embedding, then a matcher ranks them (Eq. 9-16).
+
+`CityMap.locate` looks at viewpoints instead, which stand closer together than cells; what it does
+with the network is in `rerank`. Here every matcher ranks the same cells, so that they compare.
+"""
+
+from __future__ import annotations
+
+
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.outdoor import search
+from placegraph.outdoor.query import Query, compile_query
+from placegraph.outdoor.rerank import rerank
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.description import Description
+    from placegraph.outdoor.learn.encoded import EncodedCity
+    from placegraph.outdoor.vectors import Region, VectorStore
+
+Matcher = Literal["fused", "relational", "transformer", "edit-distance", "embedding"]
+"""fused: relational matching, shifted by the network; relational; the network alone (Eq. 14-17);
+graph edit distance; the cosine of the graph embeddings alone (Eq. 11)."""
+By = Literal["sparse", "dense", "both", "all"]
+"""Candidates by the inverted index of viewpoints, by embeddings, by both in turn, or all cells."""
+MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
+WAYS: tuple[By, ...] = get_args(By)
+SPARSE = 8
+"""Viewpoints looked at for each sparse candidate."""
+
+
+class Ranking(NamedTuple):
+    """Cells, best first."""
+
+    rows: NDArray[np.int64]
+    """(k,) rows of `city.cells.points`."""
+    cells: tuple[str, ...]
+    """(k,) their ids."""
+    scores: NDArray[np.float64]
+    """(k,) larger is better; what they are depends on the matcher: log-likelihood ratio, log odds,
+    cosine, or minus edit distance."""
+
+
+def retrieve(
+    city: CityMap,
+    description: Description,
+    *,
+    matcher: Matcher = "fused",
+    candidates: int = 10,
+    by: By = "both",
+    top: int = 5,
+    store: VectorStore | None = None,
+    region: Region | None = None,
+    encoded: EncodedCity | None = None,
+    timeout: float = 0.1,
+) -> Ranking:
+    """Rank cells by how well they match a description.
+
+    Parameters
+    ----------
+    matcher
+        What ranks the candidates.
+    candidates
+        How many cells are matched (the paper's n of Eq. 12).
+    by
+        How they are found.
+    top
+        How many cells to return.
+    store, region
+        Where embeddings are searched (the city's own if not given), and a region to stay in.
+    encoded
+        The city as a network reads it; by the shipped network if not given.
+    timeout
+        Of one edit distance [s].
+
+    Raises
+    ------
+    OptionError
+        There is no such matcher or way to find candidates, or a number is out of range.
+    DescriptionError
+        Edit distance needs things in the text.
+
+    """
+    if matcher not in MATCHERS or by not in WAYS:
+        raise OptionError(
+            f"matcher {matcher!r}, by {by!r}: choose among {', '.join(MATCHERS)} and "
+            f"{', '.join(WAYS)}."
+        )
+    if candidates < 1 or top < 1:
+        raise OptionError(f"candidates {candidates}, top {top}: choose at least 1.")
+    encoded = encoded or city.encoded
+    query = compile_query(description, city)
+    rows = candidate_cells(city, query, candidates, by, encoded, store=store, region=region)
+    if not len(rows):
+        return Ranking(rows, (), np.zeros(0))
+    scores = _scores(city, query, matcher, rows, encoded, timeout)
+    best = np.argsort(-scores, kind="stable")[:top]
+    ids = tuple(city.cells.id_of(row) for row in rows[best])
+    return Ranking(rows[best], ids, scores[best])
+
+
+def candidate_cells(
+    city: CityMap,
+    query: Query,
+    n: int,
+    by: By,
+    encoded: EncodedCity,
+    *,
+    store: VectorStore | None = None,
+    region: Region | None = None,
+) -> NDArray[np.int64]:
+    """Rows (at most n) of `city.cells.points` that are worth matching, best first."""
+    if by == "all":
+        return np.arange(len(city.cells))
+    found = []
+    if by in ("dense", "both"):
+        found.append(dense_cells(city, query, n, encoded, store=store, region=region))
+    if by in ("sparse", "both"):
+        found.append(_sparse_cells(city, query, n))
+    if len(found) == 1:
+        return found[0]
+    longest = max(map(len, found))
+    turns = [rows[i] for i in range(longest) for rows in found if i < len(rows)]
+    return np.array(list(dict.fromkeys(turns))[:n], np.int64)
+
+
+def dense_cells(
+    city: CityMap,
+    query: Query,
+    n: int,
+    encoded: EncodedCity,
+    *,
+    store: VectorStore | None = None,
+    region: Region | None = None,
+) -> NDArray[np.int64]:
+    """Rows of the cells whose embeddings are nearest to that of the text (Eq. 11-13)."""
+    text = encoded.network.embed_texts(encoded.text(query).graphs)
+    near = (store or encoded.store).search(text, n, region)
+    points = near.ids[0][near.ids[0] >= 0]
+    return np.searchsorted(city.cells.points, points)
+
+
+def _sparse_cells(city: CityMap, query: Query, n: int) -> NDArray[np.int64]:
+    """Rows of the cells that hold the viewpoints of largest bound."""
+    if not any(not s.negated for s in query.used):
+        return np.zeros(0, np.int64)
+    views = search.touched(query, city, SPARSE * n)
+    rows = city.cells.rows_at(city.views.positions[views].astype(np.float64))
+    return np.array(list(dict.fromkeys(rows[rows >= 0].tolist()))[:n], np.int64)
+
+
+def views_in(city: CityMap, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Viewpoints (V,) that lie in cells, ascending."""
+    half = city.cells.size / 2
+    around = [city.views.near(center, half) for center in city.cells.centers(rows)]
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *around]))
+
+
+def _scores(
+    city: CityMap,
+    query: Query,
+    matcher: Matcher,
+    rows: NDArray[np.int64],
+    encoded: EncodedCity,
+    timeout: float,
+) -> NDArray[np.float64]:
+    """Scores (K,) of cells."""
+    if matcher == "transformer":
+        match = encoded.match(encoded.text(query), encoded.cells, rows)
+        return match.logit.astype(np.float64)
+    if matcher == "embedding":
+        text = encoded.network.embed_texts(encoded.text(query).graphs)
+        return (encoded.embeddings[rows] @ text[0]).astype(np.float64)
+    if matcher == "edit-distance":
+        from placegraph.outdoor.edit_distance import rank
+
+        graphs = [city.graph(city.cells.id_of(row)) for row in rows]
+        ranked = rank(
+            query.description, graphs, centers=city.cells.centers(rows), timeout=timeout
+        )
+        scores = np.empty(len(rows))
+        scores[ranked.rows] = -ranked.costs
+        return scores
+    return _relational(city, query, rows, encoded if matcher == "fused" else None)
+
+
+def _relational(
+    city: CityMap, query: Query, rows: NDArray[np.int64], encoded: EncodedCity | None
+) -> NDArray[np.float64]:
+    """Log-likelihood ratio of the best viewpoint of each cell, shifted by the network."""
+    scores = np.full(len(rows), -1e9)
+    views = views_in(city, rows)
+    if not len(views) or not any(not s.negated for s in query.used):
+        return scores
+    found = search.candidates(query, city, search.Prior(), rows=views)
+    found = found if encoded is None else rerank(found, query, encoded)
+    at = city.cells.rows_at(city.views.positions[found.rows].astype(np.float64))
+    place = {int(row): i for i, row in enumerate(rows)}
+    for row, score in zip(at, found.scores + found.log_prior, strict=True):
+        if row in place:
+            scores[place[row]] = max(scores[place[row]], score)
+    return scores
+
+
