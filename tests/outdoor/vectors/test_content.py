@@ -28,6 +28,7 @@ def test_rows_are_sorted_and_of_unit_length():
     [
         (0, [4, 4], "not unique"),
         (0, [4, -1], "negative"),
+        (0, np.array([4, 2**63 + 1], np.uint64), "negative"),
         (0, [4.0, 2.0], "one integer a vector"),
         (0, [4], "one integer a vector"),
         (1, [[0.0, 0.0], [1.0, 0.0]], "zero or not finite"),

@@ -239,6 +239,8 @@ def test_stores_by_name_or_by_origin(fake, server, content):
     load(server, content)
     load(server, content, origin=Origin("b", "c"))
     load(server, content, name="town hall", origin=Origin("d", "e"))
+    with pytest.raises(StoreError, match="was made from another map or model"):
+        MilvusStore.on(server, name="town", origin=Origin("d", "e"))
     fake.held["somebody_elses"] = {"description": "", "dim": 3}
     assert [s.name for s in list_stores(server)].count("town") == 2
     assert all(s.complete for s in list_stores(server))

@@ -149,7 +149,7 @@ class Vectors:
             )
         order = np.argsort(names, kind="stable")
         names = names[order].astype(np.int64)
-        if names[0] < 0 or (np.diff(names) == 0).any():
+        if (names < 0).any() or (np.diff(names) == 0).any():
             raise OptionError(
                 "Ids of vectors are negative or not unique; give each id from 0 once."
             )

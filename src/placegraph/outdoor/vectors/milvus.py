@@ -57,6 +57,10 @@ class StoreInfo:
     complete: bool
     """Whether it may be searched; else its load was begun and not finished."""
 
+    def is_named(self, name: str) -> bool:
+        """Whether `name` leads to this collection."""
+        return self.collection.removesuffix(LOADING) == collection_name(name, self.origin)
+
     def description(self) -> str:
         """JSON that the collection carries."""
         said = {"placegraph": 1, "name": self.name, "map": self.origin.map}
@@ -327,8 +331,7 @@ def _chosen(server: Server, name: str | None, origin: Origin | None) -> StoreInf
     """The one complete store of that name and origin."""
     if name is None and origin is None:
         raise OptionError("Say which store of the server: its name, or the map and the model.")
-    stem = None if name is None else collection_name(name, Origin()).removesuffix(Origin().version)
-    named = [s for s in list_stores(server) if stem is None or s.collection.startswith(stem)]
+    named = [s for s in list_stores(server) if name is None or s.is_named(name)]
     fitting = [s for s in named if origin is None or s.origin == origin]
     complete = [s for s in fitting if s.complete]
     if len(complete) == 1:
