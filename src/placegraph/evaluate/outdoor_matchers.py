@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +17,7 @@ from placegraph.evaluate.outdoor_report import BAGS
 from placegraph.outdoor.edit_distance import TIMEOUT
 from placegraph.outdoor.edit_distance import rank as rank_by_edits
 from placegraph.outdoor.locate import read
+from placegraph.outdoor.retrieve import By, retrieve
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from placegraph.evaluate.outdoor_queries import Query, Setting
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.retrieve import Matcher as MatcherName
 
 EDIT, EDIT_PLAIN = "edit distance", "edit distance, plain"
 DENSE = "dense candidates alone"
 RELATIONAL, FUSED = "relational", "fused (default)"
-TRANSFORMER = {by: f"transformer, {by} candidates" for by in ("dense", "sparse", "both")}
+WAYS: tuple[By, ...] = ("dense", "sparse", "both")
+TRANSFORMER = {by: f"transformer, {by} candidates" for by in WAYS}
 OF_NETWORK = (DENSE, *TRANSFORMER.values(), FUSED)
 """Matchers that need the learned network."""
 MATCHERS = (*BAGS, EDIT_PLAIN, EDIT, DENSE, *TRANSFORMER.values(), RELATIONAL, FUSED)
@@ -113,14 +115,12 @@ class RetrieveMatcher:
     """The paper's pipeline on cells (Eq. 9-16): candidates, then a matcher for each pair."""
 
     city: CityMap
-    matcher: str
-    by: str = "both"
+    matcher: MatcherName
+    by: By = "both"
     candidates: int = 10
 
     def rank(self, query: Query, top: int) -> Places:
         """Candidates, ranked."""
-        from placegraph.outdoor.retrieve import retrieve
-
         found = retrieve(
             self.city,
             read(self.city, query.text),
@@ -130,30 +130,6 @@ class RetrieveMatcher:
             top=top,
         )
         return places_of(self.city, found.cells)
-
-
-@dataclass(frozen=True)
-class DenseMatcher:
-    """Cosine of graph embeddings and nothing else (Eq. 9-12)."""
-
-    city: CityMap
-    network: Any
-    """A `GraphTransformer`."""
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """(C,) ids of the cells, in the order of the embeddings."""
-        return tuple(self.city.cells)
-
-    def rank(self, query: Query, top: int) -> Places:
-        """Cells nearest to the text."""
-        from placegraph.outdoor.learn.graphs import TextGraphs
-
-        text = self.network.embed_texts(TextGraphs.of([read(self.city, query.text)]))[0]
-        similarity = self.city.embeddings @ text
-        best = np.argpartition(-similarity, min(top, len(similarity) - 1))[:top]
-        best = best[np.argsort(-similarity[best], kind="stable")]
-        return places_of(self.city, (self.names[i] for i in best))
 
 
 @dataclass(frozen=True)
@@ -182,9 +158,7 @@ class EditMatcher:
 
 def cell_centers(city: CityMap) -> Floats:
     """Centres (C, 2) of the cells, in the order of `city.cells.points`; east, north [m]."""
-    grid = city.cells.grid
-    row, column = np.divmod(city.cells.points, grid.columns)
-    return np.asarray(grid.stride * np.stack([column, row], 1) + (grid.east, grid.north))
+    return city.cells.centers(np.arange(len(city.cells)))
 
 
 def matcher(
@@ -197,9 +171,7 @@ def matcher(
         first = BagMatcher.of(city, bins, list(BAGS)[-1], setting, seed)
         return EditMatcher(city, first, plain=name == EDIT_PLAIN)
     if name == DENSE:
-        from placegraph.outdoor.learn.network import GraphTransformer
-
-        return DenseMatcher(city, GraphTransformer.default())
+        return RetrieveMatcher(city, "embedding", "dense", max(RANKS))
     for by, called in TRANSFORMER.items():
         if name == called:
             return RetrieveMatcher(city, "transformer", by)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,9 +25,14 @@ if TYPE_CHECKING:
     from placegraph.evaluate.outdoor_queries import Query
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.description import Description
+    from placegraph.outdoor.learn.batches import WordFits
+    from placegraph.outdoor.learn.graphs import PlaceGraphs, TextGraphs
+    from placegraph.outdoor.learn.network import GraphTransformer
 
 EVERYTHING = 1e9
 """Margin [nat] that leaves nothing out: every pair is scored in full."""
+TOGETHER_IN_TORCH = 250
+"""Pairs a batch in PyTorch."""
 
 
 def rate(work: Callable[[], int], *, seconds: float, least: int = 3) -> float:
@@ -122,3 +128,63 @@ class Pairs:
             return sum(map(len, self.views))
 
         return work
+
+    def by_network(self, network: GraphTransformer) -> Callable[[], int]:
+        """Joint embedding of all pairs (Eq. 14-17), a text's cells at once, their graphs encoded anew."""
+        texts, places, words = self._graphs()
+        vectors = network.word_vectors(places.vocabulary)
+
+        def work() -> int:
+            for text, rows in enumerate(self.rows):
+                network.match(texts, text, places, rows, words, vectors)
+            return sum(map(len, self.rows))
+
+        return work
+
+    def by_torch(self, network: GraphTransformer, device: str) -> Callable[[], int]:
+        """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
+        import torch
+
+        from placegraph.outdoor.learn.batches import pair_batch, place_batch, text_batch
+        from placegraph.outdoor.learn.labels import Bags
+        from placegraph.outdoor.learn.torch_batches import Batch, forward
+        from placegraph.outdoor.learn.torch_network import Network
+
+        texts, places, words = self._graphs()
+        module = Network(network.shape)
+        module.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in network.arrays.items()})
+        module.to(device).eval()
+        bags = SimpleNamespace(
+            text_bags=Bags.of(texts.vocabulary), place_bags=Bags.of(places.vocabulary)
+        )
+
+        def work() -> int:
+            for text, chosen in enumerate(self.rows):
+                for at in range(0, len(chosen), TOGETHER_IN_TORCH):
+                    rows, one = chosen[at : at + TOGETHER_IN_TORCH], np.array([text])
+                    every = np.arange(len(rows))
+                    pairs = (np.zeros(len(rows), np.int64), every)
+                    batch = Batch(
+                        text_batch(texts, one),
+                        place_batch(places, rows),
+                        pair_batch(texts, places, one, rows, pairs, words),
+                        slots=every,
+                        right=np.zeros(len(rows), np.int8),
+                        everywhere=np.zeros((1, len(rows)), np.int64),
+                    )
+                    with torch.no_grad():
+                        forward(module, bags, batch, device).logit.cpu()  # type: ignore[arg-type]  # only bags are read
+            return sum(map(len, self.rows))
+
+        return work
+
+    def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
+        """Graphs of all texts and all cells, and how well the map's words fit the texts'."""
+        from placegraph.outdoor.learn.batches import word_fits
+        from placegraph.outdoor.learn.graphs import PlaceGraphs, TextGraphs
+        from placegraph.outdoor.learn.pool import fits_of
+
+        texts = TextGraphs.of(self.descriptions)
+        fits = fits_of(texts, [compile_query(d, self.city) for d in self.descriptions])
+        words = word_fits(fits.starts, fits.tokens, fits.weights, *self.city.word_counts)
+        return texts, PlaceGraphs.of_cells(self.city), words

@@ -1,0 +1,149 @@
+"""What is each part of the network worth? Short trainings that differ in one thing.
+
+    python benchmarks/outdoor_ablation.py
+    python benchmarks/outdoor_ablation.py --quick
+
+All are trained alike, on the same descriptions, and evaluated on held-out tiles. Interrupted, the
+same command goes on. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from placegraph.evaluate.machine import machine
+from placegraph.evaluate.outdoor_ablation import CANDIDATES, Task, evaluate, mean_of
+from placegraph.evaluate.outdoor_extracts import EXTRACTS, TRAINED, open_city, unseen_queries
+from placegraph.evaluate.outdoor_queries import load
+from placegraph.evaluate.tables import markdown, number, share, shares
+from placegraph.outdoor.learn.network import GraphTransformer
+from placegraph.outdoor.learn.train import TrainOptions, train
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from placegraph.outdoor.city import CityMap
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared/data/osm"
+SHIPPED = "shipped"
+
+
+def variants(base: TrainOptions) -> dict[str, TrainOptions]:
+    """Trainings by name."""
+    every = base.losses
+    return {
+        "all": base,
+        "no cross attention": replace(base, shape=replace(base.shape, crossings=0)),
+        "one crossing": replace(base, shape=replace(base.shape, crossings=1)),
+        "no message passing": replace(base, shape=replace(base.shape, layers=0)),
+        **{f"loss: {name} alone": replace(base, losses=(name,)) for name in every},
+        **{
+            f"without loss: {name}": replace(base, losses=tuple(x for x in every if x != name))
+            for name in every
+        },
+    }
+
+
+def trained(
+    name: str, options: TrainOptions, cities: Mapping[str, CityMap], work: Path, device: str
+) -> GraphTransformer:
+    """Train one variant, on the examples that the first one made, or go on with it."""
+    folder = work / name.replace(":", "").replace(" ", "_")
+    weights = folder / "weights"
+    if not weights.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        for made in (work / "all").glob("*.pool"):
+            if folder != made.parent and not (folder / made.name).exists():
+                shutil.copy(made, folder / made.name)
+        train(cities, weights, folder=folder, options=options, device=device)
+    return GraphTransformer.open(weights)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown: recall@1/3/5 within 50 m, mean of the cities."""
+    own = [f"{n} candidates" for n in CANDIDATES]
+    header = ["", "weights", "20 given cells", "by cosine", "dense alone", "one of ten", *own]
+    lines = [
+        [
+            row["name"],
+            number(row["weights"]),
+            *(shares(row["recall"][n]) for n in ("given", "given, cosine", "dense")),
+            share(row["recall"]["dense, of 10"][0]),
+            *(shares(row["recall"][n]) for n in own),
+        ]
+        for row in rows
+    ]
+    return markdown(header, lines)
+
+
+def main(
+    queries: Annotated[int, typer.Option(help="Queries a city.")] = 200,
+    epochs: Annotated[int, typer.Option(help="Epochs of a training.")] = 3,
+    examples: Annotated[int, typer.Option(help="New descriptions a city and epoch.")] = 1000,
+    steps: Annotated[int, typer.Option(help="Batches an epoch.")] = 200,
+    only: Annotated[str, typer.Option(help="Names of variants with commas.")] = "",
+    seed: Annotated[int, typer.Option(help="Seed of the trainings and the queries.")] = 0,
+    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    *,
+    quick: Annotated[bool, typer.Option(help="Two tiny trainings on one city.")] = False,
+    data: Annotated[Path, typer.Option(help="Folder with the extracts.")] = DATA,
+    maps: Annotated[Path, typer.Option(help="Folder for maps.")] = ROOT / ".benchmark-cache",
+    work: Annotated[Path, typer.Option(help="Folder for trainings.")] = (
+        ROOT / ".benchmark-cache/ablation"
+    ),
+    out: Annotated[Path, typer.Option(help="JSON file.")] = (
+        ROOT / "benchmarks/results/outdoor_ablation.json"
+    ),
+) -> None:
+    """Train the variants, measure them and print Markdown."""
+    names = list(TRAINED)
+    base = TrainOptions(epochs=epochs, examples=examples, steps=steps, seed=seed)
+    if quick:
+        names, queries, only = names[2:3], 20, only or "all,no cross attention"
+        base = TrainOptions(epochs=1, examples=32, steps=4, batch=8, check=16, seed=seed)
+        work /= "quick"
+    wanted = variants(base)
+    wanted = {n: o for n, o in wanted.items() if not only or n in only.split(",")}
+    cities = {name: open_city(name, data, maps) for name in names}
+    tasks = []
+    for name, city in cities.items():
+        path = data / EXTRACTS[name]
+        told = unseen_queries(name, city, path, n=queries, seed=seed)
+        tasks.append(Task.of(city, load(path), told))
+    rows: list[dict[str, Any]] = []
+    for name in (*wanted, SHIPPED):
+        print(name, file=sys.stderr)
+        if name in wanted:
+            network = trained(name, wanted[name], cities, work, device)
+        else:
+            network = GraphTransformer.default()
+        rows.append(
+            {
+                "name": name,
+                "weights": sum(a.size for a in network.arrays.values()),
+                "options": asdict(wanted[name]) if name in wanted else None,
+                "recall": mean_of([evaluate(task, network) for task in tasks]),
+            }
+        )
+    print(table(rows))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    record = {
+        "machine": machine(),
+        "cities": names,
+        "queries": queries,
+        "seed": seed,
+        "rows": rows,
+    }
+    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,200 @@
+"""Does time grow with the map? Table IV of the paper: 447 to 1,000,000 cells, with candidates and without.
+
+    python benchmarks/outdoor_candidates.py
+    python benchmarks/outdoor_candidates.py --quick
+
+Parts of Vancouver around one held-out place, the whole of it, and copies of it in memory. The
+queries come from the smallest part and are the same at every size. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from placegraph.evaluate.city_sizes import crop, tile
+from placegraph.evaluate.machine import machine
+from placegraph.evaluate.outdoor_extracts import EXTRACTS, in_held_out_tiles, open_city
+from placegraph.evaluate.outdoor_matchers import LocateMatcher, ask, cell_centers
+from placegraph.evaluate.outdoor_metrics import score
+from placegraph.evaluate.outdoor_queries import make_queries
+from placegraph.evaluate.outdoor_stages import STAGES, found_within, medians, run, slope
+from placegraph.evaluate.tables import markdown, number, share
+from placegraph.outdoor.learn.encoded import EncodedCity
+from placegraph.outdoor.learn.network import GraphTransformer
+from placegraph.outdoor.learn.sample import TILE, held_out
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.evaluate.outdoor_queries import Query
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.city import CityMap
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared/data/osm"
+PAPER = {447: (1.06, 0.03), 1616: (3.34, 0.07), 3409: (6.67, 0.13), 5225: (10.71, 0.17)}
+"""Table IV: seconds without and with candidates, by cells."""
+PAPER_RATIO = 71.94
+"""How much steeper the paper's line is without candidates."""
+LARGER = (52_911, 200_000, 1_000_000)
+HIT = 50.0
+
+
+def busiest_tile(city: CityMap) -> Floats:
+    """Middle (2,) [m] of the held-out tile with the most objects."""
+    at = city.objects.center[held_out(*city.objects.center.T)]
+    tiles, counts = np.unique(np.floor(at / TILE), axis=0, return_counts=True)
+    return np.asarray((tiles[counts.argmax()] + 0.5) * TILE)
+
+
+def sized(city: CityMap, cells: int, middle: Floats, seed: int) -> CityMap:
+    """Part of a city, or copies of it, of about so many cells."""
+    if cells <= len(city.cells):
+        return crop(city, cells, middle)
+    copies = round(cells / len(city.cells))
+    return tile(city, copies, np.random.default_rng(seed))
+
+
+def measure(
+    city: CityMap, queries: Sequence[Query], *, without: int, candidates: int
+) -> dict[str, Any]:
+    """Times of one size; `without` says how many queries run without candidates."""
+    start = time.perf_counter()
+    encoded = EncodedCity(city, GraphTransformer.default())
+    store = encoded.store
+    prepared = time.perf_counter() - start
+    for query in queries[:5]:
+        run(encoded, query.text, candidates)
+        city.locate(query.text)
+    runs = [run(encoded, q.text, candidates) for q in queries]
+    slow = [run(encoded, q.text, None) for q in queries[:without]]
+    default = score(ask(LocateMatcher(city), city, queries))
+    at = cell_centers(city)
+    return {
+        "cells": len(city.cells),
+        "objects": len(city.objects),
+        "prepare_s": prepared,
+        "vectors": len(store),
+        "with_s": medians(runs),
+        "without_s": medians(slow) if slow else None,
+        "with_recall": found_within(city, queries, [at[r.rows[0]] for r in runs], HIT),
+        "without_recall": found_within(city, queries[:without], [at[r.rows[0]] for r in slow], HIT)
+        if slow
+        else None,
+        "default_p50_s": default.p50,
+        "default_p95_s": default.p95,
+        "default_recall": default.within[HIT][1],
+        "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+    }
+
+
+def slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Seconds a cell at the paper's sizes, and how much steeper the line without candidates is."""
+    small = [r for r in rows if r["cells"] in PAPER and r["without_s"]]
+    if len(small) < 2:
+        return {}
+    cells = [r["cells"] for r in small]
+    with_, without = (slope(cells, [r[k]["total"] for r in small]) for k in ("with_s", "without_s"))
+    return {
+        "with": with_,
+        "without": without,
+        "default": slope(cells, [r["default_p50_s"] for r in small]),
+    }
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Markdown of all sizes."""
+    header = ["cells", "paper: without", "with", "without candidates", "with: all", *STAGES]
+    header += ["default, p50", "p95", "@1 50 m: without", "with", "default", "prepared in", "peak"]
+    lines = []
+    for row in rows:
+        theirs = PAPER.get(row["cells"], (None, None))
+        slow, fast = row["without_s"], row["with_s"]
+        lines.append(
+            [
+                number(row["cells"]),
+                *(number(t, 2, "s") for t in theirs),
+                number(1e3 * slow["total"], 1, "ms") if slow else "–",
+                number(1e3 * fast["total"], 2, "ms"),
+                *(number(1e3 * fast[s], 2) for s in STAGES),
+                number(1e3 * row["default_p50_s"], 1, "ms"),
+                number(1e3 * row["default_p95_s"], 1, "ms"),
+                share(row["without_recall"]),
+                share(row["with_recall"]),
+                share(row["default_recall"]),
+                number(row["prepare_s"], 1, "s"),
+                number(1e-6 * row["peak_bytes"], 0, "MB"),
+            ]
+        )
+    return markdown(header, lines)
+
+
+def main(
+    city: Annotated[str, typer.Option(help="City that is cut and copied.")] = "vancouver",
+    sizes: Annotated[str, typer.Option(help="Cells with commas, rising.")] = "",
+    queries: Annotated[int, typer.Option(help="Queries.")] = 100,
+    without: Annotated[int, typer.Option(help="Pairs of a size without candidates.")] = 2_000_000,
+    candidates: Annotated[int, typer.Option(help="Candidates.")] = 10,
+    seed: Annotated[int, typer.Option(help="Seed of the queries and the copies.")] = 0,
+    *,
+    quick: Annotated[bool, typer.Option(help="The paper's sizes, 10 queries.")] = False,
+    data: Annotated[Path, typer.Option(help="Folder with the extracts.")] = DATA,
+    maps: Annotated[Path, typer.Option(help="Folder for maps.")] = ROOT / ".benchmark-cache",
+    out: Annotated[Path, typer.Option(help="JSON file.")] = (
+        ROOT / "benchmarks/results/outdoor_candidates.json"
+    ),
+) -> None:
+    """Measure the time of a query against the number of cells and print Markdown."""
+    if quick:
+        queries, without = 10, 20_000
+    wanted = [int(n) for n in sizes.split(",") if n] or [*PAPER, *(() if quick else LARGER)]
+    whole = open_city(city, data, maps)
+    middle = busiest_tile(whole)
+    smallest = crop(whole, min(*wanted, len(whole.cells)), middle)
+    unseen = in_held_out_tiles(whole)
+
+    def where(lonlat: Floats) -> Any:  # noqa: ANN401  # a mask
+        inside = np.array([smallest.cells.at(*at) is not None for at in lonlat.tolist()])
+        return inside & unseen(lonlat)
+
+    asked = make_queries(data / EXTRACTS[city], n=queries, seed=seed, anywhere=True, where=where)
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # one core
+    rows = []
+    for n in wanted:
+        print(f"{n:,} cells", file=sys.stderr)
+        few = max(1, min(queries, without // n))
+        rows.append(
+            measure(sized(whole, n, middle, seed), asked, without=few, candidates=candidates)
+        )
+    print(table(rows))
+    found = slopes(rows)
+    if found:
+        ratio = found["without"] / max(found["with"], 1e-12)
+        print(f"\nSlope at the paper's sizes: {1e6 * found['without']:.2f} µs a cell without "
+              f"candidates, {1e6 * found['with']:.3f} with them: {ratio:,.0f} times "
+              f"(paper: {PAPER_RATIO}). Default: {1e6 * found['default']:.3f} µs.")  # fmt: skip
+    out.parent.mkdir(parents=True, exist_ok=True)
+    record = {
+        "machine": machine(),
+        "city": city,
+        "queries": queries,
+        "candidates": candidates,
+        "seed": seed,
+        "paper_s": {str(k): v for k, v in PAPER.items()},
+        "slopes_s_per_cell": found,
+        "rows": rows,
+    }
+    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
