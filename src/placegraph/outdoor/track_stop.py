@@ -126,7 +126,8 @@ class Memory:
         loose = np.linalg.inv(self.spread + np.eye(2) * SPACING**2)
         fits = self.log_probability - 0.5 * np.einsum("ni,ij,nj->n", off, loose, off)
         at = self.positions[int(np.argmax(fits))]
-        note = f"said {hypot(*(position - at)):.0f} m before"
+        way = hypot(*(position - at))
+        note = f"said {way:.0f} m before" if way >= 1.0 else "said here before"
         return tuple(
             replace(e, note="; ".join(part for part in (note, e.note) if part))
             for e in evidence_at(at, city, self.query)
