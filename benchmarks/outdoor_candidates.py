@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from placegraph.evaluate.city_sizes import crop, tile
+from placegraph.evaluate.city_sizes import busiest_tile, crop, tile
 from placegraph.evaluate.machine import machine
 from placegraph.evaluate.outdoor_extracts import EXTRACTS, in_held_out_tiles, open_city
 from placegraph.evaluate.outdoor_matchers import LocateMatcher, ask, cell_centers
@@ -30,7 +30,6 @@ from placegraph.evaluate.outdoor_stages import STAGES, found_within, medians, ru
 from placegraph.evaluate.tables import markdown, number, share
 from placegraph.outdoor.learn.encoded import EncodedCity
 from placegraph.outdoor.learn.network import GraphTransformer
-from placegraph.outdoor.learn.sample import TILE, held_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,13 +46,6 @@ PAPER_RATIO = 71.94
 """How much steeper the paper's line is without candidates."""
 LARGER = (52_911, 200_000, 1_000_000)
 HIT = 50.0
-
-
-def busiest_tile(city: CityMap) -> Floats:
-    """Middle (2,) [m] of the held-out tile with the most objects."""
-    at = city.objects.center[held_out(*city.objects.center.T)]
-    tiles, counts = np.unique(np.floor(at / TILE), axis=0, return_counts=True)
-    return np.asarray((tiles[counts.argmax()] + 0.5) * TILE)
 
 
 def sized(city: CityMap, cells: int, middle: Floats, seed: int) -> CityMap:
@@ -158,7 +150,7 @@ def main(
         queries, without = 10, 20_000
     wanted = [int(n) for n in sizes.split(",") if n] or [*PAPER, *(() if quick else LARGER)]
     whole = open_city(city, data, maps)
-    middle = busiest_tile(whole)
+    middle = busiest_tile(whole, unseen=True)
     smallest = crop(whole, min(*wanted, len(whole.cells)), middle)
     unseen = in_held_out_tiles(whole)
 

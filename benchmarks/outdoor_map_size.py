@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from placegraph.evaluate.city_sizes import crop
+from placegraph.evaluate.city_sizes import busiest_tile, crop
 from placegraph.evaluate.machine import machine
 from placegraph.evaluate.outdoor_extracts import names_of, open_city
 from placegraph.evaluate.tables import markdown, number
@@ -81,7 +81,8 @@ def main(
     with tempfile.TemporaryDirectory() as folder:
         for name in names_of("monaco" if quick else cities):
             city = open_city(name, data, maps)
-            parts = [crop(city, n) for n in POINT_CLOUD if n < len(city.cells)]
+            middle = busiest_tile(city)
+            parts = [crop(city, n, middle) for n in POINT_CLOUD if n < len(city.cells)]
             rows += [{"city": name} | measure(part, Path(folder)) for part in (*parts, city)]
     header = ["", "cells", "objects", "km²", "point cloud, paper [MB]", "scene graph, paper [MB]"]
     header += ["map [MB]", "with vectors [MB]", "bytes/cell", "with vectors"]

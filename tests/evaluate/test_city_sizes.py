@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.evaluate.city_sizes import crop, take, tile
+from placegraph.evaluate.city_sizes import busiest_tile, crop, take, tile
 from placegraph.outdoor.build import build_city
 from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.learn.sample import held_out
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +42,17 @@ def test_a_part_lies_where_it_is_wanted(city):
     corner = city.cells.center(next(iter(city.cells)))
     part = crop(city, 1, around=corner)
     assert tuple(part.cells) == (next(iter(city.cells)),)
+
+
+def test_the_busiest_tile_has_the_most_objects(city):
+    def inside(middle):
+        return (np.abs(city.objects.center - middle).max(axis=1) <= 500.0).sum()
+
+    best = busiest_tile(city)
+    assert (best % 1000.0 == 500.0).all()
+    around = [best + (x, y) for x in (-1000.0, 0.0, 1000.0) for y in (-1000.0, 0.0, 1000.0)]
+    assert inside(best) == max(map(inside, around))
+    assert held_out(*busiest_tile(city, unseen=True))
 
 
 def test_a_part_knows_no_other_words(city):

@@ -11,11 +11,13 @@ from placegraph.errors import OptionError
 from placegraph.evaluate.outdoor_matchers import cell_centers
 from placegraph.outdoor.cells import cell_sightings
 from placegraph.outdoor.city import CityMap, CityObjects
+from placegraph.outdoor.learn.sample import TILE, held_out
 
 if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import ArrayLike, NDArray
 
+    from placegraph.geometry import Floats
     from placegraph.outdoor.raster import Sightings
 
     Rows = NDArray[np.int64]
@@ -73,6 +75,14 @@ def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
     seen = cell_sightings(city.objects, city.cells.grid, city.cells.size)
     rows = np.unique(_things(seen, np.searchsorted(seen.points, points))).astype(np.int64)
     return replace(city, objects=take(city.objects, rows), cells=replace(city.cells, points=points))
+
+
+def busiest_tile(city: CityMap, *, unseen: bool = False) -> Floats:
+    """Middle (2,) [m] of the square kilometre with the most objects; `unseen`, of those held out."""
+    at = city.objects.center
+    at = at[held_out(*at.T)] if unseen else at
+    tiles, counts = np.unique(np.floor(at / TILE), axis=0, return_counts=True)
+    return np.asarray((tiles[counts.argmax()] + 0.5) * TILE)
 
 
 def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
