@@ -50,7 +50,9 @@ def test_the_busiest_tile_has_the_most_objects(city):
 
     best = busiest_tile(city)
     assert (best % 1000.0 == 500.0).all()
-    around = [best + (x, y) for x in (-1000.0, 0.0, 1000.0) for y in (-1000.0, 0.0, 1000.0)]
+    around = [
+        best + np.array([x, y]) for x in (-1000.0, 0.0, 1000.0) for y in (-1000.0, 0.0, 1000.0)
+    ]
     assert inside(best) == max(map(inside, around))
     assert held_out(*busiest_tile(city, unseen=True))
 
