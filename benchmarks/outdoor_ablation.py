@@ -44,6 +44,8 @@ def variants(base: TrainOptions) -> dict[str, TrainOptions]:
         "no cross attention": replace(base, shape=replace(base.shape, crossings=0)),
         "one crossing": replace(base, shape=replace(base.shape, crossings=1)),
         "no message passing": replace(base, shape=replace(base.shape, layers=0)),
+        "labels: whole words only": replace(base, shape=replace(base.shape, subwords=0.0)),
+        "labels: more of subwords": replace(base, shape=replace(base.shape, subwords=3.0)),
         **{f"loss: {name} alone": replace(base, losses=(name,)) for name in every},
         **{
             f"without loss: {name}": replace(base, losses=tuple(x for x in every if x != name))

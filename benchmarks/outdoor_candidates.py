@@ -28,8 +28,6 @@ from placegraph.evaluate.outdoor_metrics import score
 from placegraph.evaluate.outdoor_queries import make_queries
 from placegraph.evaluate.outdoor_stages import STAGES, found_within, medians, run, slope
 from placegraph.evaluate.tables import markdown, number, share
-from placegraph.outdoor.learn.encoded import EncodedCity
-from placegraph.outdoor.learn.network import GraphTransformer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,7 +59,7 @@ def measure(
 ) -> dict[str, Any]:
     """Times of one size; `without` says how many queries run without candidates."""
     start = time.perf_counter()
-    encoded = EncodedCity(city, GraphTransformer.default())
+    encoded = city.encoded
     store = encoded.store
     prepared = time.perf_counter() - start
     for query in queries[:5]:

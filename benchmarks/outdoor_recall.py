@@ -24,6 +24,8 @@ from placegraph.evaluate.machine import machine
 from placegraph.evaluate.outdoor_baselines import Bag
 from placegraph.evaluate.outdoor_ceiling import ceiling, oracle
 from placegraph.evaluate.outdoor_contest import Contest
+from placegraph.evaluate.outdoor_extracts import TRAINED as DEV
+from placegraph.evaluate.outdoor_extracts import UNSEEN as TEST
 from placegraph.evaluate.outdoor_metrics import RADII, RANKS, Answer, distances, measure, positions
 from placegraph.evaluate.outdoor_queries import (
     CELL,
@@ -53,13 +55,6 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"
-DEV = {
-    "vancouver": "vancouver_2015.osm.pbf",
-    "ankara": "ankara_2019.osm.pbf",
-    "liechtenstein": "liechtenstein_2021.osm.pbf",
-    "andorra": "andorra_2026.osm.pbf",
-}
-TEST = {"monaco": "monaco_2025.osm.pbf", "toronto": "toronto_downtown_2020.osm.bz2"}
 
 
 class Split(StrEnum):

@@ -33,8 +33,6 @@ DENSE = "dense candidates alone"
 RELATIONAL, FUSED = "relational", "fused (default)"
 WAYS: tuple[By, ...] = ("dense", "sparse", "both")
 TRANSFORMER = {by: f"transformer, {by} candidates" for by in WAYS}
-OF_NETWORK = (DENSE, *TRANSFORMER.values(), FUSED)
-"""Matchers that need the learned network."""
 MATCHERS = (*BAGS, EDIT_PLAIN, EDIT, DENSE, *TRANSFORMER.values(), RELATIONAL, FUSED)
 """All, in the order of the table."""
 SLOW = (EDIT, EDIT_PLAIN)

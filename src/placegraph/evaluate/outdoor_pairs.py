@@ -155,7 +155,8 @@ class Pairs:
         module.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in network.arrays.items()})
         module.to(device).eval()
         bags = SimpleNamespace(
-            text_bags=Bags.of(texts.vocabulary), place_bags=Bags.of(places.vocabulary)
+            text_bags=Bags.of(texts.vocabulary, network.shape.subwords),
+            place_bags=Bags.of(places.vocabulary, network.shape.subwords),
         )
 
         def work() -> int:
