@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.learn.encoded import EncodedCity
     from placegraph.outdoor.match import Scene
     from placegraph.outdoor.names import NameIndex
+    from placegraph.outdoor.retrieve import By, Matcher
+    from placegraph.outdoor.vectors import Region, VectorStore
 
 KIND = "city"
 VERSION = 1
@@ -329,6 +331,12 @@ class CityMap:
         heading: float | None = None,
         listener: Sequence[float] | None = None,
         answers: Sequence[Answer] = (),
+        matcher: Matcher = "fused",
+        by: By | Literal["auto"] = "auto",
+        candidates: int = 50,
+        store: VectorStore | None = None,
+        region: Region | None = None,
+        encoded: EncodedCity | None = None,
     ) -> CityEstimate:
         """Where a description was spoken.
 
@@ -349,6 +357,22 @@ class CityMap:
             Longitude and latitude [deg] of "you", where that is known.
         answers
             Answers to earlier questions of `CityEstimate.next_question`.
+        matcher
+            ``fused``: relational matching, with the best judged by the network as well.
+            ``relational``; ``transformer`` (Eq. 14-17), ``edit-distance`` or ``embedding`` (Eq. 11)
+            alone, on cells.
+        by
+            Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or
+            ``all`` places; ``auto`` takes embeddings in very large maps.
+        candidates
+            How many cells embeddings propose.
+        store
+            Where embeddings are searched, such as a Milvus server (`open_store`); the map's own if
+            not given.
+        region
+            Stay in it (candidates by embeddings only).
+        encoded
+            The map as another network reads it (`EncodedCity`).
 
         Returns
         -------
@@ -363,7 +387,7 @@ class CityMap:
             An option is out of range.
 
         """
-        from placegraph.outdoor.locate import locate
+        from placegraph.outdoor.locate import Matching, locate
 
         return locate(
             self,
@@ -374,6 +398,7 @@ class CityMap:
             heading=heading,
             listener=listener,
             answers=answers,
+            matching=Matching(matcher, by, candidates, store, region, encoded),
         )
 
     def __repr__(self) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,8 +14,16 @@ from placegraph.geometry import angle_between
 from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Relation, Statement
 from placegraph.outdoor.evidence import evidence_at
 from placegraph.outdoor.index import REACH
-from placegraph.outdoor.posterior import Mode, Posterior, modes, status_of
+from placegraph.outdoor.posterior import Mode, Posterior, modes, posterior, status_of
 from placegraph.outdoor.query import Query, compile_query, ends, standing_at
+from placegraph.outdoor.retrieve import (
+    MATCHERS,
+    WAYS,
+    By,
+    Matcher,
+    rank_cells,
+    views_of_candidates,
+)
 from placegraph.outdoor.search import Prior, search
 
 if TYPE_CHECKING:
@@ -25,11 +33,17 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.ask import Answer
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.learn.encoded import EncodedCity
+    from placegraph.outdoor.vectors import Region, VectorStore
 
 MOST_SUPPORT = 4000
 """At most this many points of the posterior are kept in an estimate."""
 SPACING = 6.67
 """Positions are scored this finely [m]."""
+LARGE = 300_000
+"""In maps of more cells candidates are found by embeddings: their time does not grow."""
+SHARPNESS = {"transformer": 1.0, "edit-distance": 1.0, "embedding": 20.0}
+"""What a matcher's score is multiplied by to be a log-likelihood."""
 
 
 def locate(
@@ -42,8 +56,10 @@ def locate(
     heading: float | None = None,
     listener: Sequence[float] | None = None,
     answers: Sequence[Answer] = (),
+    matching: Matching | None = None,
 ) -> CityEstimate:
     """Locate a description in a city; see `CityMap.locate`."""
+    matching = matching or Matching()
     if not isinstance(top, int | np.integer) or top < 1:
         raise OptionError(f"top is {top!r}; ask for at least one mode.")
     if near is not None and np.size(near) == 3:
@@ -70,8 +86,8 @@ def locate(
     if near_at is not None and not len(city.views.near(near_at, 4.0 * within + REACH)):
         reason = f"The map does not reach the surroundings of {near}."
         return CityEstimate(Status.LOST, (), reason, description)
-    found = search(query, city, prior)
-    peaks = modes(found, top, SPACING)
+    found, spacing = _found(query, city, prior, matching)
+    peaks = modes(found, top, spacing)
     status, reason = status_of(found, peaks)
     places = tuple(_place(mode, city, query) for mode in peaks)
     if places and description.conflicts and not _resolved(places[0], query):
@@ -80,6 +96,64 @@ def locate(
             "The description contradicts itself: " + description.conflicts[0],
         )
     return CityEstimate(status, places, reason, description, _support(found, city))
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How places are found and compared; see `CityMap.locate`."""
+
+    matcher: Matcher = "fused"
+    by: By | Literal["auto"] = "auto"
+    candidates: int = 50
+    store: VectorStore | None = None
+    region: Region | None = None
+    encoded: EncodedCity | None = None
+
+    def __post_init__(self) -> None:
+        if self.matcher not in MATCHERS or self.by not in ("auto", *WAYS):
+            raise OptionError(
+                f"matcher {self.matcher!r}, candidates by {self.by!r}: choose among "
+                f"{', '.join(MATCHERS)} and auto, {', '.join(WAYS)}."
+            )
+        if not isinstance(self.candidates, int) or self.candidates < 1:
+            raise OptionError(f"candidates is {self.candidates!r}; choose at least 1.")
+
+
+def _found(
+    query: Query, city: CityMap, prior: Prior, matching: Matching
+) -> tuple[Posterior, float]:
+    """Posterior of a query, and how finely its positions lie [m]."""
+    by = matching.by
+    if by == "auto":
+        large = len(city.cells) > LARGE or matching.store is not None or matching.region is not None
+        by = "dense" if large else "sparse"
+    if matching.matcher not in ("fused", "relational"):
+        return _by_cells(query, city, prior, replace(matching, by=by)), city.cells.size
+    fused = matching.matcher == "fused"
+    encoded = (matching.encoded or city.encoded) if fused or by in ("dense", "both") else None
+    rows = None
+    if by != "sparse" and query.used and encoded is not None:
+        rows = views_of_candidates(
+            city, query, matching.candidates, by, encoded,
+            store=matching.store, region=matching.region,
+        )  # fmt: skip
+    return search(query, city, prior, rows=rows, encoded=encoded if fused else None), SPACING
+
+
+def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching) -> Posterior:
+    """Posterior over the centres of cells that one of the paper's matchers has ranked."""
+    by: By = "dense" if matching.by == "auto" else matching.by
+    encoded = matching.encoded or city.encoded
+    rows, scores = rank_cells(
+        city, query, matching.matcher, matching.candidates, by, encoded,
+        store=matching.store, region=matching.region,
+    )  # fmt: skip
+    if not len(rows):
+        return Posterior(np.zeros((0, 2)), np.zeros(0), 1.0)
+    centers = city.cells.centers(rows)
+    log_prior = prior.log(centers) if prior.informative else np.full(len(rows), -np.log(len(rows)))
+    log_odds = SHARPNESS[matching.matcher] * (scores - scores.max())
+    return posterior(centers, log_odds + np.log(len(rows)), log_prior, -np.inf)
 
 
 def read(city: CityMap, text: str | Description, *, heading: float | None = None) -> Description:
@@ -111,14 +185,6 @@ def _position(
             f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
         )
     return city.plane.to_plane(numbers)
-
-
-def _with_answers(description: Description, answers: Sequence[Answer]) -> Description:
-    for answer in answers:
-        if not hasattr(answer, "added_to"):
-            raise OptionError(f"answers holds {answer!r}; use `question.answer(option)`.")
-        description = answer.added_to(description)
-    return description
 
 
 def _split(

@@ -94,15 +94,32 @@ def retrieve(
         )
     if candidates < 1 or top < 1:
         raise OptionError(f"candidates {candidates}, top {top}: choose at least 1.")
-    encoded = encoded or city.encoded
-    query = compile_query(description, city)
-    rows = candidate_cells(city, query, candidates, by, encoded, store=store, region=region)
-    if not len(rows):
-        return Ranking(rows, (), np.zeros(0))
-    scores = _scores(city, query, matcher, rows, encoded, timeout)
+    rows, scores = rank_cells(
+        city, compile_query(description, city), matcher, candidates, by, encoded or city.encoded,
+        store=store, region=region, timeout=timeout,
+    )  # fmt: skip
     best = np.argsort(-scores, kind="stable")[:top]
     ids = tuple(city.cells.id_of(row) for row in rows[best])
     return Ranking(rows[best], ids, scores[best])
+
+
+def rank_cells(
+    city: CityMap,
+    query: Query,
+    matcher: Matcher,
+    n: int,
+    by: By,
+    encoded: EncodedCity,
+    *,
+    store: VectorStore | None = None,
+    region: Region | None = None,
+    timeout: float = 0.1,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Rows (K,) of `city.cells.points` of all candidates, and their scores (K,)."""
+    rows = candidate_cells(city, query, n, by, encoded, store=store, region=region)
+    if not len(rows):
+        return rows, np.zeros(0)
+    return rows, _scores(city, query, matcher, rows, encoded, timeout)
 
 
 def candidate_cells(
@@ -153,6 +170,25 @@ def _sparse_cells(city: CityMap, query: Query, n: int) -> NDArray[np.int64]:
     views = search.touched(query, city, SPARSE * n)
     rows = city.cells.rows_at(city.views.positions[views].astype(np.float64))
     return np.array(list(dict.fromkeys(rows[rows >= 0].tolist()))[:n], np.int64)
+
+
+def views_of_candidates(
+    city: CityMap,
+    query: Query,
+    n: int,
+    by: By,
+    encoded: EncodedCity,
+    *,
+    store: VectorStore | None = None,
+    region: Region | None = None,
+) -> NDArray[np.int64]:
+    """Viewpoints (V,) in `n` dense candidates, and for ``both`` those of largest bound as well."""
+    if by == "all":
+        return np.arange(len(city.views.positions))
+    views = views_in(city, dense_cells(city, query, n, encoded, store=store, region=region))
+    if by == "both":
+        views = np.union1d(views, search.touched(query, city, search.MOST_CANDIDATES))
+    return views
 
 
 def views_in(city: CityMap, rows: NDArray[np.int64]) -> NDArray[np.int64]:

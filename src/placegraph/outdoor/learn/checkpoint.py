@@ -74,27 +74,6 @@ class Folder:
                 }
         return int(file.meta["epoch"])
 
-    def write_pool(self, name: str, pool: Pool) -> None:
-        """Keep examples."""
-        arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
-        arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
-        arrays |= {f"fit:{f.name}": getattr(pool.fits, f.name) for f in fields(Fits)}
-        arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
-        write_map(self.path / f"{name}.pool", POOL, VERSION, {}, arrays)
-
-    def read_pool(self, name: str) -> Pool | None:
-        """Examples that were kept, or None."""
-        path = self.path / f"{name}.pool"
-        if not path.exists():
-            return None
-        file = read_map(path, POOL, VERSION)
-        arrays = dict(file.arrays)
-        texts = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
-        texts["vocabulary"] = file.strings("text:vocabulary")
-        fits = Fits(**{f.name: arrays[f"fit:{f.name}"] for f in fields(Fits)})
-        rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
-        return Pool(TextGraphs(**texts), fits, **rest)
-
     def add_to_curves(self, row: Mapping[str, float]) -> None:
         """Append a row of figures."""
         with (self.path / "curves.jsonl").open("a", encoding="utf-8") as file:
@@ -106,6 +85,38 @@ class Folder:
         if not path.exists():
             return []
         return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+class PoolFolder:
+    """Examples by name; those that are there are not made again."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{path}: no folder for examples ({error}); name another.") from error
+
+    def write(self, name: str, pool: Pool) -> None:
+        """Keep examples."""
+        arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
+        arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
+        arrays |= {f"fit:{f.name}": getattr(pool.fits, f.name) for f in fields(Fits)}
+        arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
+        write_map(self.path / f"{name}.pool", POOL, VERSION, {}, arrays)
+
+    def read(self, name: str) -> Pool | None:
+        """Examples that were kept, or None."""
+        path = self.path / f"{name}.pool"
+        if not path.exists():
+            return None
+        file = read_map(path, POOL, VERSION)
+        arrays = dict(file.arrays)
+        texts = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
+        texts["vocabulary"] = file.strings("text:vocabulary")
+        fits = Fits(**{f.name: arrays[f"fit:{f.name}"] for f in fields(Fits)})
+        rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
+        return Pool(TextGraphs(**texts), fits, **rest)
 
 
 def plan_of(cities: Mapping[str, int], options: object) -> dict[str, Any]:

@@ -23,8 +23,6 @@ BUCKETS = 8192
 """Rows of the table of vectors that parts are hashed into."""
 SHORTEST, LONGEST = 3, 5
 """Letters of a subword."""
-LETTERS = 1.0
-"""Length of what all subwords add together, against 1 of the whole label."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +37,14 @@ class Bags:
     """(P,)"""
 
     @classmethod
-    def of(cls, words: Sequence[str]) -> Bags:
-        """Parts of labels (``key=value``), names (``~`` before them) and plain words."""
+    def of(cls, words: Sequence[str], subwords: float = 1.0) -> Bags:
+        """Parts of labels (``key=value``), names (``~`` before them) and plain words.
+
+        `subwords` is the length of what all subwords add together, against 1 of the whole word.
+        """
         letters = [np.frombuffer(w.encode("utf-32-le", "surrogatepass"), np.uint32) for w in words]
         bounds = np.concatenate(([0], np.cumsum([len(x) for x in letters]))).astype(np.int64)
-        return cls(*_parts(np.concatenate([np.zeros(0, np.uint32), *letters]), bounds))
+        return cls(*_parts(np.concatenate([np.zeros(0, np.uint32), *letters]), bounds, subwords))
 
     def vectors(self, table: NDArray[np.float32]) -> NDArray[np.float32]:
         """Vectors (W, d) of the words, from the table (BUCKETS, d)."""
@@ -62,7 +63,7 @@ EQUALS, SPACE, UNDERSCORE, TILDE, BEGIN, END = (ord(c) for c in "= _~<>")
 
 
 @njit(cache=True, nogil=True)
-def _parts(letters, bounds):
+def _parts(letters, bounds, subwords):
     """Parts of words that follow each other in `letters`, as CSR: starts, buckets, weights."""
     starts = np.zeros(len(bounds), np.int64)
     most = (LONGEST - SHORTEST + 1) * (3 * len(letters) + 2) + 2 * len(bounds)
@@ -94,7 +95,7 @@ def _parts(letters, bounds):
                     buckets[n] = _bucket(marked[k : k + size], SUBWORD)
                     n += 1
             i = j + 1
-        weights[first:n] = LETTERS / np.sqrt(max(1, n - first))
+        weights[first:n] = subwords / np.sqrt(max(1, n - first))
         starts[w + 1] = n
     return starts, buckets[:n], weights[:n]
 

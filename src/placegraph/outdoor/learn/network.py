@@ -105,7 +105,7 @@ class GraphTransformer:
         """Vectors (W, d) of labels, names (`labels.of_name`) and any other words."""
         if not words:
             return np.zeros((0, self.shape.width), np.float32)
-        return Bags.of(words).vectors(self.arrays["table"])
+        return Bags.of(words, self.shape.subwords).vectors(self.arrays["table"])
 
     def embed_texts(self, texts: TextGraphs) -> Floats:
         """Embeddings (Q, D) of text graphs (Eq. 9), of unit length."""

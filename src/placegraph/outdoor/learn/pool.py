@@ -117,7 +117,7 @@ def _candidates(
     """Viewpoints (K,) to tell apart: the true ones, the best of matching, and any others."""
     found = candidates(query, city, Prior())
     best = np.argsort(-found.scores, kind="stable")[:HARD]
-    true = city.views.near(position, AT)[:4]
+    true = rng.permutation(city.views.near(position, AT))[:4]  # not the nearest: cells stand apart
     others = rng.integers(len(city.views.positions), size=OTHERS)
     rows = np.concatenate([true, found.rows[best], others]).astype(np.int64)
     known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))

@@ -24,6 +24,8 @@ class Shape:
     """Layers in which the two graphs see each other; 0 leaves the sides alone."""
     evidence: int = 32
     """Numbers by which a statement is judged."""
+    subwords: float = 1.0
+    """Length of what a word's subwords add together, against 1 of the whole word (`labels`)."""
 
     def arrays(self) -> dict[str, tuple[int, ...]]:
         """Shape of every weight, by PyTorch's names."""
@@ -77,6 +79,14 @@ class Shape:
         linear("judge.2", 1, out)
         return found
 
-    def to_dict(self) -> dict[str, int]:
+    def to_dict(self) -> dict[str, float]:
         """Plain numbers."""
         return asdict(self)
+
+    @classmethod
+    def from_dict(cls, plain: dict[str, float]) -> Shape:
+        """Undo `to_dict`; raises `TypeError` or `ValueError` where it is no shape."""
+        sizes = {k: float(v) if k == "subwords" else int(v) for k, v in plain.items()}
+        if min(sizes.values()) < 0 or max(sizes.values()) > 4096:
+            raise ValueError(f"sizes {sizes}")
+        return cls(**sizes)  # type: ignore[arg-type]

@@ -42,16 +42,18 @@ class Lessons:
 
     city: CityMap
     pool: Pool
+    subwords: float = 1.0
+    """As the network's `Shape` has it."""
 
     @cached_property
     def text_bags(self) -> Bags:
         """Parts of the words of the texts."""
-        return Bags.of(self.pool.texts.vocabulary)
+        return Bags.of(self.pool.texts.vocabulary, self.subwords)
 
     @cached_property
     def place_bags(self) -> Bags:
         """Parts of the words of the map."""
-        return Bags.of(self.city.words)
+        return Bags.of(self.city.words, self.subwords)
 
     def batch(self, rows: Rows, chosen: NDArray[np.bool_]) -> Batch:
         """Texts `rows` (Q,) with the viewpoints `chosen` (Q, K) of theirs."""

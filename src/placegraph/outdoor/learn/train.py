@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.learn.checkpoint import PoolFolder
     from placegraph.outdoor.learn.torch_batches import Lessons
     from placegraph.outdoor.learn.torch_network import Network
     from placegraph.outdoor.vocabulary import Vocabulary
@@ -34,8 +35,8 @@ WITHIN = 50.0
 class TrainOptions:
     """How to train."""
 
-    epochs: int = 10
-    examples: int = 1500
+    epochs: int = 8
+    examples: int = 1200
     """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
     steps: int = 300
     """Batches an epoch."""
@@ -72,6 +73,7 @@ def train(
     out: str | PathLike[str],
     *,
     folder: str | PathLike[str],
+    pools: str | PathLike[str] | None = None,
     options: TrainOptions | None = None,
     vocabulary: Vocabulary | None = None,
     device: str = "auto",
@@ -87,6 +89,8 @@ def train(
         Weights file to write.
     folder
         Holds what an interrupted training goes on from; the same call goes on.
+    pools
+        Folder of examples that several trainings may share; within `folder` if not given.
     options
         How to train.
     vocabulary
@@ -107,7 +111,7 @@ def train(
     options, progress = options or TrainOptions(), progress or Progress()
     _check(cities, options)
     torch = _torch()
-    from placegraph.outdoor.learn.checkpoint import Folder, plan_of
+    from placegraph.outdoor.learn.checkpoint import Folder, PoolFolder, plan_of
     from placegraph.outdoor.learn.trainer import Trainer
     from placegraph.outdoor.vocabulary import Vocabulary as Shipped
 
@@ -116,7 +120,8 @@ def train(
     kept = Folder(folder, plan_of({n: len(c.objects) for n, c in cities.items()}, options))
     trainer = Trainer(options, device, progress)
     begun = kept.read_state(trainer.module, trainer.optimizer)
-    school = School(cities, vocabulary or Shipped.default(), options, progress, kept)
+    store = PoolFolder(pools or kept.path / "pools")
+    school = School(cities, vocabulary or Shipped.default(), options, progress, store)
     check = school.held_out()
     past = [lessons for epoch in range(begun) for lessons in school.lessons(epoch)]
     for epoch in range(begun, options.epochs):
@@ -167,8 +172,7 @@ class School:
     vocabulary: Vocabulary
     options: TrainOptions
     progress: Progress
-    kept: Any
-    """`checkpoint.Folder`"""
+    store: PoolFolder
 
     def lessons(self, epoch: int) -> list[Lessons]:
         """Examples of an epoch, one pool a city."""
@@ -187,11 +191,11 @@ class School:
     def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
         from placegraph.outdoor.learn.torch_batches import Lessons
 
-        city = self.cities[name]
-        pool = self.kept.read_pool(file)
+        city, seed = self.cities[name], self.options.seed
+        file = f"{file}-{seed}-{n}-{len(city.objects)}"
+        pool = self.store.read(file)
         if pool is None:
-            row = list(self.cities).index(name)
-            rng = np.random.default_rng([self.options.seed, epoch, row])
+            rng = np.random.default_rng([seed, epoch, *name.encode()])
             done = 0
 
             def tick() -> None:
@@ -200,8 +204,8 @@ class School:
                 self.progress.filling(epoch, name, done, n)
 
             pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
-            self.kept.write_pool(file, pool)
-        return Lessons(city, pool)
+            self.store.write(file, pool)
+        return Lessons(city, pool, self.options.shape.subwords)
 
 
 def _tables(

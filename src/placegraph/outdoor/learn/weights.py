@@ -81,7 +81,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
                 f"this version of placegraph has ({here}). Train it again by `placegraph city train`."
             )
     try:
-        shape = Shape(**{str(k): int(v) for k, v in dict(file.meta["shape"]).items()})
+        shape = Shape.from_dict(file.meta["shape"])
         arrays = {
             name: file.array(name, "<f2", len(size)).astype(np.float32)
             for name, size in shape.arrays().items()
