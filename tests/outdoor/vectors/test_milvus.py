@@ -101,8 +101,12 @@ def test_a_region_holds_what_lies_in_it(server, content, region):
 
 def test_large_stores_have_a_graph(fake, server, content, monkeypatch):
     monkeypatch.setattr(module, "LARGE", 40)
-    load(server, content)
+    store = load(server, content)
     assert fake.held[NAME]["index"] == "HNSW"
+    world = Region(-180.0, -90.0, 180.0, 90.0)
+    for n, region, effort in ((10, None, 128), (100, None, 200), (10, world, 1024)):
+        assert store.search(content.vectors[:1], n, region).ids[0, 0] == content.ids[0]
+        assert fake.effort == {"ef": effort}
 
 
 def test_a_complete_store_is_not_loaded_again(fake, server, content):
