@@ -134,7 +134,8 @@ class MilvusStore:
     ) -> Neighbours:
         """Nearest `n` rows of each query; see `EmbeddedStore.search`.
 
-        Exact below 200,000 rows; recall from there on .99, within a region .98. Raises `ServiceError` where the server has gone.
+        Exact below 200,000 rows; recall from there on .99, within a region .98. Raises
+        `ServiceError` where the server has gone.
         """
         if n > MOST:
             raise OptionError(f"n is {n}; Milvus gives at most {MOST} neighbours at once.")
