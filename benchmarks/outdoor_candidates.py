@@ -168,10 +168,13 @@ def main(
     print(table(rows))
     found = slopes(rows)
     if found:
-        ratio = found["without"] / max(found["with"], 1e-12)
-        print(f"\nSlope at the paper's sizes: {1e6 * found['without']:.2f} µs a cell without "
-              f"candidates, {1e6 * found['with']:.3f} with them: {ratio:,.0f} times "
-              f"(paper: {PAPER_RATIO}). Default: {1e6 * found['default']:.3f} µs.")  # fmt: skip
+        flat = found["with"] <= 0.0  # measured times scatter by more than they grow
+        ratio = "flat" if flat else f"{found['without'] / found['with']:,.0f} times"
+        print(
+            f"\nSlope at the paper's sizes: {1e6 * found['without']:.2f} µs a cell without "
+            f"candidates, {1e6 * found['with']:.3f} with them: {ratio} (paper: {PAPER_RATIO} "
+            f"times). Default: {1e6 * found['default']:.3f} µs."
+        )
     out.parent.mkdir(parents=True, exist_ok=True)
     record = {
         "machine": machine(),
