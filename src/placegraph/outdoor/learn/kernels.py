@@ -197,3 +197,17 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, channels, bou
                 features[e, 3 * heads :],
             )  # fmt: skip
     return features
+
+
+@njit(cache=True, nogil=True)
+def add_to_ends(told, ends, bounds, t_starts):
+    """Sum what statements tell (E, 2 d) their sources and targets, (N, d)."""
+    d = told.shape[1] // 2
+    out = np.zeros((t_starts[-1], d), np.float32)
+    for p in range(len(bounds) - 1):
+        for e in range(bounds[p], bounds[p + 1]):
+            for side in range(2):
+                node = t_starts[p] + ends[e, side]
+                for c in range(d):
+                    out[node, c] += told[e, side * d + c]
+    return out

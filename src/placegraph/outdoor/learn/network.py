@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -62,6 +62,53 @@ class Matches(NamedTuple):
     def probability(self) -> Floats:
         """(K,) that text and place match."""
         return np.asarray(1.0 / (1.0 + np.exp(-self.logit)), np.float32)
+
+
+class _Pairs(NamedTuple):
+    """One text with each of K places: its nodes and statements, repeated."""
+
+    t_starts: Rows
+    """(K + 1,) text nodes of a pair."""
+    m_starts: Rows
+    """(K + 1,) place nodes of a pair."""
+    agreement: Floats
+    """(K, n, m) how well a thing fits a mention by its words."""
+    relations: Floats
+    """(K, R, m, m)"""
+    ends: Rows
+    """(E, 2) source and target of a statement, counted within the text."""
+    bounds: Rows
+    """(K + 1,) statements of a pair."""
+    channels: Floats
+    """(E, R)"""
+    known: Floats
+    """(E, R + 3) channels, whether it is negated, how rare both ends are on the map."""
+
+
+def _pairs(
+    texts: TextGraphs,
+    text: int,
+    places: PlaceGraphs,
+    rows: Rows,
+    words: WordFits,
+    stands: States,
+) -> _Pairs:
+    k = len(rows)
+    nodes = slice(*texts.starts[text : text + 2])
+    edges = slice(*texts.edge_starts[text : text + 2])
+    n, size = nodes.stop - nodes.start, stands.relations.shape[3]
+    ends, channels = texts.ends[edges], texts.channels[edges]
+    known = np.column_stack([channels, texts.negated[edges], words.rarity[nodes][ends]])
+    return _Pairs(
+        np.arange(k + 1) * n,
+        stands.starts,
+        agreements(texts, places, np.full(k, text), rows, words, (n, size)),
+        stands.relations,
+        np.tile(ends, (k, 1)),
+        np.arange(k + 1) * len(ends),
+        np.tile(channels, (k, 1)),
+        np.tile(known, (k, 1)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,72 +185,53 @@ class GraphTransformer:
         words: WordFits,
         vectors: Floats | None = None,
     ) -> Matches:
-        """Match one text with places `rows` (K,), all at once (Eq. 14-17)."""
-        vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
-        said = self.encode_texts(texts, np.array([text]))
-        return self.match_states(texts, text, said, places, rows, words, vectors)
+        """Match one text with places `rows` (K,), all at once (Eq. 14-17).
 
-    def match_states(
-        self,
-        texts: TextGraphs,
-        text: int,
-        said: States,
-        places: PlaceGraphs,
-        rows: Rows,
-        words: WordFits,
-        vectors: Floats,
-    ) -> Matches:
-        """As `match`, for a text that is encoded already."""
+        `words` says how well words of the places fit the nodes of all texts.
+        """
+        vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
         rows = np.asarray(rows, np.int64)
+        if not len(rows):
+            return Matches(np.zeros(0, np.float32), np.zeros(0, np.float32))
+        said = self.encode_texts(texts, np.array([text]))
         stands = self.encode_places(places, rows, vectors)
-        n, k = len(said.nodes), len(rows)
-        t, m = np.tile(said.nodes, (k, 1)), stands.nodes
-        t_starts, m_starts = np.arange(k + 1) * n, stands.starts
-        size = stands.relations.shape[3]
-        agree = agreements(texts, places, np.full(k, text), rows, words, (n, size))
-        edges = slice(texts.edge_starts[text], texts.edge_starts[text + 1])
-        ends = np.tile(texts.ends[edges], (k, 1))
-        channels = np.tile(texts.channels[edges], (k, 1))
-        bounds = np.arange(k + 1) * (edges.stop - edges.start)
-        rarity = words.rarity[texts.starts[text] : texts.starts[text + 1]][ends]
-        known = np.column_stack([channels, np.tile(texts.negated[edges], k), rarity])
-        heads = self.shape.heads
-        total = np.zeros(k, np.float32)
+        pairs = _pairs(texts, text, places, rows, words, stands)
+        t, m = np.tile(said.nodes, (len(rows), 1)), stands.nodes
+        total = np.zeros(len(rows), np.float32)
         for layer in range(self.shape.crossings):
-            name = f"cross.{layer}"
-            seen, meant, weights = kernels.cross_attention(
-                (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
-                (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
-                t_starts, m_starts, agree,
-                self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], heads,
-            )  # fmt: skip
-            features = kernels.heard(
-                weights, agree, t_starts, m_starts, stands.relations, ends, channels, bounds
-            )
-            evidence = np.maximum(
-                self._linear(f"{name}.evidence", np.column_stack([features, known])), 0.0
-            )
-            verdict = self._linear(f"{name}.verdict", evidence)[:, 0]
-            total += verdict.reshape(k, edges.stop - edges.start).sum(axis=1)
-            to_ends = self._linear(f"{name}.said", evidence)
-            told = np.zeros_like(t)
-            first = np.repeat(t_starts[:-1], np.diff(bounds))
-            d = self.shape.width
-            np.add.at(told, first + ends[:, 0], to_ends[:, :d])
-            np.add.at(told, first + ends[:, 1], to_ends[:, d:])
-            t = self._norm(
-                f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told
-            )
-            m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
-            t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
-        e_t = self._pool("pool_text", t, t_starts)
-        e_m = self._pool("pool_place", m, m_starts)
+            t, m, verdict = self._cross(f"cross.{layer}", t, m, pairs)
+            total += verdict
+        e_t = self._pool("pool_text", t, pairs.t_starts)
+        e_m = self._pool("pool_place", m, pairs.m_starts)
         hidden = self._linear("judge.0", np.column_stack([e_t, e_m, e_t * e_m]))
         logit = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0] + total
-        cosine = (e_t * e_m).sum(axis=1) / np.maximum(
-            np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1), 1e-5
+        lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
+        return Matches(logit, (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5))
+
+    def _cross(
+        self, name: str, t: Floats, m: Floats, pairs: _Pairs
+    ) -> tuple[Floats, Floats, Floats]:
+        """Cross attention both ways, and what the statements say (K,) of what they attend to."""
+        seen, meant, weights = kernels.cross_attention(
+            (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
+            (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
+            pairs.t_starts, pairs.m_starts, pairs.agreement,
+            self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], self.shape.heads,
+        )  # fmt: skip
+        features = kernels.heard(
+            weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
+            pairs.ends, pairs.channels, pairs.bounds,
+        )  # fmt: skip
+        evidence = self._linear(f"{name}.evidence", np.column_stack([features, pairs.known]))
+        evidence = np.maximum(evidence, 0.0)
+        verdict = self._linear(f"{name}.verdict", evidence).reshape(len(pairs.bounds) - 1, -1)
+        told = kernels.add_to_ends(
+            self._linear(f"{name}.said", evidence), pairs.ends, pairs.bounds, pairs.t_starts
         )
-        return Matches(logit, cosine)
+        t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told)
+        m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
+        t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
+        return t, m, verdict.sum(axis=1)
 
     def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> States:
         """GPS layers: messages along labelled edges plus attention to the whole graph."""
@@ -229,7 +257,7 @@ class GraphTransformer:
         length = np.maximum(np.linalg.norm(pooled, axis=1, keepdims=True), 1e-12)
         return States(x, starts, pooled / length, batch.relations)
 
-    def _linear(self, name: str, x: Floats) -> Floats:
+    def _linear(self, name: str, x: NDArray[np.floating[Any]]) -> Floats:
         y = x @ self.arrays[f"{name}.weight"].T
         if f"{name}.bias" in self.arrays:
             y += self.arrays[f"{name}.bias"]
