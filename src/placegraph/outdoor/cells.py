@@ -126,7 +126,7 @@ class Cells(Mapping[str, Cell]):
         step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
         column, row = np.floor(step + 0.5).astype(np.int64).T
         reach = np.abs(step - np.stack([column, row], 1)).max(axis=1) * self.grid.stride
-        on_grid = (0 <= column) & (column < self.grid.columns) & (0 <= row)
+        on_grid = (column >= 0) & (column < self.grid.columns) & (row >= 0)
         points = row * self.grid.columns + column
         at = np.minimum(np.searchsorted(self.points, points), len(self.points) - 1)
         there = on_grid & (reach <= self.size / 2) & (self.points[at] == points)

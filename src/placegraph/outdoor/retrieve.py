@@ -6,7 +6,6 @@ with the network is in `rerank`. Here every matcher ranks the same cells, so tha
 
 from __future__ import annotations
 
-
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -217,9 +216,7 @@ def _scores(
         from placegraph.outdoor.edit_distance import rank
 
         graphs = [city.graph(city.cells.id_of(row)) for row in rows]
-        ranked = rank(
-            query.description, graphs, centers=city.cells.centers(rows), timeout=timeout
-        )
+        ranked = rank(query.description, graphs, centers=city.cells.centers(rows), timeout=timeout)
         scores = np.empty(len(rows))
         scores[ranked.rows] = -ranked.costs
         return scores
@@ -242,5 +239,3 @@ def _relational(
         if row in place:
             scores[place[row]] = max(scores[place[row]], score)
     return scores
-
-

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from placegraph.outdoor.learn import kernels
-from placegraph.outdoor.learn.graphs import (
-    CHANNELS,
-    PlaceGraphs,
-    TextGraphs,
-    place_relations,
-    text_relations,
-)
+from placegraph.outdoor.learn.relations import CHANNELS, place_relations, text_relations
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.learn.graphs import PlaceGraphs, TextGraphs
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.int64]
@@ -116,14 +113,14 @@ def _mask(counts: Rows, size: int) -> Floats:
     return (np.arange(size) < counts[:, None]).astype(np.float32)
 
 
-def _words(starts: Rows, words: Rows, weights: Floats, nodes: Rows, at: Rows) -> NodeWords:
+def _words(
+    starts: Rows, words: NDArray[np.integer[Any]], weights: Floats, nodes: Rows, at: Rows
+) -> NodeWords:
     counts = starts[nodes + 1] - starts[nodes]
     some = counts > 0
     nodes, at, counts = nodes[some], at[some], counts[some]
     entry, _ = entries(starts[nodes], counts, 0)
-    return NodeWords(
-        np.cumsum(counts) - counts, words[entry].astype(np.int64), weights[entry], at
-    )
+    return NodeWords(np.cumsum(counts) - counts, words[entry].astype(np.int64), weights[entry], at)
 
 
 def pair_batch(

@@ -16,6 +16,7 @@ from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from os import PathLike
 
     from numpy.typing import NDArray
 
@@ -26,7 +27,7 @@ VERSION = 1
 class Folder:
     """A folder that holds pools, the state after the last epoch, and the curves."""
 
-    def __init__(self, path: str | Path, plan: Mapping[str, Any]) -> None:
+    def __init__(self, path: str | PathLike[str], plan: Mapping[str, Any]) -> None:
         self.path = Path(path)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -90,7 +91,7 @@ class Folder:
 class PoolFolder:
     """Examples by name; those that are there are not made again."""
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | PathLike[str]) -> None:
         self.path = Path(path)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -112,7 +113,7 @@ class PoolFolder:
             return None
         file = read_map(path, POOL, VERSION)
         arrays = dict(file.arrays)
-        texts = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
+        texts: dict[str, Any] = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
         texts["vocabulary"] = file.strings("text:vocabulary")
         fits = Fits(**{f.name: arrays[f"fit:{f.name}"] for f in fields(Fits)})
         rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
@@ -122,5 +123,3 @@ class PoolFolder:
 def plan_of(cities: Mapping[str, int], options: object) -> dict[str, Any]:
     """What a training is: cities with their numbers of objects, and options."""
     return {"cities": dict(cities), "options": asdict(options)}  # type: ignore[call-overload]
-
-

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from placegraph.outdoor.learn.batches import WordFits, word_fits
 from placegraph.outdoor.learn.graphs import PlaceGraphs, TextGraphs
-from placegraph.outdoor.learn.network import GraphTransformer, Matches
 from placegraph.outdoor.learn.pool import fits_of
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.learn.network import GraphTransformer, Matches
     from placegraph.outdoor.query import Query
     from placegraph.outdoor.vectors import VectorStore
 
@@ -51,18 +50,14 @@ class EncodedCity:
 
         origin = Origin(map_fingerprint(self.city), self.network.fingerprint)
         cells = self.city.cells
-        return EmbeddedStore.of(
-            cells.points, self.embeddings, cell_positions(cells), origin=origin
-        )
+        return EmbeddedStore.of(cells.points, self.embeddings, cell_positions(cells), origin=origin)
 
     def text(self, query: Query) -> EncodedText:
         """A query as the network reads it."""
         texts = TextGraphs.of([query.description])
         fits = fits_of(texts, [query])
         counts, total = self.city.word_counts
-        return EncodedText(
-            texts, word_fits(fits.starts, fits.tokens, fits.weights, counts, total)
-        )
+        return EncodedText(texts, word_fits(fits.starts, fits.tokens, fits.weights, counts, total))
 
     def match(self, text: EncodedText, places: PlaceGraphs, rows: NDArray[np.int64]) -> Matches:
         """Match a text with places of this city (Eq. 14-17)."""

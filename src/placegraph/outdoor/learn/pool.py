@@ -60,9 +60,7 @@ class Pool:
         return len(self.positions)
 
 
-def fill(
-    speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = lambda: None
-) -> Pool:
+def fill(speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = lambda: None) -> Pool:
     """Make `n` examples of one city."""
     city = speaker.city
     descriptions: list[Description] = []

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from placegraph.outdoor.learn.graphs import CHANNELS
 from placegraph.outdoor.learn.kernels import LITERAL
 from placegraph.outdoor.learn.labels import BUCKETS
+from placegraph.outdoor.learn.relations import CHANNELS
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Shape:
     subwords: float = 1.0
     """Length of what a word's subwords add together, against 1 of the whole word (`labels`)."""
 
-    def arrays(self) -> dict[str, tuple[int, ...]]:
+    def arrays(self) -> dict[str, tuple[int, ...]]:  # noqa: C901  # one line a weight
         """Shape of every weight, by PyTorch's names."""
         d, out, e, heads = self.width, self.dimension, self.evidence, self.heads
         found: dict[str, tuple[int, ...]] = {"table": (BUCKETS, d)}

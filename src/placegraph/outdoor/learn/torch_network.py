@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
-from placegraph.outdoor.learn.graphs import CHANNELS
 from placegraph.outdoor.learn.kernels import LITERAL
 from placegraph.outdoor.learn.labels import BUCKETS
+from placegraph.outdoor.learn.relations import CHANNELS
 
 if TYPE_CHECKING:
     from placegraph.outdoor.learn.shape import Shape
@@ -63,9 +63,11 @@ class Packing:
         self.rows = mask.reshape(-1).nonzero()[:, 0]
 
     def pack(self, x: Tensor) -> Tensor:
+        """From (B, n, c) to (N, c)."""
         return x.reshape(-1, x.shape[-1])[self.rows]
 
     def pad(self, x: Tensor) -> Tensor:
+        """From (N, c) to (B, n, c), 0 where there is no node."""
         padded = x.new_zeros(self.shape[0] * self.shape[1], x.shape[-1])
         return padded.index_copy(0, self.rows, x).reshape(*self.shape, -1)
 
@@ -88,6 +90,7 @@ class Feed(nn.Module):
         self.up, self.down, self.norm = nn.Linear(d, 2 * d), nn.Linear(2 * d, d), nn.LayerNorm(d)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Node states (N, d)."""
         return self.norm(x + self.down(F.relu(self.up(x))))
 
 
@@ -105,6 +108,7 @@ class Gps(nn.Module):
         self.feed = Feed(d)
 
     def forward(self, x: Tensor, packing: Packing, mask: Tensor, relations: Tensor) -> Tensor:
+        """Node states (N, d) after one exchange; `relations` (B, R, n, n) scaled by degree."""
         b, n = mask.shape
         messages = relations @ packing.pad(self.message(x))[:, None]  # (b, R, n, d / 2)
         local = self.along(packing.pack(messages.transpose(1, 2).reshape(b, n, -1)))
@@ -121,6 +125,7 @@ class Pool(nn.Module):
         self.gate, self.out = nn.Linear(d, 1), nn.Linear(d, dimension)
 
     def forward(self, x: Tensor, packing: Packing, mask: Tensor) -> Tensor:
+        """One vector (B, D) a graph, of node states (N, d)."""
         total = packing.pad(torch.sigmoid(self.gate(x)) * x).sum(1)
         return self.out(total / mask.sum(1, keepdim=True).sqrt())
 
@@ -136,6 +141,7 @@ class Side(nn.Module):
         self.pool = Pool(shape.width, shape.dimension)
 
     def forward(self, graphs: Graphs) -> tuple[Tensor, Tensor]:
+        """Node states (B, n, d), and embeddings (B, D) of unit length."""
         packing = Packing(graphs.mask)
         x = self.norm(packing.pack(graphs.words) + self.features(packing.pack(graphs.nodes)))
         degree = (1.0 + graphs.relations.abs().sum(3, keepdim=True)).rsqrt()
@@ -172,6 +178,7 @@ class Cross(nn.Module):
         masks: tuple[Tensor, Tensor],
         pairs: Pairs,
     ) -> tuple[Tensor, Tensor, Tensor]:
+        """Node states of texts (N, d) and places (M, d), and the verdict on statements (P,)."""
         (p, n), d = t_packing.shape, t.shape[1]
         t_mask, m_mask = masks
         heads, size = self.heads, d // self.heads
@@ -200,7 +207,7 @@ class Cross(nn.Module):
 
     def _heard(self, weights: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
         """What the statements say once their ends are attended to: for nodes (P, n, d), in all (P,)."""
-        p, heads, n, m = weights.shape
+        p, _, n, _ = weights.shape
         by_node = weights.transpose(1, 2)  # (P, n, H, m)
         rows = torch.arange(p, device=weights.device)[:, None]
         source, target = by_node[rows, pairs.ends[..., 0]], by_node[rows, pairs.ends[..., 1]]
@@ -231,7 +238,9 @@ class Network(nn.Module):
         self.pool_text = Pool(shape.width, shape.dimension)
         self.pool_place = Pool(shape.width, shape.dimension)
         self.judge = nn.Sequential(
-            nn.Linear(3 * shape.dimension, shape.dimension), nn.ReLU(), nn.Linear(shape.dimension, 1)
+            nn.Linear(3 * shape.dimension, shape.dimension),
+            nn.ReLU(),
+            nn.Linear(shape.dimension, 1),
         )
 
     def words(self, buckets: Tensor, starts: Tensor, weights: Tensor) -> Tensor:

@@ -265,5 +265,3 @@ def _fused(
 
 def _recall(scores: NDArray[np.float64], near: NDArray[np.bool_]) -> float:
     return float(near[np.arange(len(near)), scores.argmax(axis=1)].mean())
-
-

@@ -50,7 +50,7 @@ class Trainer:
         rng = np.random.default_rng([options.seed, epoch, 1 << 21])
         total: dict[str, float] = {}
         for step in range(options.steps):
-            lesson = lessons[rng.integers(len(lessons))]
+            lesson = lessons[int(rng.integers(len(lessons)))]
             batch = lesson.batch(*lesson.draw(options.batch, options.share, rng))
             self._set_rate(epoch * options.steps + step)
             scores = forward(self.network, lesson, batch, self.device)

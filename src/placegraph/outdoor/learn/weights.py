@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MapError
-from placegraph.outdoor.learn.graphs import CHANNELS, MOST_THINGS, REACH
+from placegraph.errors import InputError, MapError
+from placegraph.outdoor.learn.graphs import MOST_THINGS, REACH
 from placegraph.outdoor.learn.labels import BUCKETS, LONGEST, SHORTEST
+from placegraph.outdoor.learn.relations import CHANNELS
 from placegraph.outdoor.learn.shape import Shape
-from placegraph.store import read_map, write_map
+from placegraph.store import read_header, read_map, write_map
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
     from numpy.typing import NDArray
+
+    from placegraph.store import MapFile
 
 KIND = "graph-transformer"
 VERSION = 1
@@ -73,7 +76,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
         It is damaged, none, of a newer version, or made with another label set or other graphs.
 
     """
-    file = read_map(path, KIND, VERSION)
+    file = _open(path)
     for part, here in (("labels", LABELS), ("graphs", GRAPHS)):
         if file.meta.get(part) != here:
             raise MapError(
@@ -91,6 +94,30 @@ def read_weights(path: str | PathLike[str]) -> Weights:
         raise MapError(
             f"{path}: its weights do not fit together ({error}). Train or install them again."
         ) from error
+
+
+def _open(path: str | PathLike[str]) -> MapFile:
+    """Columns of a weights file; errors speak of weights where the map reader speaks of maps."""
+    mend = "train one by `placegraph city train`, or use the one that comes with placegraph."
+    try:
+        header = read_header(path)
+        file = read_map(path, header.kind, header.version)
+    except InputError as error:
+        why = (
+            "does not exist" if isinstance(error.__cause__, FileNotFoundError) else "cannot be read"
+        )
+        raise InputError(f"{path}: this weights file {why}; {mend}") from error
+    except MapError as error:
+        why = str(error).removeprefix(f"{path} ").partition("; ")[0].partition(". ")[0]
+        raise MapError(f"{path}, as a weights file, {why}; {mend}") from error
+    if header.kind != KIND:
+        raise MapError(f"{path} is a {header.kind} map, not a weights file; {mend}")
+    if header.version > VERSION:
+        raise MapError(
+            f"{path} is a weights file of version {header.version}, this placegraph reads up to "
+            f"{VERSION}; update placegraph, or train again with this one."
+        )
+    return file
 
 
 def shipped() -> Path:
