@@ -13,6 +13,7 @@ import json
 import sys
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,6 +57,19 @@ def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Float
     vectors = unit(centers[rng.integers(len(centers), size=count)] + 0.6 * noise(count))
     asked = unit(vectors[rng.integers(count, size=queries)] + 0.6 * noise(queries))
     return vectors, asked
+
+
+def of_city(map_file: Path, osm: Path, queries: int, seed: int) -> tuple[Floats, Floats]:
+    """Cells of a real map, and texts spoken in it, as the shipped network embeds them."""
+    from placegraph.evaluate.outdoor_queries import make_queries
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.describe import describe
+    from placegraph.outdoor.learn.graphs import TextGraphs
+    from placegraph.outdoor.learn.network import GraphTransformer
+
+    texts = [describe(q.text) for q in make_queries(osm, n=queries, seed=seed)]
+    asked = GraphTransformer.default().embed_texts(TextGraphs.of(texts))
+    return CityMap.open(map_file).embeddings, asked
 
 
 def plain_numpy(vectors: Floats) -> tuple[Search, int]:
@@ -114,7 +128,7 @@ def faiss_index(kind: str) -> Build:
             flat = faiss.IndexFlatIP(DIMENSION)
             index = faiss.IndexIVFFlat(flat, DIMENSION, count, faiss.METRIC_INNER_PRODUCT)
             index.train(vectors[:: max(1, len(vectors) // (40 * count))])
-            index.nprobe = 192
+            index.nprobe = 256
         else:
             index = faiss.IndexFlatIP(DIMENSION)
         index.add(vectors)
@@ -202,15 +216,27 @@ def main(
     graphs: Annotated[
         int, typer.Option(help="Largest size that graphs (HNSW) are built for: minutes.")
     ] = 1_000_000,
-    seed: Annotated[int, typer.Option(help="Seed of the vectors.")] = 0,
+    city: Annotated[
+        Path | None, typer.Option(help="City map whose cells are measured too, with --osm.")
+    ] = None,
+    osm: Annotated[Path | None, typer.Option(help="Extract that the map was built from.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the vectors and the queries.")] = 0,
     out: Annotated[Path, typer.Option(help="JSON file.")] = (
         ROOT / "benchmarks/results/outdoor_vectors.json"
     ),
 ) -> None:
     """Measure every store at several sizes."""
     rows: list[Row] = []
-    for count in (int(s) for s in sizes.split(",")):
-        vectors, asked = clustered(np.random.default_rng(seed), count, queries)
+    worlds: list[Callable[[], tuple[Floats, Floats]]] = [
+        partial(clustered, np.random.default_rng(seed), int(s), queries)
+        for s in sizes.split(",")
+        if s
+    ]
+    if city and osm:
+        worlds.append(partial(of_city, city, osm, queries, seed))
+    for world in worlds:
+        vectors, asked = world()
+        count = len(vectors)
         wanted = np.stack(
             [np.argsort(-(vectors @ q), kind="stable")[: max(NEIGHBOURS)] for q in asked]
         )

@@ -81,7 +81,7 @@ def test_lists_find_nearly_all_and_hold_every_row_once(rng):
     assert len(listed.lists.centers) == 154
     assert sorted(listed.ids) == list(range(6000))
     queries = centers + 0.4 * rng.standard_normal((40, 16))
-    # 192 lists are opened, which is all of 154
+    # 256 lists are opened, which is all of 154
     np.testing.assert_array_equal(plain.search(queries, 10).ids, listed.search(queries, 10).ids)
 
 
