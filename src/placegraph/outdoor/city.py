@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.match import Scene
     from placegraph.outdoor.names import NameIndex
     from placegraph.outdoor.retrieve import By, Matcher
+    from placegraph.outdoor.track import CityTracker
     from placegraph.outdoor.vectors import Region, VectorStore
 
 KIND = "city"
@@ -400,6 +401,19 @@ class CityMap:
             answers=answers,
             matching=Matching(matcher, by, candidates, store, region, encoded),
         )
+
+    def track(
+        self,
+        *,
+        near: Sequence[float] | None = None,
+        radius: float = 1000.0,
+        heading: float | None = None,
+        top: int = 5,
+    ) -> CityTracker:
+        """Follow somebody who speaks and walks; see `CityTracker`, arguments as for `locate`."""
+        from placegraph.outdoor.track import CityTracker
+
+        return CityTracker(self, near=near, radius=radius, heading=heading, top=top)
 
     def __repr__(self) -> str:
         return f"CityMap({self.source!r}, {len(self.objects):,} objects, {len(self.cells):,} cells)"

@@ -41,37 +41,65 @@ def self_attention(qkv, starts, heads):
     size = d // heads
     scale = np.float32(1.0 / np.sqrt(size))
     out = np.zeros((len(qkv), d), np.float32)
-    weights = np.empty(np.max(starts[1:] - starts[:-1]), np.float32)
+    most = np.max(starts[1:] - starts[:-1])
+    keys = np.empty((size, most), np.float32)
+    logits = np.empty((most, most), np.float32)
     for b in range(len(starts) - 1):
         first = starts[b]
         n = starts[b + 1] - first
         for h in range(heads):
             q, k, v = h * size, d + h * size, 2 * d + h * size
-            for i in range(first, first + n):
-                for j in range(n):
-                    dot = np.float32(0.0)
-                    for c in range(size):
-                        dot += qkv[i, q + c] * qkv[first + j, k + c]
-                    weights[j] = dot * scale
-                _softmax(weights[:n], np.float32(-1e30))
-                for j in range(n):
-                    for c in range(size):
-                        out[i, q + c] += weights[j] * qkv[first + j, v + c]
+            _turned(qkv, first, n, k, keys)
+            _products(qkv, first, n, q, keys, n, scale, logits)
+            for i in range(n):
+                _softmax(logits, i, n, np.float32(-1e30))
+            _mixed(logits, n, qkv, first, n, v, size, out, first, q)
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _softmax(weights, nothing):
-    """Softmax in place, with one more entry `nothing` that takes its share."""
+@njit(cache=True, nogil=True, fastmath=True)
+def _turned(x, first, n, column, out):
+    """Columns from `column` of n rows of x, turned so that loops over rows run over neighbours."""
+    for j in range(n):
+        for c in range(len(out)):
+            out[c, j] = x[first + j, column + c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _products(q, first, n, column, keys, m, scale, out):
+    """Scaled products (n, m) of n queries and m turned keys, into `out`."""
+    for i in range(n):
+        for j in range(m):
+            out[i, j] = 0.0
+        for c in range(len(keys)):
+            a = q[first + i, column + c] * scale
+            for j in range(m):
+                out[i, j] += a * keys[c, j]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _mixed(weights, n, values, first, m, column, size, out, at, to):
+    """Add values of m rows, mixed by weights (n, m), to n rows of `out`."""
+    for i in range(n):
+        for j in range(m):
+            w = weights[i, j]
+            for c in range(size):
+                out[at + i, to + c] += w * values[first + j, column + c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _softmax(weights, i, n, nothing):
+    """Softmax of n weights of row i in place, with one more entry `nothing` that takes its share."""
     top = nothing
-    for j in range(len(weights)):
-        top = max(top, weights[j])
+    for j in range(n):
+        top = max(top, weights[i, j])
     total = np.exp(nothing - top)
-    for j in range(len(weights)):
-        weights[j] = np.exp(weights[j] - top)
-        total += weights[j]
-    for j in range(len(weights)):
-        weights[j] /= total
+    for j in range(n):
+        weights[i, j] = np.exp(weights[i, j] - top)
+        total += weights[i, j]
+    scale = np.float32(1.0) / total
+    for j in range(n):
+        weights[i, j] *= scale
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -91,32 +119,28 @@ def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, he
     widest = np.max(t_starts[1:] - t_starts[:-1])
     to_place = np.zeros((len(q), heads, most), np.float32)
     seen, meant = np.zeros_like(q), np.zeros_like(k)
+    keys = np.empty((size, most), np.float32)
     alike = np.empty((widest, most), np.float32)
-    column = np.empty(widest, np.float32)
+    forth = np.empty((widest, most), np.float32)
+    back = np.empty((most, widest), np.float32)
     for p in range(len(t_starts) - 1):
         t0, m0 = t_starts[p], m_starts[p]
         n, m = t_starts[p + 1] - t0, m_starts[p + 1] - m0
         for h in range(heads):
             off = h * size
+            _turned(k, m0, m, off, keys)
+            _products(q, t0, n, off, keys, m, scale, alike)
             for i in range(n):
                 for j in range(m):
-                    dot = np.float32(0.0)
-                    for c in range(off, off + size):
-                        dot += q[t0 + i, c] * k[m0 + j, c]
-                    alike[i, j] = dot * scale
-                    to_place[t0 + i, h, j] = alike[i, j] + word[0, h] * agreement[p, i, j]
-                weights = to_place[t0 + i, h, :m]
-                _softmax(weights, nothing[0, h])
+                    forth[i, j] = alike[i, j] + word[0, h] * agreement[p, i, j]
+                    back[j, i] = alike[i, j] + word[1, h] * agreement[p, i, j]
+                _softmax(forth, i, m, nothing[0, h])
                 for j in range(m):
-                    for c in range(off, off + size):
-                        seen[t0 + i, c] += weights[j] * of_place[m0 + j, c]
+                    to_place[t0 + i, h, j] = forth[i, j]
             for j in range(m):
-                for i in range(n):
-                    column[i] = alike[i, j] + word[1, h] * agreement[p, i, j]
-                _softmax(column[:n], nothing[1, h])
-                for i in range(n):
-                    for c in range(off, off + size):
-                        meant[m0 + j, c] += column[i] * of_text[t0 + i, c]
+                _softmax(back, j, n, nothing[1, h])
+            _mixed(forth, n, of_place, m0, m, off, size, seen, t0, off)
+            _mixed(back, m, of_text, t0, n, off, size, meant, m0, off)
     return seen, meant, to_place
 
 

@@ -184,17 +184,19 @@ class GraphTransformer:
         rows: Rows,
         words: WordFits,
         vectors: Floats | None = None,
+        stands: States | None = None,
     ) -> Matches:
         """Match one text with places `rows` (K,), all at once (Eq. 14-17).
 
-        `words` says how well words of the places fit the nodes of all texts.
+        `words` says how well words of the places fit the nodes of all texts; `stands` are these
+        places encoded before, where they were.
         """
         vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
         rows = np.asarray(rows, np.int64)
         if not len(rows):
             return Matches(np.zeros(0, np.float32), np.zeros(0, np.float32))
         said = self.encode_texts(texts, np.array([text]))
-        stands = self.encode_places(places, rows, vectors)
+        stands = self.encode_places(places, rows, vectors) if stands is None else stands
         pairs = _pairs(texts, text, places, rows, words, stands)
         t, m = np.tile(said.nodes, (len(rows), 1)), stands.nodes
         total = np.zeros(len(rows), np.float32)
