@@ -86,7 +86,12 @@ class Shape:
     @classmethod
     def from_dict(cls, plain: dict[str, float]) -> Shape:
         """Undo `to_dict`; raises `TypeError` or `ValueError` where it is no shape."""
-        sizes = {k: float(v) if k == "subwords" else int(v) for k, v in plain.items()}
-        if min(sizes.values()) < 0 or max(sizes.values()) > 4096:
-            raise ValueError(f"sizes {sizes}")
-        return cls(**sizes)  # type: ignore[arg-type]
+        sizes = {k: float(v) if k == "subwords" else int(v) for k, v in dict(plain).items()}
+        shape = cls(**sizes)  # type: ignore[arg-type]
+        numbers = asdict(shape)
+        least = {"layers": 0, "crossings": 0, "subwords": 0.0}
+        if any(not least.get(k, 1) <= v <= 4096 for k, v in numbers.items()):
+            raise ValueError(f"sizes {numbers}")
+        if shape.width % shape.heads or shape.width % 2:
+            raise ValueError(f"width {shape.width} for {shape.heads} heads")
+        return shape

@@ -1,0 +1,88 @@
+"""Networks of random weights, texts and places to read."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from placegraph.outdoor.learn import kernels
+from placegraph.outdoor.learn.encoded import EncodedCity
+from placegraph.outdoor.learn.network import GraphTransformer
+from placegraph.outdoor.learn.sample import Speaker
+from placegraph.outdoor.learn.shape import Shape
+from placegraph.outdoor.vocabulary import Vocabulary
+
+
+def _forget_stale_kernels():
+    """Drop compiled code older than any kernel: numba looks only at the file of the caller."""
+    folder = Path(kernels.__file__).parent
+    newest = max(p.stat().st_mtime for p in folder.glob("*.py") if "njit" in p.read_text("utf-8"))
+    for cached in (folder / "__pycache__").glob("*.nb[ic]"):
+        if cached.stat().st_mtime < newest:
+            cached.unlink(missing_ok=True)
+
+
+_forget_stale_kernels()
+
+SMALL = Shape(width=16, dimension=12, heads=2, layers=2, crossings=2, evidence=8)
+
+
+def random_arrays(shape, seed=0):
+    rng = np.random.default_rng(seed)
+    return {
+        name: rng.normal(scale=0.3, size=size).astype(np.float32)
+        for name, size in shape.arrays().items()
+    }
+
+
+@pytest.fixture(scope="session")
+def network():
+    return GraphTransformer(SMALL, random_arrays(SMALL), "random", 0.3)
+
+
+@pytest.fixture(scope="session")
+def make_network():
+    """Network of random weights: a shape (or fields that differ) and a seed."""
+
+    def make(seed=0, fusion=0.3, **sizes):
+        shape = Shape(**{**SMALL.to_dict(), **sizes})
+        return GraphTransformer(shape, random_arrays(shape, seed), f"random {seed}", fusion)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def encoded(harbour, network):
+    """The shipped town as the random network reads it."""
+    return EncodedCity(harbour, network)
+
+
+@pytest.fixture(scope="session")
+def vocabulary():
+    return Vocabulary.default()
+
+
+@pytest.fixture(scope="session")
+def speakers(harbour, vocabulary):
+    """In the tiles of training, and in those held out."""
+    return Speaker(harbour, vocabulary), Speaker(harbour, vocabulary, held=True)
+
+
+@pytest.fixture(scope="session")
+def pool(speakers):
+    """Examples from the shipped town."""
+    from placegraph.outdoor.learn.pool import fill
+
+    return fill(speakers[0], 24, np.random.default_rng(5))
+
+
+@pytest.fixture(scope="session")
+def texts(pool):
+    return pool.texts
+
+
+@pytest.fixture(scope="session")
+def places(harbour):
+    from placegraph.outdoor.learn.graphs import PlaceGraphs
+
+    return PlaceGraphs.of_cells(harbour)
