@@ -10,7 +10,6 @@ same command goes on. Prints Markdown, writes JSON.
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -47,25 +46,20 @@ def variants(base: TrainOptions) -> dict[str, TrainOptions]:
         "labels: whole words only": replace(base, shape=replace(base.shape, subwords=0.0)),
         "labels: more of subwords": replace(base, shape=replace(base.shape, subwords=3.0)),
         **{f"loss: {name} alone": replace(base, losses=(name,)) for name in every},
-        **{
-            f"without loss: {name}": replace(base, losses=tuple(x for x in every if x != name))
-            for name in every
-        },
     }
 
 
 def trained(
     name: str, options: TrainOptions, cities: Mapping[str, CityMap], work: Path, device: str
 ) -> GraphTransformer:
-    """Train one variant, on the examples that the first one made, or go on with it."""
+    """Train one variant, on examples that all share, or go on with it."""
     folder = work / name.replace(":", "").replace(" ", "_")
     weights = folder / "weights"
     if not weights.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        for made in (work / "all").glob("*.pool"):
-            if folder != made.parent and not (folder / made.name).exists():
-                shutil.copy(made, folder / made.name)
-        train(cities, weights, folder=folder, options=options, device=device)
+        train(
+            cities, weights, folder=folder, pools=work / "pools", options=options, device=device
+        )
     return GraphTransformer.open(weights)
 
 
@@ -88,9 +82,9 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main(
     queries: Annotated[int, typer.Option(help="Queries a city.")] = 200,
-    epochs: Annotated[int, typer.Option(help="Epochs of a training.")] = 3,
-    examples: Annotated[int, typer.Option(help="New descriptions a city and epoch.")] = 1000,
-    steps: Annotated[int, typer.Option(help="Batches an epoch.")] = 200,
+    epochs: Annotated[int, typer.Option(help="Epochs of a training.")] = 2,
+    examples: Annotated[int, typer.Option(help="New descriptions a city and epoch.")] = 1200,
+    steps: Annotated[int, typer.Option(help="Batches an epoch.")] = 300,
     only: Annotated[str, typer.Option(help="Names of variants with commas.")] = "",
     seed: Annotated[int, typer.Option(help="Seed of the trainings and the queries.")] = 0,
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
