@@ -371,7 +371,7 @@ class CityMap:
             Where embeddings are searched, such as a Milvus server (`open_store`); the map's own if
             not given.
         region
-            Stay in it (candidates by embeddings only).
+            Stay in it.
         encoded
             The map as another network reads it (`EncodedCity`).
 

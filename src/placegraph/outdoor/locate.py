@@ -132,12 +132,14 @@ def _found(
     fused = matching.matcher == "fused"
     encoded = (matching.encoded or city.encoded) if fused or by in ("dense", "both") else None
     rows = None
-    if by != "sparse" and query.used and encoded is not None:
+    if query.used and (by != "sparse" or matching.region is not None):
         rows = views_of_candidates(
             city, query, matching.candidates, by, encoded,
             store=matching.store, region=matching.region,
         )  # fmt: skip
-    return search(query, city, prior, rows=rows, encoded=encoded if fused else None), SPACING
+    only = matching.region is not None
+    judge = encoded if fused else None
+    return search(query, city, prior, rows=rows, only=only, encoded=judge), SPACING
 
 
 def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching) -> Posterior:

@@ -133,12 +133,12 @@ def candidate_cells(
 ) -> NDArray[np.int64]:
     """Rows (at most n) of `city.cells.points` that are worth matching, best first."""
     if by == "all":
-        return np.arange(len(city.cells))
+        return np.flatnonzero(within(city, city.cells.centers(np.arange(len(city.cells))), region))
     found = []
     if by in ("dense", "both"):
         found.append(dense_cells(city, query, n, encoded, store=store, region=region))
     if by in ("sparse", "both"):
-        found.append(_sparse_cells(city, query, n))
+        found.append(_sparse_cells(city, query, n, region))
     if len(found) == 1:
         return found[0]
     longest = max(map(len, found))
@@ -162,11 +162,29 @@ def dense_cells(
     return np.searchsorted(city.cells.points, points)
 
 
-def _sparse_cells(city: CityMap, query: Query, n: int) -> NDArray[np.int64]:
+def within(
+    city: CityMap, positions: NDArray[np.float64], region: Region | None
+) -> NDArray[np.bool_]:
+    """Whether positions (K, 2) [m] lie in a region."""
+    if region is None:
+        return np.ones(len(positions), np.bool_)
+    region.checked()
+    longitude, latitude = city.plane.to_lonlat(positions).T
+    east, west = longitude <= region.east, longitude >= region.west
+    across = east | west if region.crosses_date_line else east & west
+    return across & (latitude >= region.south) & (latitude <= region.north)
+
+
+def _views_within(city: CityMap, region: Region | None) -> NDArray[np.bool_] | None:
+    positions = city.views.positions
+    return None if region is None else within(city, positions.astype(np.float64), region)
+
+
+def _sparse_cells(city: CityMap, query: Query, n: int, region: Region | None) -> NDArray[np.int64]:
     """Rows of the cells that hold the viewpoints of largest bound."""
     if not any(not s.negated for s in query.used):
         return np.zeros(0, np.int64)
-    views = search.touched(query, city, SPARSE * n)
+    views = search.touched(query, city, SPARSE * n, _views_within(city, region))
     rows = city.cells.rows_at(city.views.positions[views].astype(np.float64))
     return np.array(list(dict.fromkeys(rows[rows >= 0].tolist()))[:n], np.int64)
 
@@ -176,17 +194,23 @@ def views_of_candidates(
     query: Query,
     n: int,
     by: By,
-    encoded: EncodedCity,
+    encoded: EncodedCity | None,
     *,
     store: VectorStore | None = None,
     region: Region | None = None,
 ) -> NDArray[np.int64]:
-    """Viewpoints (V,) in `n` dense candidates, and for ``both`` those of largest bound as well."""
+    """Viewpoints (V,) in `n` dense candidates, and for ``both`` those of largest bound as well.
+
+    `encoded` is needed for the former.
+    """
+    inside = _views_within(city, region)
     if by == "all":
-        return np.arange(len(city.views.positions))
-    views = views_in(city, dense_cells(city, query, n, encoded, store=store, region=region))
-    if by == "both":
-        views = np.union1d(views, search.touched(query, city, search.MOST_CANDIDATES))
+        return np.arange(len(city.views.positions)) if inside is None else np.flatnonzero(inside)
+    views = np.zeros(0, np.int64)
+    if by in ("dense", "both") and encoded is not None:
+        views = views_in(city, dense_cells(city, query, n, encoded, store=store, region=region))
+    if by in ("sparse", "both"):
+        views = np.union1d(views, search.touched(query, city, search.MOST_CANDIDATES, inside))
     return views
 
 
@@ -231,7 +255,7 @@ def _relational(
     views = views_in(city, rows)
     if not len(views) or not any(not s.negated for s in query.used):
         return scores
-    found = search.candidates(query, city, search.Prior(), rows=views)
+    found = search.candidates(query, city, search.Prior(), rows=views, only=True)
     found = found if encoded is None else rerank(found, query, encoded)
     at = city.cells.rows_at(city.views.positions[found.rows].astype(np.float64))
     place = {int(row): i for i, row in enumerate(rows)}

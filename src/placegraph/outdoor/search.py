@@ -108,12 +108,16 @@ def search(
     prior: Prior,
     *,
     rows: NDArray[np.int64] | None = None,
+    only: bool = False,
     encoded: EncodedCity | None = None,
 ) -> Posterior:
-    """Score the viewpoints of a city, or those in `rows`; `encoded` lets the network judge the best."""
+    """Score the viewpoints of a city, or those in `rows`; `encoded` lets the network judge the best.
+
+    Around rare things out of sight others than those in `rows` are scored, unless `only` these are.
+    """
     if not query.used:
         return _by_prior(city.views, _log_prior(city.views, prior))
-    found = candidates(query, city, prior, rows=rows)
+    found = candidates(query, city, prior, rows=rows, only=only)
     if encoded is not None:
         from placegraph.outdoor.rerank import rerank
 
@@ -146,20 +150,31 @@ def _log_prior(views: ViewIndex, prior: Prior) -> NDArray[np.float64]:
     return log_prior - (mass if prior.listener is not None else max(0.0, mass))
 
 
-def touched(query: Query, city: CityMap, most: int) -> NDArray[np.int32]:
-    """Viewpoints (at most `most`) of largest bound on their likelihood, best first."""
+def touched(
+    query: Query, city: CityMap, most: int, within: NDArray[np.bool_] | None = None
+) -> NDArray[np.int32]:
+    """Viewpoints (at most `most`) of largest bound on their likelihood, best first.
+
+    `within` (W,) says which of all are asked for.
+    """
+    weights = np.zeros(0) if within is None else within.astype(np.float64)
     chosen, _, _ = scan.candidates(
-        query.statements, query.mentions, city.views.columns, np.zeros(0), most
+        query.statements, query.mentions, city.views.columns, weights, most
     )
-    return chosen
+    return chosen if within is None else chosen[within[chosen]]
 
 
 def candidates(
-    query: Query, city: CityMap, prior: Prior, *, rows: NDArray[np.int64] | None = None
+    query: Query,
+    city: CityMap,
+    prior: Prior,
+    *,
+    rows: NDArray[np.int64] | None = None,
+    only: bool = False,
 ) -> Candidates:
     """Find and score the viewpoints that a query with statements may have been given at.
 
-    Where `rows` are given only these are scored, all of them.
+    Where `rows` are given these are scored instead; see `search` for `only`.
     """
     views, statements = city.views, query.statements
     n_views = len(views.positions)
@@ -176,7 +191,9 @@ def candidates(
         chosen, left_out = rows.astype(np.int32), 0.0
         bounds = np.full(len(rows), scan.HIGHEST)
     far = np.zeros((len(chosen), len(statements.op)), np.float32)
-    if query.far:
+    if query.far and only:
+        far = scan.distant(statements, city.scene, query.far, views.positions[chosen])
+    elif query.far:
         chosen, bounds, far = _with_far(query, query.far, city, weights, chosen, bounds)
     relative = log_prior[chosen] - highest if prior.informative else np.zeros(len(chosen))
     scores = scan.score_views(
