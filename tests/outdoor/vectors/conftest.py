@@ -187,6 +187,26 @@ def content(rng):
     return Vectors.of(*make_cloud(rng, 47))
 
 
+# The package takes the next port where connections of the killed server still linger on its own.
+LAUNCH = """
+import socket, milvus
+
+def bind(self, port):
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind(("127.0.0.1", port))
+        listener.listen()
+    except OSError:
+        listener.close()
+        return None
+    return listener
+
+milvus.MilvusServerConfig.try_bind_port = bind
+milvus.main()
+"""
+
+
 class RealMilvus:
     """A Milvus server of the PyPI package `milvus`: own port, own folder, killed at will."""
 
@@ -200,7 +220,7 @@ class RealMilvus:
 
     def start(self):
         """Wait until it answers; skip where it cannot run here."""
-        command = [sys.executable, "-c", "import milvus; milvus.main()"]
+        command = [sys.executable, "-c", LAUNCH]
         command += ["--data", str(self.folder), "--proxy-port", str(self.port)]
         # A killed server's parts hold leases; the new one waits until they run out.
         environment = os.environ | {"COMMON_SESSION_TTL": "4"}
