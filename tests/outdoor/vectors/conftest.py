@@ -3,6 +3,7 @@
 import importlib.util
 import logging
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -267,3 +268,4 @@ def milvus(tmp_path_factory):
         yield running
     finally:
         running.kill()
+        shutil.rmtree(running.folder, ignore_errors=True)  # the unpacked server is large
