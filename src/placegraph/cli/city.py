@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from placegraph.cli import city_kitti, city_store, city_track
+from placegraph.cli import city_kitti, city_store, city_track, city_train
 from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
 from placegraph.errors import OptionError
 
@@ -28,6 +28,7 @@ app = typer.Typer(
 city_kitti.register(app)
 city_store.register(app)
 city_track.register(app)
+city_train.register(app)
 
 MapFile = Annotated[Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")]
 

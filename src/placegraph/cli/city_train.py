@@ -1,0 +1,138 @@
+"""`placegraph city train`: a network of one's own, from one's own maps."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path  # noqa: TC003  # typer reads annotations
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.outdoor.learn.weights import Weights
+
+INTERRUPTED = 130
+"""Exit code of shells for what Ctrl-C ended."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `placegraph city`."""
+    app.command("train")(train)
+
+
+def train(
+    maps: Annotated[
+        list[Path], typer.Argument(help="City maps (.city) to train on, one or several.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: mine.weights.")],
+    work: Annotated[
+        Path,
+        typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
+    ],
+    epochs: Annotated[int, typer.Option(min=1)] = 8,
+    examples: Annotated[
+        int, typer.Option(min=1, help="New descriptions of a city in each epoch.")
+    ] = 1200,
+    steps: Annotated[int, typer.Option(min=1, help="Batches an epoch.")] = 300,
+    batch: Annotated[int, typer.Option(min=1, help="Descriptions a batch.")] = 32,
+    check: Annotated[
+        int, typer.Option(min=1, help="Descriptions of a city, never learned, for the curves.")
+    ] = 300,
+    rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    device: Annotated[str, typer.Option(help="cpu, cuda, or auto.")] = "auto",
+    pools: Annotated[
+        Path | None, typer.Option(help="Folder of descriptions that several trainings share.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Train the matching network on city maps (extra `learn`); the same command goes on with it.
+
+    Example: placegraph city train ulm.city bern.city -o mine.weights --work training/
+    """
+    from time import perf_counter
+
+    from placegraph.cli.city_train_shown import Shown, draw, progress_bars
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.learn.train import TrainOptions
+    from placegraph.outdoor.learn.train import train as learn
+    from placegraph.store import writing
+
+    options = TrainOptions(
+        epochs=epochs,
+        examples=examples,
+        steps=steps,
+        batch=batch,
+        check=check,
+        rate=rate,
+        seed=seed,
+    )
+    names = _names(maps)
+    with writing(out):
+        pass  # a folder that cannot be written to is refused now, not after hours
+    cities = {name: CityMap.open(path) for name, path in zip(names, maps, strict=True)}
+    start = perf_counter()
+    with progress_bars(hidden=quiet or as_json) as bars:
+        shown = Shown(bars, work, options, table=not (quiet or as_json))
+        try:
+            weights = learn(
+                cities,
+                out,
+                folder=work,
+                pools=pools,
+                options=options,
+                device=device,
+                progress=shown,
+            )
+        except KeyboardInterrupt:
+            bars.stop()
+            typer.echo(_go_on(work), err=True)
+            raise typer.Exit(INTERRUPTED) from None
+    curves = draw(work)
+    seconds = perf_counter() - start
+    if as_json:
+        typer.echo(json.dumps(_facts(weights, out, curves, seconds)))
+    elif not quiet:
+        typer.echo(
+            f"{out}: {out.stat().st_size:,} bytes, trained in {seconds:.0f} s. Beside relational "
+            f"matching the network weighs {weights.fusion:g}. Curves: {curves}"
+        )
+
+
+def _names(maps: Sequence[Path]) -> list[str]:
+    names = [path.stem for path in maps]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise OptionError(
+            f"Several maps are called {min(twice)}; rename one, examples are kept by name."
+        )
+    return names
+
+
+def _facts(weights: Weights, out: Path, curves: Path, seconds: float) -> dict[str, object]:
+    return {
+        "weights": str(out),
+        "bytes": out.stat().st_size,
+        "fingerprint": weights.fingerprint,
+        "fusion": weights.fusion,
+        "curves": weights.training["curves"],
+        "picture": str(curves),
+        "seconds": round(seconds, 1),
+    }
+
+
+def _go_on(work: Path) -> str:
+    from placegraph.cli.city_train_shown import rows_of
+
+    done = len(rows_of(work))
+    kept = f"{done} epochs are kept" if done != 1 else "1 epoch is kept"
+    command = shlex.join(["placegraph", *sys.argv[1:]])
+    return f"Interrupted; {kept} in {work}. The same command goes on from there:\n  {command}"
