@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from placegraph.cli import city_kitti, city_store, city_track, city_train
+from placegraph.cli.city_matching import CandidatesBy, Matcher, Store, Weights, matching
 from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
 from placegraph.errors import OptionError
 
@@ -109,6 +110,10 @@ def locate(
     listener: Annotated[
         str | None, typer.Option(help="LON,LAT of 'you' in the text, where that is known.")
     ] = None,
+    matcher: Matcher = "fused",
+    candidates_by: CandidatesBy = "auto",
+    store: Store = None,
+    weights: Weights = None,
     ask: Annotated[bool, typer.Option("--ask", help="Ask back until the place is clear.")] = False,
     as_json: AsJson = False,
     html: Annotated[
@@ -127,28 +132,28 @@ def locate(
     city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
+    with matching(city, matcher, candidates_by, store, weights) as how:
 
-    def estimated() -> CityEstimate:
-        return city.locate(
-            text,
-            top=top,
-            near=_lonlat(near, "--near"),
-            radius=radius,
-            heading=None if heading_deg is None else radians(heading_deg),
-            listener=_lonlat(listener, "--listener"),
-            answers=answers,
-        )
+        def estimated() -> CityEstimate:
+            return city.locate(
+                text,
+                top=top,
+                near=_lonlat(near, "--near"),
+                radius=radius,
+                heading=None if heading_deg is None else radians(heading_deg),
+                listener=_lonlat(listener, "--listener"),
+                answers=answers,
+                **how,
+            )
 
-    estimate = estimated()
-    while ask and estimate.status.name == "AMBIGUOUS" and len(answers) < 20:
-        question = estimate.next_question(city)
-        if question is None:
-            break
-        answer = _prompt(question)
-        if answer is None:
-            break
-        answers.append(answer)
         estimate = estimated()
+        while ask and estimate.status.name == "AMBIGUOUS" and len(answers) < 20:
+            question = estimate.next_question(city)
+            answer = None if question is None else _prompt(question)
+            if answer is None:
+                break
+            answers.append(answer)
+            estimate = estimated()
     question = estimate.next_question(city) if estimate.status.name == "AMBIGUOUS" else None
     if html is not None:
         from placegraph.view import write_page

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path  # noqa: TC003  # typer reads annotations
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from placegraph.cli.city_matching import Matcher  # noqa: TC001  # typer reads annotations
 from placegraph.cli.common import AsJson, Quiet, progress_bar
+
+if TYPE_CHECKING:
+    from placegraph.outdoor import retrieve as matchers
 
 
 def register(app: typer.Typer) -> None:
@@ -59,6 +63,7 @@ def evaluate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write every answer as JSON to this file.")
     ] = None,
+    matcher: Matcher = "fused",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,7 +76,9 @@ def evaluate(
     with progress_bar(hidden=quiet or as_json) as progress:
         task = progress.add_task("opening")
         found = evaluate_folder(
-            folder, progress=lambda step, n: progress.update(task, description=f"{step} {n:,}")
+            folder,
+            matcher=cast("matchers.Matcher", matcher),
+            progress=lambda step, n: progress.update(task, description=f"{step} {n:,}"),
         )
     if out is not None:
         text = json.dumps(found.to_dict(answers=True), ensure_ascii=False, indent=1)

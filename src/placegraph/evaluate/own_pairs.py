@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from placegraph.evaluate.outdoor_metrics import Score
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.retrieve import Matcher
 
     Progress = Callable[[str, int], None]
 
@@ -82,16 +83,20 @@ class OwnPairs:
         return "\n\n".join(lines)
 
 
-def evaluate_folder(folder: str | PathLike[str], *, progress: Progress | None = None) -> OwnPairs:
+def evaluate_folder(
+    folder: str | PathLike[str], *, matcher: Matcher = "fused", progress: Progress | None = None
+) -> OwnPairs:
     """Locate every description of a folder on its map.
 
     The folder holds ``descriptions.jsonl`` (`read_descriptions`) and the map: one ``*.city``, or
     ``map.osm.pbf`` (or ``.osm``, ``.osm.gz`` ...), which is built elsewhere and thrown away. Only the
     text, and ``heading_deg`` and
-    ``near`` where they are given, reach the map.
+    ``near`` where they are given, reach the map. `matcher` is that of `CityMap.locate`.
 
     Raises
     ------
+    OptionError
+        There is no such matcher.
     InputError
         A file is missing, there are several maps, or a line is wrong.
     MapError
@@ -101,11 +106,11 @@ def evaluate_folder(folder: str | PathLike[str], *, progress: Progress | None = 
     folder, steps = Path(folder), progress or (lambda _step, _n: None)
     told = read_descriptions(folder / TEXTS)
     city = _map(folder, steps)
-    _ask(city, told[0])  # the first answer also derives what is searched
+    _ask(city, told[0], matcher)  # the first answer also derives what is searched
     answers = []
     for n, one in enumerate(told):
         steps("locating", n)
-        answers.append(_ask(city, one))
+        answers.append(_ask(city, one, matcher))
     outside = tuple(t.id for t in told if not _covered(city, t))
     return OwnPairs(city.source, told, tuple(answers), outside)
 
@@ -132,11 +137,13 @@ def _map(folder: Path, steps: Progress) -> CityMap:
         return CityMap.open(path)
 
 
-def _ask(city: CityMap, told: Told) -> Answer:
+def _ask(city: CityMap, told: Told, matcher: Matcher) -> Answer:
     """Give a text to the map; one that cannot be read at all has no place."""
     start = time.perf_counter()
     try:
-        estimate = city.locate(told.text, top=max(RANKS), heading=told.heading, near=told.near)
+        estimate = city.locate(
+            told.text, top=max(RANKS), heading=told.heading, near=told.near, matcher=matcher
+        )
     except DescriptionError:
         return _unread(time.perf_counter() - start)
     return measure(

@@ -115,8 +115,7 @@ def train(
     from placegraph.outdoor.learn.trainer import Trainer
     from placegraph.outdoor.vocabulary import Vocabulary as Shipped
 
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
+    device = _device(device, cuda=torch.cuda.is_available())
     kept = Folder(folder, plan_of({n: len(c.objects) for n, c in cities.items()}, options))
     trainer = Trainer(options, device, progress)
     begun = kept.read_state(trainer.module, trainer.optimizer)
@@ -148,10 +147,24 @@ def _check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
     for name in ("epochs", "examples", "steps", "batch", "check"):
         if getattr(options, name) < 1:
             raise OptionError(f"{name} is {getattr(options, name)}; choose at least 1.")
+    if not 0.0 < options.rate <= 1.0 or not 0.0 < options.share <= 1.0:
+        raise OptionError(
+            f"rate is {options.rate}, share {options.share}; choose above 0 and at most 1."
+        )
     if not set(options.losses) <= {"match", "similarity", "embedding"} or not options.losses:
         raise OptionError(
             f"losses are {options.losses}; choose among match, similarity, embedding."
         )
+
+
+def _device(device: str, *, cuda: bool) -> str:
+    if device == "auto":
+        return "cuda" if cuda else "cpu"
+    if device == "cuda" and not cuda:
+        raise OptionError("PyTorch finds no CUDA device here; choose cpu or auto.")
+    if device not in ("cpu", "cuda"):
+        raise OptionError(f"device is {device!r}; choose cpu, cuda or auto.")
+    return device
 
 
 def _torch() -> Any:  # noqa: ANN401  # the module itself, which may not be there
