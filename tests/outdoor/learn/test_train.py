@@ -12,12 +12,20 @@ from placegraph.outdoor.learn.network import GraphTransformer
 from placegraph.outdoor.learn.shape import Shape
 from placegraph.outdoor.learn.train import Progress, TrainOptions, train
 
-pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
 
 OPTIONS = TrainOptions(
     epochs=2, examples=12, steps=4, batch=6, check=4, seed=7,
     shape=Shape(width=8, dimension=8, heads=2, layers=1, crossings=1, evidence=4),
 )  # fmt: skip
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)  # so small are these networks
+    yield
+    torch.set_num_threads(before)
 
 
 class Interrupted(Exception):  # noqa: N818  # as KeyboardInterrupt is
