@@ -157,6 +157,10 @@ def pair_batch(
         places.starts, places.offsets, places.kinds, place_rows[place], s, m,
     )  # fmt: skip
     things = places.starts[place_rows + 1] - places.starts[place_rows]
+    sizes = things[place] + 1
+    literal = kernels.literal(
+        agreement, holds, rarity[text], ends[text], said[text], counts[text], sizes
+    )
     return PairBatch(
         text,
         place,
@@ -166,7 +170,7 @@ def pair_batch(
         said[text],
         _mask(counts, s)[text],
         holds,
-        kernels.literal(agreement, holds, ends[text], counts[text], things[place] + 1),
+        literal,
     )
 
 

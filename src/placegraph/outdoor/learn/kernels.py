@@ -144,30 +144,51 @@ def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, he
     return seen, meant, to_place
 
 
-LITERAL = 4
+LITERAL = 5
 """Numbers of `literal`."""
+CHANCE = np.array([0.25, 0.25, 0.25, 0.25, 0.4, 0.2, 0.2, 0.2, 1.0], np.float32)
+"""P(two things in sight stand so, anywhere) of each channel."""
+NOISE = np.float32(0.12)
+"""Share of statements about things that are not there."""
+CROWD, LONELY = np.float32(30.0), np.float32(0.5)
+"""Added to the pairs, and to the things, that could have been spoken of."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def literal(agreement, holds, ends, counts, sizes):
-    """What statements say of places if words alone decide, (P, S, LITERAL): logs of sums.
+def literal(agreement, holds, rarity, ends, said, counts, sizes):
+    """What statements say of places if words alone decide, (P, S, LITERAL).
 
-    `agreement` (P, n, m), `holds` (P, S, m, m), `ends` (P, S, 2), `counts` (P,) statements,
-    `sizes` (P,) nodes of a place. The sums are of pairs of things that fit and stand so, of things
-    that fit the source, that fit the target, and of all.
+    Logs of how many pairs of things fit and stand so, how many things fit the source, how many the
+    target, how many there are; and the log-likelihood ratio that relational matching would give
+    (`outdoor.match`, without what it knows of distance and of one thing serving many statements).
+
+    `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `said`
+    (P, S, R + 1) channels and negation, `counts` (P,) statements, `sizes` (P,) nodes of a place.
     """
     out = np.zeros((len(counts), holds.shape[1], LITERAL), np.float32)
     for p in range(len(counts)):
         for s in range(counts[p]):
+            a, b = ends[p, s]
+            background = _background(said[p, s], rarity[p, a], rarity[p, b])
             _literal(
-                agreement[p, ends[p, s, 0]], agreement[p, ends[p, s, 1]], holds[p, s],
-                sizes[p], out[p, s],
+                agreement[p, a], agreement[p, b], holds[p, s], sizes[p], background,
+                min(a, b) == 0, said[p, s, len(CHANCE)] > 0.0, out[p, s],
             )  # fmt: skip
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _literal(source, target, as_said, m, out):
+@njit(cache=True, nogil=True, fastmath=True)
+def _background(said, rare_source, rare_target):
+    """P(statement | anywhere)."""
+    chance = np.float32(0.0)
+    for r in range(len(CHANCE)):
+        chance += CHANCE[r] * said[r]
+    share = np.exp(np.float32(-10.0) * (rare_source + rare_target))
+    return max(chance * share, np.float32(1e-7))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _literal(source, target, as_said, m, background, of_me, negated, out):
     held = of_source = of_target = np.float32(0.0)
     for i in range(m):
         row = np.float32(0.0)
@@ -179,15 +200,22 @@ def _literal(source, target, as_said, m, out):
     least = np.float32(0.02)
     out[0], out[1] = np.log(held + least), np.log(of_source + least)
     out[2], out[3] = np.log(of_target + least), np.log(np.float32(m))
+    things = np.float32(m - 1)
+    if negated:
+        out[4] = np.log((1 - NOISE) * np.exp(np.float32(-2.0) * held) + NOISE)
+        return
+    p = held / (things + LONELY) if of_me else held / (things * (things - 1) + CROWD)
+    out[4] = np.log((1 - NOISE) * min(p, np.float32(1.0)) / background + NOISE)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def heard(weights, agreement, t_starts, m_starts, relations, ends, channels, bounds):
+def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
     """What every statement of every pair finds, (E, 3 H + LITERAL).
 
     Of each head how far what its ends attend to stands as said, how far they attend to anything,
     and the ratio; then `literal`. `bounds` (P + 1,) are those of a pair's statements, `ends`
-    (E, 2) nodes within a text, row p of `relations` those of the place of pair p.
+    (E, 2) nodes within a text, `known` (E, R + 3) what is said and how rare both ends are, row p of
+    `relations` those of the place of pair p.
     """
     heads, most = weights.shape[1], weights.shape[2]
     features = np.zeros((len(ends), 3 * heads + LITERAL), np.float32)
@@ -196,8 +224,8 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, channels, bou
         m = m_starts[p + 1] - m_starts[p]
         for e in range(bounds[p], bounds[p + 1]):
             as_said[:m, :m] = 0.0
-            for r in range(channels.shape[1]):
-                said = channels[e, r]
+            for r in range(len(CHANCE)):
+                said = known[e, r]
                 if said > 0.0:
                     for i in range(m):
                         for j in range(m):
@@ -216,8 +244,11 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, channels, bou
                 features[e, h] = held
                 features[e, heads + h] = there
                 features[e, 2 * heads + h] = held / (there + np.float32(0.05))
+            channels = len(CHANCE)
+            background = _background(known[e], known[e, channels + 1], known[e, channels + 2])
             _literal(
-                agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], as_said, m,
+                agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], as_said, m, background,
+                min(ends[e, 0], ends[e, 1]) == 0, known[e, channels] > 0.0,
                 features[e, 3 * heads :],
             )  # fmt: skip
     return features
@@ -234,4 +265,16 @@ def add_to_ends(told, ends, bounds, t_starts):
                 node = t_starts[p] + ends[e, side]
                 for c in range(d):
                     out[node, c] += told[e, side * d + c]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def literally(agreement, t_starts, m_starts, relations, ends, known, bounds):
+    """Sum over the statements of each pair (P,) of the last number of `literal`."""
+    nothing = np.zeros((t_starts[-1], 0, np.max(m_starts[1:] - m_starts[:-1])), np.float32)
+    each = heard(nothing, agreement, t_starts, m_starts, relations, ends, known, bounds)
+    out = np.zeros(len(bounds) - 1, np.float32)
+    for p in range(len(out)):
+        for e in range(bounds[p], bounds[p + 1]):
+            out[p] += each[e, LITERAL - 1]
     return out

@@ -57,6 +57,10 @@ class Matches(NamedTuple):
     """(K,) log odds that text and place match (Eq. 17)."""
     cosine: Floats
     """(K,) of the joint embeddings (Eq. 15)."""
+    embedding: Floats
+    """(K,) cosine of the graph embeddings (Eq. 11)."""
+    residual: Floats
+    """(K,) what relational matching should have added to its log-likelihood ratio."""
 
     @property
     def probability(self) -> Floats:
@@ -79,10 +83,15 @@ class _Pairs(NamedTuple):
     """(E, 2) source and target of a statement, counted within the text."""
     bounds: Rows
     """(K + 1,) statements of a pair."""
-    channels: Floats
-    """(E, R)"""
     known: Floats
     """(E, R + 3) channels, whether it is negated, how rare both ends are on the map."""
+
+    def literally(self) -> Floats:
+        """What the statements say if words alone decide (K,): the sum of their log-likelihood ratios."""
+        return kernels.literally(
+            self.agreement, self.t_starts, self.m_starts, self.relations, self.ends, self.known,
+            self.bounds,
+        )  # fmt: skip
 
 
 def _pairs(
@@ -97,8 +106,9 @@ def _pairs(
     nodes = slice(*texts.starts[text : text + 2])
     edges = slice(*texts.edge_starts[text : text + 2])
     n, size = nodes.stop - nodes.start, stands.relations.shape[3]
-    ends, channels = texts.ends[edges], texts.channels[edges]
-    known = np.column_stack([channels, texts.negated[edges], words.rarity[nodes][ends]])
+    ends = texts.ends[edges]
+    rarity = words.rarity[nodes][ends]
+    known = np.column_stack([texts.channels[edges], texts.negated[edges], rarity])
     return _Pairs(
         np.arange(k + 1) * n,
         stands.starts,
@@ -106,7 +116,6 @@ def _pairs(
         stands.relations,
         np.tile(ends, (k, 1)),
         np.arange(k + 1) * len(ends),
-        np.tile(channels, (k, 1)),
         np.tile(known, (k, 1)),
     )
 
@@ -120,8 +129,6 @@ class GraphTransformer:
     """Weights by PyTorch's names."""
     fingerprint: str
     """Of the weights: embeddings of two models must not be compared."""
-    fusion: float
-    """Weight of the matching logit beside relational matching's log-likelihood ratio."""
 
     @staticmethod
     @lru_cache(maxsize=1)
@@ -134,7 +141,7 @@ class GraphTransformer:
         """Open a weights file; raises `InputError` or `MapError` where it does not fit this version."""
         weights = read_weights(path)
         try:
-            network = cls(weights.shape, weights.arrays, weights.fingerprint, weights.fusion)
+            network = cls(weights.shape, weights.arrays, weights.fingerprint)
             network.check()
         except (KeyError, ValueError) as error:
             raise MapError(
@@ -194,21 +201,23 @@ class GraphTransformer:
         vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
         rows = np.asarray(rows, np.int64)
         if not len(rows):
-            return Matches(np.zeros(0, np.float32), np.zeros(0, np.float32))
+            return Matches(*(np.zeros((4, 0), np.float32)))
         said = self.encode_texts(texts, np.array([text]))
         stands = self.encode_places(places, rows, vectors) if stands is None else stands
         pairs = _pairs(texts, text, places, rows, words, stands)
         t, m = np.tile(said.nodes, (len(rows), 1)), stands.nodes
-        total = np.zeros(len(rows), np.float32)
+        total = np.zeros((len(rows), 2), np.float32)
         for layer in range(self.shape.crossings):
             t, m, verdict = self._cross(f"cross.{layer}", t, m, pairs)
             total += verdict
         e_t = self._pool("pool_text", t, pairs.t_starts)
         e_m = self._pool("pool_place", m, pairs.m_starts)
         hidden = self._linear("judge.0", np.column_stack([e_t, e_m, e_t * e_m]))
-        logit = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0] + total
+        total += self._linear("judge.2", np.maximum(hidden, 0.0))
         lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
-        return Matches(logit, (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5))
+        cosine = (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5)
+        logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0]
+        return Matches(logit, cosine, stands.embeddings @ said.embeddings[0], total[:, 1])
 
     def _cross(
         self, name: str, t: Floats, m: Floats, pairs: _Pairs
@@ -222,11 +231,11 @@ class GraphTransformer:
         )  # fmt: skip
         features = kernels.heard(
             weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
-            pairs.ends, pairs.channels, pairs.bounds,
+            pairs.ends, pairs.known, pairs.bounds,
         )  # fmt: skip
         evidence = self._linear(f"{name}.evidence", np.column_stack([features, pairs.known]))
         evidence = np.maximum(evidence, 0.0)
-        verdict = self._linear(f"{name}.verdict", evidence).reshape(len(pairs.bounds) - 1, -1)
+        verdict = self._linear(f"{name}.verdict", evidence).reshape(len(pairs.bounds) - 1, -1, 2)
         told = kernels.add_to_ends(
             self._linear(f"{name}.said", evidence), pairs.ends, pairs.bounds, pairs.t_starts
         )

@@ -3,8 +3,9 @@
 `match`: binary cross-entropy of the matching probability on hard pairs. `similarity`: the cosine of
 the joint embeddings, contrastive with a temperature over a text's own hard candidates, and the same
 over matching logits, so that they rank. `embedding`: contrastive cosine of the graph embeddings
-that candidates are found by, over all places of a batch. Places at or near the true one never
-count as wrong, whoever's candidates they are.
+that candidates are found by, over all places of a batch. `fusion`, beyond the paper: what the
+network adds to relational matching is contrastive too, over the candidates that relational matching
+has scored. Places at or near the true one never count as wrong, whoever's candidates they are.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-LOSSES = ("match", "similarity", "embedding")
+LOSSES = ("match", "similarity", "embedding", "fusion")
 NEVER = -1e9
 
 
@@ -31,6 +32,8 @@ class Scores(NamedTuple):
     """(P,)"""
     embedding: Tensor
     """(Q, P) cosine of the graph embeddings of every text and every place."""
+    residual: Tensor
+    """(P,) what relational matching should have added."""
 
 
 class Truth(NamedTuple):
@@ -42,13 +45,16 @@ class Truth(NamedTuple):
     """(P,) 1 right, 0 wrong, -1 neither."""
     everywhere: Tensor
     """(Q, P) the same of every text and every place."""
+    relational: Tensor
+    """(P,) log-likelihood ratio of relational matching, NaN where it was not asked."""
 
 
 class Temperatures(NamedTuple):
-    """Learned scales of cosines: logs of inverse temperatures."""
+    """Learned scales of cosines (logs of inverse temperatures) and of relational matching."""
 
     similarity: Tensor
     embedding: Tensor
+    relational: Tensor
 
 
 def contrastive(scores: Tensor, right: Tensor) -> Tensor:
@@ -79,5 +85,11 @@ def losses(
     if "embedding" in wanted:
         found["embedding"] = contrastive(
             scores.embedding * scales.embedding.exp(), truth.everywhere
+        )
+    if "fusion" in wanted:
+        asked = truth.relational.isfinite()
+        fused = scales.relational * truth.relational.nan_to_num() + scores.residual
+        found["fusion"] = contrastive(
+            fused[None].expand(q, -1), torch.where(asked[None], right, -1)
         )
     return found

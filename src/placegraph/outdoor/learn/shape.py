@@ -72,11 +72,12 @@ class Shape:
             found[f"{layer}.nothing"] = found[f"{layer}.word"] = (2, heads)
             linear(f"{layer}.evidence", e, 3 * heads + LITERAL + len(CHANNELS) + 3)
             linear(f"{layer}.said", 2 * d, e, bias=False)
-            linear(f"{layer}.verdict", 1, e, bias=False)
+            linear(f"{layer}.verdict", 2, e, bias=False)
         pool("pool_text")
         pool("pool_place")
         linear("judge.0", out, 3 * out)
-        linear("judge.2", 1, out)
+        linear("judge.2", 2, out)
+        found["prior"] = (2,)
         return found
 
     def to_dict(self) -> dict[str, float]:

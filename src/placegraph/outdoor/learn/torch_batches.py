@@ -24,7 +24,7 @@ from placegraph.outdoor.learn.batches import (
 from placegraph.outdoor.learn.graphs import PlaceGraphs
 from placegraph.outdoor.learn.labels import Bags
 from placegraph.outdoor.learn.objective import Scores, Truth
-from placegraph.outdoor.learn.pool import AT, NEARBY, Pool
+from placegraph.outdoor.learn.pool import AT, HARD, NEARBY, Pool
 from placegraph.outdoor.learn.torch_network import Graphs, Pairs
 
 if TYPE_CHECKING:
@@ -55,6 +55,19 @@ class Lessons:
         """Parts of the words of the map."""
         return Bags.of(self.city.words, self.subwords)
 
+    @cached_property
+    def right(self) -> NDArray[np.int8]:
+        """(Q, K) `pool.right`, where matching would have come upon the viewpoint by itself.
+
+        The wrong ones of a pool are those that relational matching likes best. Right ones that it
+        does not like must not stand beside them: the network would learn to contradict it.
+        """
+        pool = self.pool
+        scores = np.where(np.isfinite(pool.scores), pool.scores, -np.inf)
+        liked = np.argsort(np.argsort(-scores, axis=1), axis=1) < HARD
+        found = liked & np.isfinite(scores)
+        return np.where((pool.right == 1) & ~found, np.int8(-1), pool.right)
+
     def batch(self, rows: Rows, chosen: NDArray[np.bool_]) -> Batch:
         """Texts `rows` (Q,) with the viewpoints `chosen` (Q, K) of theirs."""
         pool, city = self.pool, self.city
@@ -70,14 +83,15 @@ class Lessons:
             place_batch(places, every),
             pair_batch(pool.texts, places, rows, every, (texts, every), words),
             slots,
-            pool.right[rows][texts, slots],
+            self.right[rows][texts, slots],
             np.where(off <= AT, 1, np.where(off <= NEARBY, -1, 0)),
+            pool.scores[rows][texts, slots],
         )
 
     def draw(self, n: int, share: float, rng: Generator) -> tuple[Rows, NDArray[np.bool_]]:
         """Rows (n,) of texts, and a share of the viewpoints of each, a right one among them."""
         rows = np.sort(rng.choice(len(self.pool), min(n, len(self.pool)), replace=False))
-        right = self.pool.right[rows] == 1
+        right = self.right[rows] == 1
         chosen = rng.random(right.shape) < share
         chosen[np.arange(len(rows)), np.argmax(right * rng.random(right.shape), axis=1)] = True
         return rows, chosen
@@ -95,10 +109,13 @@ class Batch(NamedTuple):
     """(P,) 1, 0, or -1 for neither."""
     everywhere: NDArray[np.int64]
     """(Q, P) the same of every text and every place."""
+    relational: NDArray[np.float32]
+    """(P,) log-likelihood ratio of relational matching, NaN where it was not asked."""
 
     def truth(self, device: str) -> Truth:
         """What is right, as tensors."""
-        arrays = (self.pairs.text, self.right.astype(np.int64), self.everywhere)
+        right = self.right.astype(np.int64)
+        arrays = (self.pairs.text, right, self.everywhere, self.relational)
         return Truth(*(torch.from_numpy(a).to(device) for a in arrays))
 
 
@@ -109,8 +126,8 @@ def forward(network: Network, lessons: Lessons, batch: Batch, device: str) -> Sc
     t, e_t = network.text(texts)
     m, e_m = network.place(places)
     pairs = Pairs(*(torch.from_numpy(np.ascontiguousarray(a)).to(device) for a in batch.pairs))
-    logit, cosine = network.match((t, texts.mask), (m, places.mask), pairs)
-    return Scores(logit, cosine, e_t @ e_m.T)
+    logit, cosine, residual = network.match((t, texts.mask), (m, places.mask), pairs)
+    return Scores(logit, cosine, e_t @ e_m.T, residual)
 
 
 def _graphs(network: Network, batch: GraphBatch, bags: Bags, device: str) -> Graphs:

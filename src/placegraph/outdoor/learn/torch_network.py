@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 R = len(CHANNELS)
 EPSILON = 1e-5
+FEW = -11.0
+"""Log odds that a text was given at one of a city's many viewpoints."""
 
 
 class Graphs(NamedTuple):
@@ -165,7 +167,8 @@ class Cross(nn.Module):
         self.word = nn.Parameter(torch.full((2, heads), 3.0))
         self.evidence = nn.Linear(3 * heads + LITERAL + R + 3, shape.evidence)
         self.said = nn.Linear(shape.evidence, 2 * d, bias=False)
-        self.verdict = nn.Linear(shape.evidence, 1, bias=False)
+        self.verdict = nn.Linear(shape.evidence, 2, bias=False)
+        nn.init.zeros_(self.verdict.weight)
         self.norm_text, self.norm_place = nn.LayerNorm(d), nn.LayerNorm(d)
         self.feed_text, self.feed_place = Feed(d), Feed(d)
 
@@ -206,7 +209,7 @@ class Cross(nn.Module):
         return torch.cat([nothing, logits], -1).softmax(-1)[..., 1:]
 
     def _heard(self, weights: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """What the statements say once their ends are attended to: for nodes (P, n, d), in all (P,)."""
+        """What the statements say once their ends are attended to: for nodes (P, n, d), in all (P, 2)."""
         p, _, n, _ = weights.shape
         by_node = weights.transpose(1, 2)  # (P, n, H, m)
         rows = torch.arange(p, device=weights.device)[:, None]
@@ -217,7 +220,7 @@ class Cross(nn.Module):
         ratio = held / (there + 0.05)
         features = torch.cat([held, there, ratio, pairs.literal, pairs.said, rare], -1)
         evidence = F.relu(self.evidence(features)) * pairs.spoken[..., None]
-        verdict = (self.verdict(evidence)[..., 0] * pairs.spoken).sum(1)
+        verdict = self.verdict(evidence).sum(1)
         to_source, to_target = self.said(evidence).chunk(2, -1)
         heard = weights.new_zeros(p, n, to_source.shape[-1])
         for end, message in ((0, to_source), (1, to_target)):
@@ -237,11 +240,13 @@ class Network(nn.Module):
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))
         self.pool_text = Pool(shape.width, shape.dimension)
         self.pool_place = Pool(shape.width, shape.dimension)
-        self.judge = nn.Sequential(
-            nn.Linear(3 * shape.dimension, shape.dimension),
-            nn.ReLU(),
-            nn.Linear(shape.dimension, 1),
-        )
+        first = nn.Linear(3 * shape.dimension, shape.dimension)
+        last = nn.Linear(shape.dimension, 2)
+        self.judge = nn.Sequential(first, nn.ReLU(), last)
+        nn.init.zeros_(last.weight)
+        nn.init.constant_(last.bias, FEW)
+        # training begins with what the statements say literally, and with relational matching alone
+        self.prior = nn.Parameter(torch.ones(2))
 
     def words(self, buckets: Tensor, starts: Tensor, weights: Tensor) -> Tensor:
         """Vectors (W, d) of words, from their parts (`labels.Bags`)."""
@@ -249,20 +254,22 @@ class Network(nn.Module):
 
     def match(
         self, texts: tuple[Tensor, Tensor], places: tuple[Tensor, Tensor], pairs: Pairs
-    ) -> tuple[Tensor, Tensor]:
-        """Logit of the matching probability (Eq. 17) and cosine (Eq. 15), (P,) each.
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Logit of the matching probability (Eq. 17), cosine (Eq. 15), and residual, (P,) each.
 
-        `texts` and `places` are node states and masks.
+        `texts` and `places` are node states and masks. What the statements say literally is where
+        the logit starts from; the residual is what relational matching should have added.
         """
         masks = texts[1][pairs.text], places[1][pairs.place]
         t_packing, m_packing = Packing(masks[0]), Packing(masks[1])
         t = t_packing.pack(texts[0][pairs.text])
         m = m_packing.pack(places[0][pairs.place])
-        total = t.new_zeros(len(pairs.text))
+        total = t.new_zeros(len(pairs.text), 2)
         for layer in self.cross:
             t, m, verdict = layer(t, m, t_packing, m_packing, masks, pairs)
             total = total + verdict
         e_t, e_m = self.pool_text(t, t_packing, masks[0]), self.pool_place(m, m_packing, masks[1])
         cosine = F.cosine_similarity(e_t, e_m, dim=-1, eps=EPSILON)
-        logit = self.judge(torch.cat([e_t, e_m, e_t * e_m], -1))[:, 0] + total
-        return logit, cosine
+        total = total + self.judge(torch.cat([e_t, e_m, e_t * e_m], -1))
+        literally = (pairs.literal[..., -1] * pairs.spoken).sum(1)
+        return self.prior[0] * literally + total[:, 0], cosine, total[:, 1]

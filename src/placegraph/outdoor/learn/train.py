@@ -17,18 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.learn.checkpoint import PoolFolder
     from placegraph.outdoor.learn.torch_batches import Lessons
-    from placegraph.outdoor.learn.torch_network import Network
     from placegraph.outdoor.vocabulary import Vocabulary
-
-FUSIONS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)
-"""Weights of the matching logit that are tried beside relational matching."""
-WITHIN = 50.0
-"""Recall is counted within this distance [m]."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +39,7 @@ class TrainOptions:
     rate: float = 2e-3
     """Largest learning rate; a cosine leads to nearly nothing."""
     decay: float = 1e-3
-    losses: tuple[str, ...] = ("match", "similarity", "embedding")
+    losses: tuple[str, ...] = ("match", "similarity", "embedding", "fusion")
     seed: int = 0
     check: int = 300
     """Descriptions a city, from the held-out tiles, for the curves."""
@@ -112,6 +104,7 @@ def train(
     _check(cities, options)
     torch = _torch()
     from placegraph.outdoor.learn.checkpoint import Folder, PoolFolder, plan_of
+    from placegraph.outdoor.learn.recalls import judge, recalls
     from placegraph.outdoor.learn.trainer import Trainer
     from placegraph.outdoor.vocabulary import Vocabulary as Shipped
 
@@ -127,16 +120,14 @@ def train(
         fresh = school.lessons(epoch)
         past += fresh
         row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
-        row |= recalls(trainer.network, check, trainer.device)
+        judged = [judge(trainer.network, lessons, device) for lessons in check]
+        row |= recalls(judged)
         kept.write_state(epoch + 1, trainer.module, trainer.optimizer)
         kept.add_to_curves(row)
         progress.epoch(row)
-    # of texts that were never learned from, in tiles that were
-    unseen = school.lessons(options.epochs)
-    weight = best_fusion(trainer.network, unseen, trainer.device)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     training = {"plan": kept.plan, "curves": kept.curves()}
-    weights = trained(options.shape, state, weight, training)
+    weights = trained(options.shape, state, training)
     write_weights(out, weights)
     return weights
 
@@ -151,10 +142,9 @@ def _check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
         raise OptionError(
             f"rate is {options.rate}, share {options.share}; choose above 0 and at most 1."
         )
-    if not set(options.losses) <= {"match", "similarity", "embedding"} or not options.losses:
-        raise OptionError(
-            f"losses are {options.losses}; choose among match, similarity, embedding."
-        )
+    known = ("match", "similarity", "embedding", "fusion")
+    if not set(options.losses) <= set(known) or not options.losses:
+        raise OptionError(f"losses are {options.losses}; choose among {', '.join(known)}.")
 
 
 def _device(device: str, *, cuda: bool) -> str:
@@ -219,62 +209,3 @@ class School:
             pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
             self.store.write(file, pool)
         return Lessons(city, pool, self.options.shape.subwords)
-
-
-def _tables(
-    network: Network, lessons: Lessons, device: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Scores (Q, K) of relational matching, of the network and of embeddings; whether near the truth."""
-    import torch
-
-    from placegraph.outdoor.learn.torch_batches import forward
-
-    pool, views = lessons.pool, lessons.city.views
-    asked = np.isfinite(pool.scores)
-    relational = np.where(asked, pool.scores, -np.inf)
-    logit, dense = np.full(asked.shape, -np.inf), np.full(asked.shape, -np.inf)
-    with torch.no_grad():
-        for at in range(0, len(pool), 64):
-            rows = np.arange(at, min(at + 64, len(pool)))
-            batch = lessons.batch(rows, asked[rows])
-            scores = forward(network, lessons, batch, device)
-            text = batch.pairs.text
-            logit[rows[text], batch.slots] = scores.logit.cpu().numpy()
-            dense[rows[text], batch.slots] = scores.embedding.cpu().numpy()[
-                text, np.arange(len(text))
-            ]
-    off = np.hypot(*(views.positions[pool.views] - pool.positions[:, None]).transpose(2, 0, 1))
-    return relational, logit, dense, (off <= WITHIN) & asked
-
-
-def recalls(network: Network, check: list[Lessons], device: str) -> dict[str, float]:
-    """Recall@1 within 50 m among what relational matching finds, mean over cities."""
-    found: dict[str, list[float]] = {}
-    for lessons in check:
-        relational, logit, dense, near = _tables(network, lessons, device)
-        for name, scores in (("relational", relational), ("network", logit), ("dense", dense)):
-            found.setdefault(name, []).append(_recall(scores, near))
-        for weight in (0.1, 0.2, 0.3, 0.5):
-            fused = _fused(relational, logit, weight)
-            found.setdefault(f"fused {weight}", []).append(_recall(fused, near))
-    return {name: float(np.mean(values)) for name, values in found.items()}
-
-
-def best_fusion(network: Network, unseen: list[Lessons], device: str) -> float:
-    """Weight of the network beside relational matching that is right most often."""
-    tables = [_tables(network, lessons, device) for lessons in unseen]
-    right = [
-        np.mean([_recall(_fused(r, n, weight), near) for r, n, _, near in tables])
-        for weight in FUSIONS
-    ]
-    return FUSIONS[int(np.argmax(np.convolve(right, [0.25, 0.5, 0.25], mode="same")))]
-
-
-def _fused(
-    relational: NDArray[np.float64], logit: NDArray[np.float64], weight: float
-) -> NDArray[np.float64]:
-    return np.where(np.isfinite(logit), relational + weight * np.nan_to_num(logit), relational)
-
-
-def _recall(scores: NDArray[np.float64], near: NDArray[np.bool_]) -> float:
-    return float(near[np.arange(len(near)), scores.argmax(axis=1)].mean())

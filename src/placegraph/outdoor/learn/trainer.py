@@ -54,13 +54,15 @@ class Trainer:
             batch = lesson.batch(*lesson.draw(options.batch, options.share, rng))
             self._set_rate(epoch * options.steps + step)
             scores = forward(self.network, lesson, batch, self.device)
-            scales = Temperatures(self.module.similarity, self.module.embedding)
+            scales = Temperatures(
+                self.module.similarity, self.module.embedding, self.network.prior[1]
+            )
             found = losses(scores, batch.truth(self.device), scales, options.losses)
             self.optimizer.zero_grad()
             torch.stack(list(found.values())).sum().backward()
             for p in self.module.parameters():  # every weight keeps a state, used or not
                 p.grad = torch.zeros_like(p) if p.grad is None else p.grad
-            torch.nn.utils.clip_grad_norm_(self.module.parameters(), 1.0)
+            torch.nn.utils.clip_grad_norm_(self.module.parameters(), 5.0)
             self.optimizer.step()
             for name, loss in found.items():
                 total[name] = total.get(name, 0.0) + float(loss.detach()) / options.steps

@@ -39,8 +39,6 @@ class Weights:
 
     shape: Shape
     arrays: dict[str, NDArray[np.float32]]
-    fusion: float
-    """Weight of the matching logit beside relational matching."""
     training: dict[str, Any]
     """How it was trained: cities, examples, seed, curves' last points."""
 
@@ -59,7 +57,6 @@ def write_weights(path: str | PathLike[str], weights: Weights) -> None:
         "shape": weights.shape.to_dict(),
         "labels": LABELS,
         "graphs": GRAPHS,
-        "fusion": weights.fusion,
         "training": weights.training,
     }
     write_map(path, KIND, VERSION, meta, {n: _stored(a) for n, a in weights.arrays.items()})
@@ -89,7 +86,10 @@ def read_weights(path: str | PathLike[str]) -> Weights:
             name: file.array(name, "<f2", len(size)).astype(np.float32)
             for name, size in shape.arrays().items()
         }
-        return Weights(shape, arrays, float(file.meta["fusion"]), dict(file.meta["training"]))
+        return Weights(shape, arrays, dict(file.meta["training"]))
+    except MapError as error:
+        why = str(error).removeprefix(f"{path}: ").partition("; ")[0]
+        raise MapError(f"{path}: {why}; train or install the weights again.") from error
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise MapError(
             f"{path}: its weights do not fit together ({error}). Train or install them again."
@@ -130,9 +130,7 @@ def _stored(array: NDArray[Any]) -> NDArray[np.float16]:
     return np.ascontiguousarray(array, np.float16)
 
 
-def trained(
-    shape: Shape, state: Mapping[str, NDArray[Any]], fusion: float, training: dict[str, Any]
-) -> Weights:
+def trained(shape: Shape, state: Mapping[str, NDArray[Any]], training: dict[str, Any]) -> Weights:
     """Weights as they will be read again: rounded to 16 bits."""
     arrays = {n: _stored(state[n]).astype(np.float32) for n in shape.arrays()}
-    return Weights(shape, arrays, fusion, training)
+    return Weights(shape, arrays, training)
