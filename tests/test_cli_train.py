@@ -49,7 +49,7 @@ def weights(tmp_path):
 
     shape, rng = Shape(width=8, dimension=8, heads=2, evidence=4), np.random.default_rng(3)
     state = {name: rng.normal(scale=0.3, size=size) for name, size in shape.arrays().items()}
-    write_weights(tmp_path / "a.weights", trained(shape, state, 0.5, {}))
+    write_weights(tmp_path / "a.weights", trained(shape, state, {}))
     return tmp_path / "a.weights"
 
 

@@ -102,8 +102,8 @@ def train(
         typer.echo(json.dumps(_facts(weights, out, curves, seconds)))
     elif not quiet:
         typer.echo(
-            f"{out}: {out.stat().st_size:,} bytes, trained in {seconds:.0f} s. Beside relational "
-            f"matching the network weighs {weights.fusion:g}. Curves: {curves}"
+            f"{out}: {out.stat().st_size:,} bytes, {weights.fingerprint}, trained in {seconds:.0f} s. "
+            f"Curves: {curves}"
         )
 
 
@@ -122,7 +122,6 @@ def _facts(weights: Weights, out: Path, curves: Path, seconds: float) -> dict[st
         "weights": str(out),
         "bytes": out.stat().st_size,
         "fingerprint": weights.fingerprint,
-        "fusion": weights.fusion,
         "curves": weights.training["curves"],
         "picture": str(curves),
         "seconds": round(seconds, 1),

@@ -20,30 +20,20 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
 
 WIDTH, HEIGHT = 1180, 460
-LOSSES = ("match", "similarity", "embedding")
+LOSSES = ("match", "similarity", "embedding", "fusion")
 COLORS = {
-    "match": "mode", "similarity": "transit", "embedding": "leisure",
+    "match": "mode", "similarity": "transit", "embedding": "leisure", "fusion": "amber",
     "relational": "soft-ink", "network": "transit", "dense": "leisure", "fused": "mode",
 }  # fmt: skip
 """Of the palette, by series."""
 
 
 def draw_curves(rows: Sequence[Mapping[str, float]], path: str | PathLike[str]) -> Path:
-    """Draw figures of epochs (``epoch``, losses, recalls by name) as a PNG; returns its path.
-
-    Of recalls called ``fused <weight>`` the one is drawn that ends highest.
-    """
+    """Draw figures of epochs (``epoch``, losses, recalls by name) as a PNG; returns its path."""
     sheet = Sheet(WIDTH, HEIGHT)
     names = list(dict.fromkeys(name for row in rows for name in row if name != "epoch"))
-    losses = [_series(rows, name, name) for name in LOSSES if name in names]
-    recall = [
-        _series(rows, name, name)
-        for name in names
-        if name not in LOSSES and not name.startswith("fused")
-    ]
-    fused = [_series(rows, name, "fused") for name in names if name.startswith("fused")]
-    if fused:
-        recall.append(max(fused, key=lambda series: series.values[-1]))
+    losses = [_series(rows, name) for name in names if name in LOSSES]
+    recall = [_series(rows, name) for name in names if name not in LOSSES]
     _Panel(sheet, (70.0, 64.0), "loss", losses).draw()
     _Panel(sheet, (650.0, 64.0), "recall@1 within 50 m, tiles held out", recall).draw()
     if not rows:
@@ -59,11 +49,11 @@ class _Series:
     values: Floats
 
 
-def _series(rows: Sequence[Mapping[str, float]], name: str, kind: str) -> _Series:
+def _series(rows: Sequence[Mapping[str, float]], name: str) -> _Series:
     known = [row for row in rows if name in row]
     return _Series(
         name,
-        COLORS.get(kind, "ink"),
+        COLORS.get(name, "ink"),
         np.array([row["epoch"] for row in known], np.float64),
         np.array([row[name] for row in known], np.float64),
     )

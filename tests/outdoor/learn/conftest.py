@@ -35,18 +35,39 @@ def random_arrays(shape, seed=0):
     }
 
 
+def adding(arrays, weight):
+    """Arrays of a network that adds `weight` times as much to relational matching."""
+    loud = {name: array.copy() for name, array in arrays.items()}
+    for name, array in loud.items():
+        if name.endswith("verdict.weight") or name.startswith("judge.2."):
+            array[1] *= weight
+    loud["prior"] = np.ones(2, np.float32)
+    return loud
+
+
 @pytest.fixture(scope="session")
 def network():
-    return GraphTransformer(SMALL, random_arrays(SMALL), "random", 0.3)
+    return GraphTransformer(SMALL, adding(random_arrays(SMALL), 0.3), "random")
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """PyTorch on one thread: so small are the networks of tests."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")
 def make_network():
-    """Network of random weights: a shape (or fields that differ) and a seed."""
+    """Network of random weights: a seed, fields of the shape that differ, how much it adds."""
 
     def make(seed=0, fusion=0.3, **sizes):
         shape = Shape(**{**SMALL.to_dict(), **sizes})
-        return GraphTransformer(shape, random_arrays(shape, seed), f"random {seed}", fusion)
+        arrays = adding(random_arrays(shape, seed), fusion)
+        return GraphTransformer(shape, arrays, f"random {seed}")
 
     return make
 

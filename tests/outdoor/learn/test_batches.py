@@ -11,7 +11,7 @@ from placegraph.outdoor.learn.batches import (
     word_fits,
 )
 from placegraph.outdoor.learn.graphs import PlaceGraphs
-from placegraph.outdoor.learn.kernels import LITERAL
+from placegraph.outdoor.learn.kernels import CHANCE, CROWD, LITERAL, LONELY, NOISE
 from placegraph.outdoor.learn.relations import CHANNELS
 
 
@@ -120,4 +120,24 @@ def test_the_literal_reading_counts_pairs_that_fit(paired):
         for s in np.flatnonzero(batch.spoken[p]):
             a, b = batch.agreement[p, batch.ends[p, s]]
             expected = [a @ batch.holds[p, s] @ b + 0.02, a.sum() + 0.02, b.sum() + 0.02, sizes[p]]
-            assert batch.literal[p, s] == pytest.approx(np.log(expected), rel=1e-3, abs=1e-4)
+            assert batch.literal[p, s, :4] == pytest.approx(np.log(expected), rel=1e-3, abs=1e-4)
+
+
+def test_the_literal_reading_ends_in_a_likelihood_ratio(paired):
+    places, _, batch = paired
+    of_me = 0
+    for p in range(len(batch.text)):
+        things = places.starts[p + 1] - places.starts[p]
+        for s in np.flatnonzero(batch.spoken[p]):
+            ends, said = batch.ends[p, s], batch.said[p, s]
+            a, b = batch.agreement[p, ends]
+            held = a @ batch.holds[p, s] @ b
+            chance = (said[:-1] * CHANCE).sum() * np.exp(-10.0 * batch.rarity[p, ends].sum())
+            pairs = things + LONELY if ends.min() == 0 else things * (things - 1) + CROWD
+            ratio = min(held / pairs, 1.0) / max(chance, 1e-7)
+            if said[-1]:
+                ratio = np.exp(-2.0 * held)
+            expected = np.log((1.0 - NOISE) * ratio + NOISE)
+            assert batch.literal[p, s, 4] == pytest.approx(expected, rel=1e-3, abs=1e-3)
+            of_me += ends.min() == 0
+    assert of_me

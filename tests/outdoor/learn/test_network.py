@@ -80,6 +80,7 @@ def test_the_order_of_things_does_not_matter(network, texts, places, words, some
     assert network.embed_places(others) == pytest.approx(network.embed_places(places), abs=1e-4)
     ours, theirs = (network.match(texts, 3, p, some, words) for p in (places, others))
     assert theirs.logit == pytest.approx(ours.logit, rel=1e-4, abs=1e-4)
+    assert theirs.residual == pytest.approx(ours.residual, rel=1e-4, abs=1e-4)
     assert theirs.cosine == pytest.approx(ours.cosine, abs=1e-4)
 
 
@@ -100,6 +101,7 @@ def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, 
     (first, ours), (second, theirs) = found
     assert second == pytest.approx(first, abs=1e-5)
     assert theirs.logit == pytest.approx(ours.logit, rel=1e-4, abs=1e-4)
+    assert theirs.residual == pytest.approx(ours.residual, rel=1e-4, abs=1e-4)
     assert theirs.cosine == pytest.approx(ours.cosine, abs=1e-4)
 
 
@@ -113,7 +115,7 @@ class Watched(GraphTransformer):
 
 
 def watched(network):
-    return Watched(network.shape, network.arrays, network.fingerprint, network.fusion)
+    return Watched(network.shape, network.arrays, network.fingerprint)
 
 
 def test_cross_attention_sees_the_partner(network, make_network, texts, places, words, some):
@@ -184,7 +186,7 @@ def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
     ours = make_network(**sizes)
     lessons, rows, made = batch
     lessons = replace(lessons, subwords=ours.shape.subwords)
-    logit, cosine, embedding = torch_scores(ours, lessons, made)
+    logit, cosine, embedding, residual = torch_scores(ours, lessons, made)
     texts = lessons.pool.texts
     places = PlaceGraphs.of_views(harbour, lessons.pool.views[lessons.pool.views >= 0])
     of_texts = ours.encode_texts(texts, rows).embeddings
@@ -195,6 +197,8 @@ def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
         found = ours.match(texts, int(q), places, np.arange(len(views)), words)
         assert found.logit == pytest.approx(logit[mine], rel=1e-4, abs=1e-4)
         assert found.cosine == pytest.approx(cosine[mine], rel=1e-4, abs=1e-5)
+        assert found.residual == pytest.approx(residual[mine], rel=1e-4, abs=1e-4)
+        assert found.embedding == pytest.approx(embedding[q, mine], rel=1e-4, abs=1e-5)
         assert ours.embed_places(places) @ of_texts.T == pytest.approx(
             embedding[:, mine].T, rel=1e-4, abs=1e-5
         )

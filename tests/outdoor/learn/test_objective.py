@@ -20,7 +20,7 @@ def tensor(numbers):
 
 
 def scales(value=0.0):
-    return Temperatures(tensor([value]), tensor([value]))
+    return Temperatures(tensor([value]), tensor([value]), tensor(1.0))
 
 
 def test_contrastive_is_minus_log_share_of_what_is_right():
@@ -63,9 +63,13 @@ def two_texts():
         tensor([2.0, -1.0, 0.5, 4.0]),
         tensor([0.9, 0.1, 0.3, 0.8]),
         tensor([[0.9, 0.1, 0.2, 0.0], [0.4, 0.3, 0.6, 0.9]]),
+        tensor([1.0, 2.0, 0.0, 0.0]),
     )
     everywhere = torch.tensor([[1, 0, 1, 0], [0, 0, 1, -1]])
-    return scores, Truth(torch.tensor([0, 0, 1, 1]), torch.tensor([1, 0, 1, -1]), everywhere)
+    relational = tensor([3.0, 1.5, np.nan, 2.0])
+    return scores, Truth(
+        torch.tensor([0, 0, 1, 1]), torch.tensor([1, 0, 1, -1]), everywhere, relational
+    )
 
 
 def test_losses_by_hand(two_texts):
@@ -81,6 +85,8 @@ def test_losses_by_hand(two_texts):
     assert float(found["match"]) == pytest.approx(binary - np.log(e[0] / e.sum()))
     e = np.exp(np.e * np.array([0.9, 0.1]))
     assert float(found["similarity"]) == pytest.approx(-np.log(e[0] / e.sum()), rel=1e-5)
+    e = np.exp([3.0 + 1.0, 1.5 + 2.0])
+    assert float(found["fusion"]) == pytest.approx(-np.log(e[0] / e.sum()), rel=1e-5)
     first, second = (np.exp(np.e * np.array(x)) for x in ([0.9, 0.2, 0.1, 0.0], [0.6, 0.4, 0.3]))
     expected = -np.log([first[:2].sum() / first.sum(), second[0] / second.sum()]).mean()
     assert float(found["embedding"]) == pytest.approx(expected, rel=1e-5)
@@ -88,12 +94,14 @@ def test_losses_by_hand(two_texts):
 
 def test_perfect_scores_cost_nothing_and_wrong_ones_much(two_texts):
     """The published loss is nearly flat: all equal 83.2, perfect 81.5."""
-    _, truth = two_texts
+    truth = two_texts[1]._replace(relational=torch.zeros(4))
     signs = torch.where(truth.right == 1, 1.0, -1.0)
     everywhere = torch.where(truth.everywhere == 1, 1.0, -1.0)
-    perfect = losses(Scores(30.0 * signs, signs, everywhere), truth, scales(3.0))
-    wrong = losses(Scores(-30.0 * signs, -signs, -everywhere), truth, scales(3.0))
-    equal = losses(Scores(0.0 * signs, 0.0 * signs, 0.0 * everywhere), truth, scales(3.0))
+    perfect = losses(Scores(30.0 * signs, signs, everywhere, 30.0 * signs), truth, scales(3.0))
+    wrong = losses(Scores(-30.0 * signs, -signs, -everywhere, -30.0 * signs), truth, scales(3.0))
+    equal = losses(
+        Scores(0.0 * signs, 0.0 * signs, 0.0 * everywhere, 0.0 * signs), truth, scales(3.0)
+    )
     for name in LOSSES:
         assert float(perfect[name]) < 1e-4
         assert 0.3 < float(equal[name]) < 2.0
@@ -106,6 +114,17 @@ def test_each_loss_alone(name, two_texts):
     alone = losses(scores, truth, scales(), [name])
     assert list(alone) == [name]
     assert float(alone[name]) == pytest.approx(float(losses(scores, truth, scales())[name]))
+
+
+def test_what_relational_matching_never_scored_is_not_fused(two_texts):
+    scores, truth = two_texts
+    before = float(losses(scores, truth, scales(), ["fusion"])["fusion"])
+    loud = scores._replace(residual=scores.residual + tensor([0.0, 0.0, 50.0, 0.0]))
+    assert float(losses(loud, truth, scales(), ["fusion"])["fusion"]) == pytest.approx(before)
+    twice = scales()._replace(relational=tensor(2.0))
+    e = np.exp([6.0 + 1.0, 3.0 + 2.0])
+    found = losses(scores, truth, twice, ["fusion"])["fusion"]
+    assert float(found) == pytest.approx(-np.log(e[0] / e.sum()), rel=1e-5)
 
 
 def test_a_text_and_a_place_of_two_texts_are_not_mirrored(two_texts):

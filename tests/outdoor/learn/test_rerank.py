@@ -1,29 +1,31 @@
 """The network shifts probability among the best viewpoints, and leaves the rest as it was."""
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from placegraph.outdoor import rerank as module
+from placegraph.outdoor.learn.encoded import EncodedCity
+from placegraph.outdoor.learn.pool import HARD as MOST
 from placegraph.outdoor.query import compile_query
-from placegraph.outdoor.rerank import MOST, rerank
+from placegraph.outdoor.rerank import rerank
 from placegraph.outdoor.search import Prior, candidates
 
 
 class Judge:
     """An encoded city whose network says what it is told to say."""
 
-    def __init__(self, city, logits, fusion=0.5):
-        self.city, self.logits, self.asked = city, logits, []
-        self.network = type("Network", (), {"fusion": fusion})()
+    def __init__(self, city, added, scale):
+        self.city, self.added, self.asked = city, added, []
+        self.network = SimpleNamespace(arrays={"prior": np.array([1.0, scale], np.float32)})
 
     def text(self, query):
         return query
 
     def match(self, text, places, rows):
         self.asked.append((text, places, rows))
-        return type("Match", (), {"logit": np.asarray(self.logits(len(rows)), np.float32)})()
+        return SimpleNamespace(residual=np.asarray(self.added(len(rows)), np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -40,22 +42,36 @@ def posterior(found):
     return found.scores + found.log_prior
 
 
-def test_weight_nothing_changes_nothing(asked, harbour):
+@pytest.fixture
+def judge(harbour):
+    return lambda added, scale=1.0: Judge(harbour, added, scale)
+
+
+def test_nothing_added_changes_nothing(asked, judge):
     query, found = asked
-    judge = Judge(harbour, np.arange, fusion=0.0)
-    assert rerank(found, query, judge) is found
-    assert not judge.asked
+    after = rerank(found, query, judge(np.zeros))
+    assert after.log_prior == pytest.approx(found.log_prior, abs=1e-6)
 
 
-def test_equal_logits_change_nothing(asked, harbour):
+def test_relational_matching_is_scaled(asked, judge):
+    """A network that trusts it half as much says so."""
     query, found = asked
-    after = rerank(found, query, Judge(harbour, lambda n: np.full(n, 7.0)))
-    assert after.log_prior == pytest.approx(found.log_prior, abs=1e-9)
+    after = rerank(found, query, judge(np.zeros, 0.5))
+    judged = np.argsort(-posterior(found), kind="stable")[:MOST]
+    gain = (after.log_prior - found.log_prior)[judged]
+    expected = -0.5 * found.scores[judged]
+    assert gain - gain.mean() == pytest.approx(expected - expected.mean(), abs=1e-4)
 
 
-def test_the_judged_weigh_as_much_as_before(asked, harbour, rng):
+def test_what_is_added_to_all_changes_nothing(asked, judge):
     query, found = asked
-    after = rerank(found, query, Judge(harbour, lambda n: 5.0 * rng.standard_normal(n)))
+    after = rerank(found, query, judge(lambda n: np.full(n, 7.0)))
+    assert after.log_prior == pytest.approx(found.log_prior, abs=1e-6)
+
+
+def test_the_judged_weigh_as_much_as_before(asked, judge, rng):
+    query, found = asked
+    after = rerank(found, query, judge(lambda n: 5.0 * rng.standard_normal(n)))
     best = np.argsort(-posterior(found), kind="stable")
     judged, rest = best[:MOST], best[MOST:]
     assert np.array_equal(after.log_prior[rest], found.log_prior[rest])
@@ -66,25 +82,25 @@ def test_the_judged_weigh_as_much_as_before(asked, harbour, rng):
     assert np.array_equal(after.scores, found.scores)
 
 
-def test_logits_shift_as_much_as_they_weigh(asked, harbour):
+def test_what_is_added_is_added(asked, judge):
     query, found = asked
-    after = rerank(found, query, Judge(harbour, lambda n: -2.0 * np.arange(n), fusion=0.3))
+    after = rerank(found, query, judge(lambda n: -0.6 * np.arange(n)))
     judged = np.argsort(-posterior(found), kind="stable")[:MOST]
     gain = (after.log_prior - found.log_prior)[judged]
     assert np.diff(gain) == pytest.approx(-0.6, abs=1e-5)
 
 
-def test_what_the_network_finds_best_comes_first(asked, harbour):
+def test_what_the_network_finds_best_comes_first(asked, judge):
     query, found = asked
-    judge = Judge(harbour, lambda n: np.where(np.arange(n) == 9, 60.0, 0.0))
-    after = rerank(found, query, judge)
+    told = judge(lambda n: np.where(np.arange(n) == 9, 60.0, 0.0))
+    after = rerank(found, query, told)
     tenth = np.argsort(-posterior(found), kind="stable")[9]
     assert np.argmax(posterior(after)) == tenth
-    ((_, places, rows),) = judge.asked
+    ((_, places, rows),) = told.asked
     assert len(places) == len(rows) == MOST  # judged in one call
 
 
-def test_a_lone_candidate_stays(asked, harbour):
+def test_a_lone_candidate_stays(asked, judge):
     query, found = asked
     few = found._replace(
         rows=found.rows[:1],
@@ -92,27 +108,26 @@ def test_a_lone_candidate_stays(asked, harbour):
         log_prior=found.log_prior[:1],
         far=found.far[:1],
     )
-    assert rerank(few, query, Judge(harbour, np.ones)) is few
+    assert rerank(few, query, judge(np.ones)) is few
 
 
 def test_the_judged_places_are_the_viewpoints_themselves(asked, harbour, encoded):
     query, found = asked
     after = rerank(found, query, encoded)
-    best = np.argsort(-posterior(found), kind="stable")[: module.MOST]
+    best = np.argsort(-posterior(found), kind="stable")[:MOST]
     views = found.rows[best].astype(np.int64)
     places = module.PlaceGraphs.of_views(harbour, views)
-    logit = encoded.match(encoded.text(query), places, np.arange(len(best))).logit
-    assert logit.std() > 0.01
+    expected = encoded.match(encoded.text(query), places, np.arange(len(best))).residual
+    assert expected.std() > 1e-3
     gain = (after.log_prior - found.log_prior)[best]
-    expected = encoded.network.fusion * logit
     assert gain - gain.mean() == pytest.approx(expected - expected.mean(), abs=1e-4)
 
 
-def test_another_weight_shifts_more(asked, encoded):
+def test_who_adds_more_shifts_more(asked, harbour, make_network):
     query, found = asked
     little, much = (
-        rerank(found, query, replace(encoded, network=replace(encoded.network, fusion=f)))
-        for f in (0.05, 1.0)
+        rerank(found, query, EncodedCity(harbour, make_network(fusion=weight)))
+        for weight in (0.05, 1.0)
     )
     near, far = (np.abs(x.log_prior - found.log_prior).max() for x in (little, much))
     assert 0.0 < near < far

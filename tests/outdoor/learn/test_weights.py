@@ -17,7 +17,7 @@ from placegraph.store import read_map, write_map
 @pytest.fixture(scope="module")
 def made(make_network):
     network = make_network(width=4, dimension=4, evidence=4)
-    return trained(network.shape, network.arrays, 0.3, {"note": "random"})
+    return trained(network.shape, network.arrays, {"note": "random"})
 
 
 @pytest.fixture
@@ -42,7 +42,6 @@ def rewritten(file, **changes):
 def test_weights_come_back_as_they_were_written(file, made):
     found = read_weights(file)
     assert found.shape == made.shape
-    assert found.fusion == 0.3
     assert found.training == {"note": "random"}
     assert found.arrays.keys() == made.arrays.keys()
     for name, array in made.arrays.items():
@@ -51,7 +50,6 @@ def test_weights_come_back_as_they_were_written(file, made):
     assert found.fingerprint == made.fingerprint
     network = GraphTransformer.open(file)
     assert network.fingerprint == made.fingerprint
-    assert network.fusion == 0.3
 
 
 def test_weights_are_small(file, made):
@@ -65,7 +63,7 @@ def test_fingerprints_tell_networks_apart(made):
     other = dict(made.arrays)
     other["judge.2.bias"] = other["judge.2.bias"] + 1.0
     assert replace(made, arrays=other).fingerprint != made.fingerprint
-    assert replace(made, fusion=0.9).fingerprint == made.fingerprint  # embeddings are the same
+    assert replace(made, training={}).fingerprint == made.fingerprint
 
 
 def test_the_shipped_network_is_sound():
@@ -75,7 +73,6 @@ def test_the_shipped_network_is_sound():
     network = GraphTransformer.default()
     assert network is GraphTransformer.default()
     assert network.shape.dimension == 64
-    assert 0.0 <= network.fusion <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -94,7 +91,6 @@ def test_the_shipped_network_is_sound():
         ({"meta": {"shape": {"heads": 0}}}, r"do not fit together"),
         ({"meta": {"shape": {"width": 48, "heads": 5}}}, r"do not fit together"),
         ({"meta": {"shape": {"layers": -1}}}, r"do not fit together"),
-        ({"meta": {"fusion": "much"}}, r"do not fit together"),
         ({"meta": {"training": 3}}, r"do not fit together"),
         ({"arrays": {"table": None}}, r"'table' is missing"),
         ({"arrays": {"table": np.zeros((64, 4), np.float16)}}, r"table has shape \(64, 4\)"),
