@@ -42,7 +42,7 @@ def city(town, tmp_path_factory):
         name: rng.normal(scale=0.2, size=size).astype(np.float32)
         for name, size in shape.arrays().items()
     }
-    made.__dict__["encoded"] = EncodedCity(made, GraphTransformer(shape, arrays, "random", 0.1))
+    made.__dict__["encoded"] = EncodedCity(made, GraphTransformer(shape, arrays, "random"))
     return made
 
 

@@ -26,7 +26,7 @@ def network():
         name: rng.normal(scale=0.2, size=size).astype(np.float32)
         for name, size in shape.arrays().items()
     }
-    return GraphTransformer(shape, arrays, "random", 0.1)
+    return GraphTransformer(shape, arrays, "random")
 
 
 @pytest.fixture(scope="module")

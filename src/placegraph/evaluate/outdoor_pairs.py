@@ -172,6 +172,7 @@ class Pairs:
                         slots=every,
                         right=np.zeros(len(rows), np.int8),
                         everywhere=np.zeros((1, len(rows)), np.int64),
+                        relational=np.zeros(len(rows), np.float32),
                     )
                     with torch.no_grad():
                         forward(module, bags, batch, device).logit.cpu()  # type: ignore[arg-type]  # only bags are read
