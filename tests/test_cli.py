@@ -359,6 +359,10 @@ def test_demo(run, tmp_path):
     assert result.code == 0
     for word in ("OK", "AMBIGUOUS", "LOST", "To be sure"):
         assert word in result.out
+    way = result.out.partition("Somebody speaks")[2].partition("\nBuilt ")[0]
+    assert [word for word in way.split() if word in ("AMBIGUOUS:", "OK:")] == (
+        ["AMBIGUOUS:", "AMBIGUOUS:", "OK:"]
+    )
     made = {p.name for p in (tmp_path / "new" / "demo").iterdir()}
     assert made >= {
         f"{n}.{e}" for n in ("clear", "ambiguous", "impossible") for e in ("html", "png")

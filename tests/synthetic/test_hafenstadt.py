@@ -1,10 +1,11 @@
-"""The demo town: one sentence is clear in it, one ambiguous, one impossible."""
+"""The demo town: one sentence is clear in it, one ambiguous, one impossible; a way tells."""
 
 import numpy as np
 import pytest
 
 from placegraph.estimate import Status
 from placegraph.outdoor.build import build_city
+from placegraph.synthetic.demo import ON_THE_WAY
 from placegraph.synthetic.towns import Town
 
 CLEAR = (
@@ -55,3 +56,19 @@ def test_the_ambiguous_sentence_finds_both_squares(city, town):
 def test_the_impossible_sentence_finds_nothing(city):
     estimate = city.locate(IMPOSSIBLE)
     assert estimate.status is Status.LOST
+
+
+def test_the_way_tells_the_two_squares_apart(city, town):
+    tracker = city.track()
+    first, moved, last = (tracker.tell(text) for text in ON_THE_WAY)
+    assert first.status is moved.status is Status.AMBIGUOUS
+    assert last.status is Status.OK
+    here, library, square = town.plane.to_plane(
+        [(last.best.longitude, last.best.latitude), town.position("V"), town.position(",")]
+    )
+    east, north = library - here
+    assert 0.0 < east < 60.0
+    assert abs(north) < east
+    assert 60.0 < square[1] - here[1] < 140.0
+    alone = city.locate(ON_THE_WAY[-1])
+    assert alone.best.probability < last.best.probability

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.estimate import Estimate, PoseEstimate
+    from placegraph.outdoor.city import CityMap
 
 TOWN = "hafenstadt"
 SENTENCES = {
@@ -25,6 +26,12 @@ SENTENCES = {
     "ambiguous": "I am standing on a square. There is a fountain north of me and a café to my east.",
     "impossible": "A lighthouse is north of me and a zoo is to the south.",
 }
+ON_THE_WAY = (
+    SENTENCES["ambiguous"],
+    "I walked about 100 metres south.",
+    "There is a library to my east.",
+)
+"""Said one after the other: the way tells the two squares apart."""
 FLAT = "altbau"
 WAY = "41"
 """Rooms that the camera comes through."""
@@ -32,7 +39,7 @@ FRAMES = 18
 
 
 def run_demo(out: Path, say: Callable[[str], None]) -> None:
-    """Locate sentences in the town and a walk in the flat; leave maps and pictures in `out`."""
+    """Locate sentences and a way in the town, a film in the flat; leave maps and pictures in `out`."""
     _town(out, say)
     _flat(out, say)
     say(f"\nLook at {out}/clear.html, {out}/ambiguous.html, {out}/walk.png and {out}/walk.gif.")
@@ -64,6 +71,18 @@ def _town(out: Path, say: Callable[[str], None]) -> None:
         _say_evidence(estimate, say)
         if question:
             say(f"  To be sure: {question.text}")
+    _way(city, say)
+
+
+def _way(city: CityMap, say: Callable[[str], None]) -> None:
+    """Follow somebody who could be at either of two places, until their way tells which."""
+    tracker = city.track()
+    say("\nSomebody speaks, walks on, and speaks again:")
+    for text in ON_THE_WAY:
+        estimate = tracker.tell(text)
+        say(f"  “{text}”\n    {estimate.status.name}: {estimate.reason}")
+    for mode in tracker.estimate.modes[:1]:
+        say(f"    {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
 
 
 def _flat(out: Path, say: Callable[[str], None]) -> None:
