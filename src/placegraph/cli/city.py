@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
 app = typer.Typer(
-    help="Outdoor: a sentence finds its place in a city cut from OpenStreetMap.",
+    help="Outdoor: a sentence finds its place in a city cut from OpenStreetMap.\n\n"
+    "First `build` a map from an extract, then `locate` descriptions in it, or `track` a walk. "
+    "`embed` is for large maps, `train` for weights of your own, `evaluate` for texts of your own.",
     no_args_is_help=True,
 )
 
@@ -228,7 +230,10 @@ def info(
     as_json: AsJson = False,
     png: Annotated[Path | None, typer.Option(help="Write an overview picture.")] = None,
 ) -> None:
-    """Say what a city map holds."""
+    """Say what a city map holds.
+
+    Example: placegraph city info monaco.city
+    """
     from placegraph.outdoor.city import CityMap
 
     city = CityMap.open(map_file)
@@ -266,7 +271,12 @@ def facts(city: CityMap) -> dict[str, object]:
 
 @app.command("check")
 def check(map_file: MapFile, as_json: AsJson = False) -> None:
-    """Check a city map: checksums, columns, and what may surprise; each finding with a mend."""
+    """Check a city map; each finding comes with a mend.
+
+    Checksums, columns, and what may surprise.
+
+    Example: placegraph city check monaco.city
+    """
     from placegraph.outdoor.check import findings
     from placegraph.outdoor.city import CityMap
 
@@ -289,7 +299,9 @@ def fetch(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Download a place's OpenStreetMap data from Overpass (extra `osmnx`).
+    """Download a place's OpenStreetMap data.
+
+    From Overpass, by OSMnx (extra `osmnx`).
 
     Example: placegraph city fetch "Vaduz, Liechtenstein" -o vaduz.osm
     """

@@ -29,7 +29,9 @@ def convert_kitti360pose(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert KITTI360Pose from its pickles; nothing of them is ever run.
+    """Convert KITTI360Pose from its pickles.
+
+    Nothing of them is ever run. For the tables: benchmarks/outdoor_kitti360pose.py.
 
     Example: placegraph city convert-kitti360pose k360_30-10_scG_pd10_pc4_spY_all -o kitti.k360
     """
@@ -67,7 +69,10 @@ def evaluate(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how well a city map finds descriptions of your own.
+    """Measure how well descriptions of your own are found.
+
+    A line of descriptions.jsonl: {"id": "1", "text": "A bakery is north of me.", "longitude": 7.42,
+    "latitude": 43.73}
 
     Example: placegraph city evaluate pairs/
     """

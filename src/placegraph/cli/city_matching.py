@@ -17,18 +17,23 @@ if TYPE_CHECKING:
 Matcher = Annotated[
     str,
     typer.Option(
-        help="fused, relational, transformer, edit-distance or embedding; see docs/learned-matcher.md."
+        help="What judges places: fused (relations and network), or one alone: relational, "
+        "transformer, embedding, edit-distance."
     ),
 ]
 CandidatesBy = Annotated[
     str,
     typer.Option(
-        help="sparse (inverted index), dense (embeddings), both, all, or auto: by the map's size."
+        help="Where places to judge come from: sparse (inverted index), dense (embeddings), both, "
+        "all, or auto: dense in very large maps and with --store."
     ),
 ]
 Store = Annotated[
     str | None,
-    typer.Option(help="Where embeddings are searched: a file, or http://host:port of Milvus."),
+    typer.Option(
+        help="Vectors made by `placegraph city embed`: a file, or a Milvus server: "
+        "http://[user:password@]host:port."
+    ),
 ]
 Weights = Annotated[
     Path | None,
@@ -51,11 +56,9 @@ def matching(
     if store is None:
         yield arguments
         return
-    from placegraph.outdoor.vectors import Origin, map_fingerprint, open_store
+    from placegraph.outdoor.vectors import open_store
 
-    network = (encoded or city.encoded).network
-    origin = Origin(map_fingerprint(city), network.fingerprint)
-    with open_store(store, origin=origin) as opened:
+    with open_store(store, origin=(encoded or city.encoded).origin) as opened:
         yield arguments | {"store": opened}
 
 

@@ -33,14 +33,16 @@ def embed(
     name: Annotated[
         str | None, typer.Option(help="Name of the store on the server; the map's if not given.")
     ] = None,
-    bits: Annotated[int, typer.Option(help="Of a number in a file: 8, 16 or 32.")] = 16,
+    bits: Annotated[int, typer.Option(help="Bits of a number in a file: 8, 16 or 32.")] = 16,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a load into a server that broke off.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Embed the cells of a map, into a file or a Milvus server (extra `milvus`).
+    """Embed a map's cells, into a file or a Milvus server.
+
+    For `placegraph city locate --store`; a server needs the extra `milvus`.
 
     Example: placegraph city embed monaco.city -o monaco.vectors
     """
@@ -93,7 +95,12 @@ def stores(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the stores on a Milvus server, or drop one (extra `milvus`)."""
+    """List the stores on a Milvus server, or drop one.
+
+    Needs the extra `milvus`.
+
+    Example: placegraph city stores http://localhost:19530
+    """
     from placegraph.outdoor.vectors import drop_store, list_stores
 
     if drop is not None:

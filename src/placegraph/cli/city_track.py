@@ -43,8 +43,9 @@ def track(
     ] = None,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the last estimate.")] = None,
 ) -> None:
-    """Follow you through a city: a sentence a line, about what you see or how you went.
+    """Follow you through a city, a sentence a line.
 
+    Say what you see, or how you went: "A bakery is north of me.", "I walked 60 m east."
     `reset` starts anew; `quit`, or the end of the input, ends it.
 
     Example: placegraph city track monaco.city

@@ -36,7 +36,7 @@ def train(
         Path,
         typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
     ],
-    epochs: Annotated[int, typer.Option(min=1)] = 8,
+    epochs: Annotated[int, typer.Option(min=1, help="Rounds; each brings new descriptions.")] = 8,
     examples: Annotated[
         int, typer.Option(min=1, help="New descriptions of a city in each epoch.")
     ] = 1200,
@@ -46,7 +46,7 @@ def train(
         int, typer.Option(min=1, help="Descriptions of a city, never learned, for the curves.")
     ] = 300,
     rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
     device: Annotated[str, typer.Option(help="cpu, cuda, or auto.")] = "auto",
     pools: Annotated[
         Path | None, typer.Option(help="Folder of descriptions that several trainings share.")
@@ -54,7 +54,9 @@ def train(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Train the matching network on city maps (extra `learn`); the same command goes on with it.
+    """Train the matching network on city maps.
+
+    Needs the extra `learn`. Interrupted, the same command goes on.
 
     Example: placegraph city train ulm.city bern.city -o mine.weights --work training/
     """
