@@ -25,7 +25,7 @@ CandidatesBy = Annotated[
     str,
     typer.Option(
         help="Where places to judge come from: sparse (inverted index), dense (embeddings), both, "
-        "all, or auto: dense in very large maps and with --store."
+        "all, or auto: both with --store, dense in very large maps, else sparse."
     ),
 ]
 Store = Annotated[
