@@ -46,7 +46,9 @@ def train(
         int, typer.Option(min=1, help="Descriptions of a city, never learned, for the curves.")
     ] = 300,
     rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed, the same descriptions and weights.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="The same seed, the same descriptions and weights.")
+    ] = 0,
     device: Annotated[str, typer.Option(help="cpu, cuda, or auto.")] = "auto",
     pools: Annotated[
         Path | None, typer.Option(help="Folder of descriptions that several trainings share.")
