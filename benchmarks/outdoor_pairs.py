@@ -35,6 +35,7 @@ WORKS = {
     "edits": "edit distance, 0.1 s a pair",
     "relations": "relational matching",
     "network": "network",
+    "encoded": "network, cells encoded before",
     "torch": "network in PyTorch, CPU",
     "cuda": "network in PyTorch, GPU",
 }
@@ -50,8 +51,8 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
     from placegraph.outdoor.learn.network import GraphTransformer
 
     network = GraphTransformer.default()
-    if kind == "network":
-        return pairs.by_network(network)
+    if kind in ("network", "encoded"):
+        return pairs.by_network(network, encoded=kind == "encoded")
     return pairs.by_torch(network, "cuda" if kind == "cuda" else "cpu")
 
 

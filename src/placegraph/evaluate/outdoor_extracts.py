@@ -10,7 +10,7 @@ from placegraph.errors import OptionError
 from placegraph.evaluate.outdoor_queries import JITTER, make_queries
 from placegraph.outdoor.build import build_city
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.learn.sample import held_out
+from placegraph.outdoor.learn.sample import evaluated
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,10 +60,10 @@ def open_city(name: str, data: Path, maps: Path) -> CityMap:
 
 
 def in_held_out_tiles(city: CityMap) -> Where:
-    """Predicate for `make_queries`: whether longitude and latitude (n, 2) lie in held-out tiles."""
+    """Predicate for `make_queries`: whether longitude and latitude (n, 2) lie in tiles kept for evaluation."""
 
     def where(lonlat: Floats) -> NDArray[np.bool_]:
-        return held_out(*city.plane.to_plane(lonlat).T)
+        return evaluated(*city.plane.to_plane(lonlat).T)
 
     return where
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -129,15 +131,24 @@ class Pairs:
 
         return work
 
-    def by_network(self, network: GraphTransformer) -> Callable[[], int]:
-        """Joint embedding of all pairs (Eq. 14-17), a text's cells at once, their graphs encoded anew."""
+    def by_network(self, network: GraphTransformer, *, encoded: bool = False) -> Callable[[], int]:
+        """Joint embedding of all pairs (Eq. 14-17), a text's cells at once, a thread a core.
+
+        The graphs of the cells are encoded anew for every pair, or were before (`encoded`).
+        """
         texts, places, words = self._graphs()
         vectors = network.word_vectors(places.vocabulary)
+        before = [network.encode_places(places, r, vectors) if encoded else None for r in self.rows]
+        threads = len(os.sched_getaffinity(0))
+
+        def match(text: int) -> int:
+            rows = self.rows[text]
+            network.match(texts, text, places, rows, words, vectors, before[text])
+            return len(rows)
 
         def work() -> int:
-            for text, rows in enumerate(self.rows):
-                network.match(texts, text, places, rows, words, vectors)
-            return sum(map(len, self.rows))
+            with ThreadPoolExecutor(threads) as pool:
+                return sum(pool.map(match, range(len(self.rows))))
 
         return work
 

@@ -27,8 +27,8 @@ def rerank(found: Candidates, query: Query, encoded: EncodedCity) -> Candidates:
         return found
     places = PlaceGraphs.of_views(encoded.city, found.rows[best].astype(np.int64))
     match = encoded.match(encoded.text(query), places, np.arange(len(best)))
-    scale = float(encoded.network.arrays["prior"][1])
-    after = scale * found.scores[best] + match.residual + found.log_prior[best]
+    _, scale, weight = encoded.network.arrays["prior"]
+    after = scale * found.scores[best] + weight * match.residual + found.log_prior[best]
     after += np.logaddexp.reduce(before[best]) - np.logaddexp.reduce(after)
     log_prior = found.log_prior.copy()
     log_prior[best] += after - before[best]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.learn.network import GraphTransformer, Matches
     from placegraph.outdoor.query import Query
-    from placegraph.outdoor.vectors import VectorStore
+    from placegraph.outdoor.vectors import Origin, VectorStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,18 @@ class EncodedCity:
         return self.network.embed_places(self.cells, self.words)
 
     @cached_property
+    def origin(self) -> Origin:
+        """What embeddings of this city by this network are told by from others."""
+        from placegraph.outdoor.vectors import Origin, map_fingerprint
+
+        return Origin(map_fingerprint(self.city), self.network.fingerprint)
+
+    @cached_property
     def store(self) -> VectorStore:
         """The embeddings, ready to be searched."""
-        from placegraph.outdoor.vectors import EmbeddedStore, Origin, map_fingerprint
-        from placegraph.outdoor.vectors.stores import cell_positions
+        from placegraph.outdoor.vectors import EmbeddedStore, cell_positions
 
-        origin = Origin(map_fingerprint(self.city), self.network.fingerprint)
-        cells = self.city.cells
+        cells, origin = self.city.cells, self.origin
         return EmbeddedStore.of(cells.points, self.embeddings, cell_positions(cells), origin=origin)
 
     def text(self, query: Query) -> EncodedText:

@@ -213,10 +213,10 @@ class GraphTransformer:
         e_t = self._pool("pool_text", t, pairs.t_starts)
         e_m = self._pool("pool_place", m, pairs.m_starts)
         hidden = self._linear("judge.0", np.column_stack([e_t, e_m, e_t * e_m]))
-        total += self._linear("judge.2", np.maximum(hidden, 0.0))
+        judged = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0]
         lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
         cosine = (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5)
-        logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0]
+        logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0] + judged
         return Matches(logit, cosine, stands.embeddings @ said.embeddings[0], total[:, 1])
 
     def _cross(

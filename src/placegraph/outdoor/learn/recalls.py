@@ -50,7 +50,7 @@ def judge(network: Network, lessons: Lessons, device: str) -> Judged:
     asked = best & np.isfinite(relational)
     relational = np.where(asked, relational, -np.inf)
     logit, cosine, fused = (np.full(asked.shape, -np.inf) for _ in range(3))
-    scale = float(network.prior[1].detach())
+    scale, weight = network.prior[1:].tolist()
     with torch.no_grad():
         for at in range(0, len(pool), 64):
             rows = np.arange(at, min(at + 64, len(pool)))
@@ -59,7 +59,7 @@ def judge(network: Network, lessons: Lessons, device: str) -> Judged:
             text = batch.pairs.text
             logit[rows[text], batch.slots] = scores.logit.cpu().numpy()
             added = scores.residual.cpu().numpy()
-            fused[rows[text], batch.slots] = scale * batch.relational + added
+            fused[rows[text], batch.slots] = scale * batch.relational + weight * added
             dense = scores.embedding.cpu().numpy()
             cosine[rows[text], batch.slots] = dense[text, np.arange(len(text))]
     places = views.positions[pool.views]
@@ -88,3 +88,33 @@ def recall(scores: NDArray[np.float64], judged: Judged) -> float:
     p = np.exp(scores - scores.max(axis=1, keepdims=True))
     summed = (judged.together @ p[..., None])[..., 0] * (scores > NEVER) + 1e-3 * p
     return float(judged.near[np.arange(len(p)), summed.argmax(axis=1)].mean())
+
+
+SCALES, WEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""Of relational matching and of what the network adds, that are tried together."""
+
+
+def best_prior(judged: Sequence[Judged], scale: float) -> tuple[float, float]:
+    """Scale of relational matching, and weight of what the network adds, of greatest likelihood.
+
+    `judged` are texts from where nothing was trained, with the weight still 1 and this `scale`.
+    """
+    best, found = -np.inf, (1.0, 0.0)
+    for new in SCALES:
+        for weight in WEIGHTS:
+            likelihood = np.mean([_likelihood(j, scale, new, weight) for j in judged])
+            if likelihood > best:
+                best, found = float(likelihood), (new, weight)
+    return found
+
+
+def _likelihood(judged: Judged, scale: float, new: float, weight: float) -> float:
+    """Mean log probability of being near the truth, where anything is."""
+    asked = np.isfinite(judged.relational)
+    relational = np.where(asked, judged.relational, 0.0)
+    added = np.where(asked, judged.fused, 0.0) - scale * relational
+    scores = np.where(asked, new * relational + weight * added, NEVER)
+    near = judged.near.any(axis=1)
+    right = np.where(judged.near, scores, NEVER)
+    log_p = np.logaddexp.reduce(right, axis=1) - np.logaddexp.reduce(scores, axis=1)
+    return float(log_p[near].mean()) if near.any() else 0.0

@@ -47,10 +47,22 @@ LANGUAGES = ("de", "fr", "es", "it", "tr", "nl", "pl", "pt", "ja", "ru")
 
 
 def held_out(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
-    """Whether positions [m] lie in tiles that training never sees: one in four."""
+    """Whether positions [m] lie in tiles that training never learns from: one in four."""
+    return np.asarray(_tile(east, north) % 4 == 0)
+
+
+def evaluated(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
+    """Whether positions [m] lie in tiles kept for evaluation: every other tile of `held_out`.
+
+    The rest of these serves training's curves and its last two weights (`recalls.best_prior`).
+    """
+    return np.asarray(_tile(east, north) % 8 == 4)
+
+
+def _tile(east: ArrayLike, north: ArrayLike) -> NDArray[np.int64]:
     column = np.floor(np.asarray(east) / TILE).astype(np.int64)
     row = np.floor(np.asarray(north) / TILE).astype(np.int64)
-    return np.asarray((7 * column + 13 * row) % 4 == 0)
+    return 7 * column + 13 * row
 
 
 class Example(NamedTuple):
@@ -97,7 +109,12 @@ class Speaker:
     city: CityMap
     vocabulary: Vocabulary
     held: bool = False
-    """Whether it speaks in the `held_out` tiles, or in all others."""
+    """Whether it speaks in tiles that are `held_out`, but not `evaluated`, or in those that are not."""
+
+    def mine(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Whether positions (n, 2) [m] lie in its tiles."""
+        held = held_out(*positions.T)
+        return held & ~evaluated(*positions.T) if self.held else ~held
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
@@ -105,7 +122,7 @@ class Speaker:
         views = self.city.views
         close = np.hypot(*views.offsets.T) <= SIGHT
         enough = np.add.reduceat(close, views.starts[:-1]) >= FEWEST
-        places = np.flatnonzero(enough & (held_out(*views.positions.T) == self.held))
+        places = np.flatnonzero(enough & self.mine(views.positions))
         if not len(places):
             raise OptionError(
                 f"{self.city!r} has no place with {FEWEST} things in sight to train or check with; "
@@ -119,7 +136,7 @@ class Speaker:
         while True:
             view = int(rng.choice(self.places))
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
-            if held_out(*position) != self.held:
+            if not self.mine(position[None])[0]:
                 continue
             nearby = views.objects[views.starts[view] : views.starts[view + 1]]
             seen = _look(self.city, nearby, position)

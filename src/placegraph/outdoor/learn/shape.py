@@ -76,8 +76,8 @@ class Shape:
         pool("pool_text")
         pool("pool_place")
         linear("judge.0", out, 3 * out)
-        linear("judge.2", 2, out)
-        found["prior"] = (2,)
+        linear("judge.2", 1, out)
+        found["prior"] = (3,)
         return found
 
     def to_dict(self) -> dict[str, float]:

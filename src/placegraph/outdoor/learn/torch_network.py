@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 R = len(CHANNELS)
 EPSILON = 1e-5
+DROPOUT = 0.5
+"""Of the joint embeddings before they are judged, as in the paper's code."""
 FEW = -11.0
 """Log odds that a text was given at one of a city's many viewpoints."""
 
@@ -242,11 +244,16 @@ class Network(nn.Module):
         self.pool_place = Pool(shape.width, shape.dimension)
         first = nn.Linear(3 * shape.dimension, shape.dimension)
         last = nn.Linear(shape.dimension, 2)
-        self.judge = nn.Sequential(first, nn.ReLU(), last)
-        nn.init.zeros_(last.weight)
-        nn.init.constant_(last.bias, FEW)
+        self.forget = nn.Dropout(DROPOUT)
+        self.judge = nn.Sequential(
+            nn.Linear(3 * shape.dimension, shape.dimension),
+            nn.ReLU(),
+            nn.Linear(shape.dimension, 1),
+        )
+        nn.init.zeros_(self.judge[2].weight)
+        nn.init.constant_(self.judge[2].bias, FEW)
         # training begins with what the statements say literally, and with relational matching alone
-        self.prior = nn.Parameter(torch.ones(2))
+        self.prior = nn.Parameter(torch.ones(3))
 
     def words(self, buckets: Tensor, starts: Tensor, weights: Tensor) -> Tensor:
         """Vectors (W, d) of words, from their parts (`labels.Bags`)."""
@@ -270,6 +277,7 @@ class Network(nn.Module):
             total = total + verdict
         e_t, e_m = self.pool_text(t, t_packing, masks[0]), self.pool_place(m, m_packing, masks[1])
         cosine = F.cosine_similarity(e_t, e_m, dim=-1, eps=EPSILON)
-        total = total + self.judge(torch.cat([e_t, e_m, e_t * e_m], -1))
+        # a whole graph is soon known by heart, statements are not: only these speak of the residual
+        judged = self.judge(self.forget(torch.cat([e_t, e_m, e_t * e_m], -1)))[:, 0]
         literally = (pairs.literal[..., -1] * pairs.spoken).sum(1)
-        return self.prior[0] * literally + total[:, 0], cosine, total[:, 1]
+        return self.prior[0] * literally + total[:, 0] + judged, cosine, total[:, 1]

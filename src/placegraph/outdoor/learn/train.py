@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class TrainOptions:
     """How to train."""
 
-    epochs: int = 8
+    epochs: int = 5
     examples: int = 1200
     """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
     steps: int = 300
@@ -41,8 +41,8 @@ class TrainOptions:
     decay: float = 1e-3
     losses: tuple[str, ...] = ("match", "similarity", "embedding", "fusion")
     seed: int = 0
-    check: int = 300
-    """Descriptions a city, from the held-out tiles, for the curves."""
+    check: int = 500
+    """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
     shape: Shape = field(default_factory=Shape)
 
 
@@ -104,7 +104,7 @@ def train(
     _check(cities, options)
     torch = _torch()
     from placegraph.outdoor.learn.checkpoint import Folder, PoolFolder, plan_of
-    from placegraph.outdoor.learn.recalls import judge, recalls
+    from placegraph.outdoor.learn.recalls import best_prior, judge, recalls
     from placegraph.outdoor.learn.trainer import Trainer
     from placegraph.outdoor.vocabulary import Vocabulary as Shipped
 
@@ -126,6 +126,9 @@ def train(
         kept.add_to_curves(row)
         progress.epoch(row)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
+    scale = float(state["prior"][1])
+    fitted = best_prior([judge(trainer.network, lessons, device) for lessons in check], scale)
+    state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": kept.plan, "curves": kept.curves()}
     weights = trained(options.shape, state, training)
     write_weights(out, weights)
@@ -187,7 +190,7 @@ class School:
     def held_out(self) -> list[Lessons]:
         """Examples from the tiles that are never trained on."""
         return [
-            self._made(name, f"{name}-held", 1 << 20, self.options.check, held=True)
+            self._made(name, f"{name}-check", 1 << 20, self.options.check, held=True)
             for name in self.cities
         ]
 

@@ -39,6 +39,7 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
             self.network = Network(options.shape)
+        self.network.eval()
         self.module = _Module(self.network).to(device)
         self.optimizer = torch.optim.AdamW(
             self.module.parameters(), lr=options.rate, weight_decay=options.decay
@@ -49,6 +50,7 @@ class Trainer:
         options = self.options
         rng = np.random.default_rng([options.seed, epoch, 1 << 21])
         total: dict[str, float] = {}
+        self.network.train()
         for step in range(options.steps):
             lesson = lessons[int(rng.integers(len(lessons)))]
             batch = lesson.batch(*lesson.draw(options.batch, options.share, rng))
@@ -68,6 +70,7 @@ class Trainer:
                 total[name] = total.get(name, 0.0) + float(loss.detach()) / options.steps
             now = {name: value * options.steps / (step + 1) for name, value in total.items()}
             self.progress.step(epoch, step + 1, options.steps, now)
+        self.network.eval()
         return total
 
     def _set_rate(self, step: int) -> None:
