@@ -28,10 +28,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-city_kitti.register(app)
-city_store.register(app)
-city_track.register(app)
-city_train.register(app)
 
 MapFile = Annotated[Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")]
 
@@ -321,3 +317,8 @@ def fetch(
         typer.echo(json.dumps(asdict(summary), ensure_ascii=False))
     elif not quiet:
         typer.echo(str(summary))
+
+
+# after its own commands: --help lists them in this order
+for _commands in (city_track, city_train, city_store, city_kitti):
+    _commands.register(app)

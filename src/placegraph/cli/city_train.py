@@ -36,7 +36,7 @@ def train(
         Path,
         typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
     ],
-    epochs: Annotated[int, typer.Option(min=1, help="Rounds; each brings new descriptions.")] = 8,
+    epochs: Annotated[int, typer.Option(min=1, help="Rounds; each brings new descriptions.")] = 5,
     examples: Annotated[
         int, typer.Option(min=1, help="New descriptions of a city in each epoch.")
     ] = 1200,
@@ -44,7 +44,7 @@ def train(
     batch: Annotated[int, typer.Option(min=1, help="Descriptions a batch.")] = 32,
     check: Annotated[
         int, typer.Option(min=1, help="Descriptions of a city, never learned, for the curves.")
-    ] = 300,
+    ] = 500,
     rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
     seed: Annotated[
         int, typer.Option(min=0, help="The same seed, the same descriptions and weights.")
