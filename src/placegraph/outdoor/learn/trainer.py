@@ -47,10 +47,21 @@ class Trainer:
 
     def epoch(self, epoch: int, lessons: Sequence[Lessons]) -> dict[str, float]:
         """Learn `options.steps` batches; returns mean losses."""
+        seeds = np.random.SeedSequence([self.options.seed, epoch, 1 << 22])
+        devices = [torch.cuda.current_device()] if self.device == "cuda" else []
+        self.network.train()
+        with torch.random.fork_rng(
+            devices=devices
+        ):  # what dropout forgets is drawn anew each epoch
+            torch.manual_seed(int(seeds.generate_state(1)[0]))
+            total = self._steps(epoch, lessons)
+        self.network.eval()
+        return total
+
+    def _steps(self, epoch: int, lessons: Sequence[Lessons]) -> dict[str, float]:
         options = self.options
         rng = np.random.default_rng([options.seed, epoch, 1 << 21])
         total: dict[str, float] = {}
-        self.network.train()
         for step in range(options.steps):
             lesson = lessons[int(rng.integers(len(lessons)))]
             batch = lesson.batch(*lesson.draw(options.batch, options.share, rng))
@@ -70,7 +81,6 @@ class Trainer:
                 total[name] = total.get(name, 0.0) + float(loss.detach()) / options.steps
             now = {name: value * options.steps / (step + 1) for name, value in total.items()}
             self.progress.step(epoch, step + 1, options.steps, now)
-        self.network.eval()
         return total
 
     def _set_rate(self, step: int) -> None:
