@@ -39,9 +39,9 @@ def adding(arrays, weight):
     """Arrays of a network that adds `weight` times as much to relational matching."""
     loud = {name: array.copy() for name, array in arrays.items()}
     for name, array in loud.items():
-        if name.endswith("verdict.weight") or name.startswith("judge.2."):
+        if name.endswith("verdict.weight"):
             array[1] *= weight
-    loud["prior"] = np.ones(2, np.float32)
+    loud["prior"] = np.ones(3, np.float32)
     return loud
 
 

@@ -16,9 +16,10 @@ from placegraph.outdoor.search import Prior, candidates
 class Judge:
     """An encoded city whose network says what it is told to say."""
 
-    def __init__(self, city, added, scale):
+    def __init__(self, city, added, scale, weight):
         self.city, self.added, self.asked = city, added, []
-        self.network = SimpleNamespace(arrays={"prior": np.array([1.0, scale], np.float32)})
+        prior = np.array([1.0, scale, weight], np.float32)
+        self.network = SimpleNamespace(arrays={"prior": prior})
 
     def text(self, query):
         return query
@@ -44,7 +45,7 @@ def posterior(found):
 
 @pytest.fixture
 def judge(harbour):
-    return lambda added, scale=1.0: Judge(harbour, added, scale)
+    return lambda added, scale=1.0, weight=1.0: Judge(harbour, added, scale, weight)
 
 
 def test_nothing_added_changes_nothing(asked, judge):
@@ -84,7 +85,7 @@ def test_the_judged_weigh_as_much_as_before(asked, judge, rng):
 
 def test_what_is_added_is_added(asked, judge):
     query, found = asked
-    after = rerank(found, query, judge(lambda n: -0.6 * np.arange(n)))
+    after = rerank(found, query, judge(lambda n: -1.2 * np.arange(n), weight=0.5))
     judged = np.argsort(-posterior(found), kind="stable")[:MOST]
     gain = (after.log_prior - found.log_prior)[judged]
     assert np.diff(gain) == pytest.approx(-0.6, abs=1e-5)
