@@ -364,14 +364,15 @@ class CityMap:
             alone, on cells.
         by
             Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or
-            ``all`` places; ``auto`` takes embeddings in very large maps.
+            ``all`` places; ``auto`` takes both where a store is given, embeddings in very large maps,
+            else the inverted index.
         candidates
             How many cells embeddings propose.
         store
             Where embeddings are searched, such as a Milvus server (`open_store`); the map's own if
             not given.
         region
-            Stay in it.
+            The place is known to lie in it.
         encoded
             The map as another network reads it (`EncodedCity`).
 
@@ -386,6 +387,8 @@ class CityMap:
             The text is empty, too long, or not text.
         OptionError
             An option is out of range.
+        StoreError
+            The store is of another map or another network.
 
         """
         from placegraph.outdoor.locate import Matching, locate

@@ -21,9 +21,12 @@ from placegraph.outdoor.retrieve import (
     WAYS,
     By,
     Matcher,
+    check_sources,
+    is_count,
     rank_cells,
     views_of_candidates,
 )
+from placegraph.outdoor.retrieve import within as lies_in
 from placegraph.outdoor.search import Prior, search
 
 if TYPE_CHECKING:
@@ -60,7 +63,7 @@ def locate(
 ) -> CityEstimate:
     """Locate a description in a city; see `CityMap.locate`."""
     matching = matching or Matching()
-    if not isinstance(top, int | np.integer) or top < 1:
+    if not is_count(top):
         raise OptionError(f"top is {top!r}; ask for at least one mode.")
     if near is not None and np.size(near) == 3:
         near, radius = near[:2], near[2]
@@ -79,12 +82,13 @@ def locate(
     way, rest = _split(description, known=listener_at is not None)
     to_somebody = any(LISTENER in ends(s) for s in description.statements)
     query = compile_query(replace(description, statements=rest), city, on_a_way=to_somebody)
-    prior = Prior(near_at, within, listener_at, way)
+    check_sources(city, store=matching.store, region=matching.region, encoded=matching.encoded)
+    inside = None if matching.region is None else partial(lies_in, city, region=matching.region)
+    prior = Prior(near_at, within, listener_at, way, inside)
     positive = any(not s.negated for s in query.used)
     if not positive and not way:
         return CityEstimate(Status.LOST, (), _why_nothing(description, query), description)
-    if near_at is not None and not len(city.views.near(near_at, 4.0 * within + REACH)):
-        reason = f"The map does not reach the surroundings of {near}."
+    if reason := _off_the_map(city, prior, near, matching.region):
         return CityEstimate(Status.LOST, (), reason, description)
     found, spacing = _found(query, city, prior, matching)
     peaks = modes(found, top, spacing)
@@ -115,7 +119,7 @@ class Matching:
                 f"matcher {self.matcher!r}, candidates by {self.by!r}: choose among "
                 f"{', '.join(MATCHERS)} and auto, {', '.join(WAYS)}."
             )
-        if not isinstance(self.candidates, int) or self.candidates < 1:
+        if not is_count(self.candidates):
             raise OptionError(f"candidates is {self.candidates!r}; choose at least 1.")
 
 
@@ -125,26 +129,23 @@ def _found(
     """Posterior of a query, and how finely its positions lie [m]."""
     by = matching.by
     if by == "auto":
-        large = len(city.cells) > LARGE or matching.store is not None or matching.region is not None
-        by = "dense" if large else "sparse"
+        by = "sparse" if matching.store is None else "both"
+        by = "dense" if len(city.cells) > LARGE else by
     if matching.matcher not in ("fused", "relational"):
-        return _by_cells(query, city, prior, replace(matching, by=by)), city.cells.size
+        return _by_cells(query, city, prior, matching, by), city.cells.size
     fused = matching.matcher == "fused"
     encoded = (matching.encoded or city.encoded) if fused or by in ("dense", "both") else None
     rows = None
-    if query.used and (by != "sparse" or matching.region is not None):
+    if query.used and by != "sparse":
         rows = views_of_candidates(
             city, query, matching.candidates, by, encoded,
             store=matching.store, region=matching.region,
         )  # fmt: skip
-    only = matching.region is not None
-    judge = encoded if fused else None
-    return search(query, city, prior, rows=rows, only=only, encoded=judge), SPACING
+    return search(query, city, prior, rows=rows, encoded=encoded if fused else None), SPACING
 
 
-def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching) -> Posterior:
+def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching, by: By) -> Posterior:
     """Posterior over the centres of cells that one of the paper's matchers has ranked."""
-    by: By = "dense" if matching.by == "auto" else matching.by
     encoded = matching.encoded or city.encoded
     rows, scores = rank_cells(
         city, query, matching.matcher, matching.candidates, by, encoded,
@@ -168,11 +169,22 @@ def read(city: CityMap, text: str | Description, *, heading: float | None = None
     return describe(text, vocabulary=Vocabulary.default(), names=city.name_index, heading=heading)
 
 
+def _off_the_map(
+    city: CityMap, prior: Prior, near: Sequence[float] | None, region: Region | None
+) -> str:
+    """Say why the speaker cannot be anywhere on the map; an empty string where they can."""
+    if prior.near is not None and not len(city.views.near(prior.near, 4.0 * prior.radius + REACH)):
+        return f"The map does not reach the surroundings of {near}."
+    if prior.inside is not None and not prior.inside(city.views.positions.astype(np.float64)).any():
+        return f"The map has nothing to see in {tuple(region or ())}."
+    return ""
+
+
 def _number(value: object) -> float:
     """A number, or NaN where it is none."""
     try:
         return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return float("nan")
 
 

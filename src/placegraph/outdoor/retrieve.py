@@ -81,7 +81,9 @@ def retrieve(
     Raises
     ------
     OptionError
-        There is no such matcher or way to find candidates, or a number is out of range.
+        There is no such matcher or way to find candidates, or an option is out of range.
+    StoreError
+        The store is of another map or another network.
     DescriptionError
         Edit distance needs things in the text.
 
@@ -91,8 +93,9 @@ def retrieve(
             f"matcher {matcher!r}, by {by!r}: choose among {', '.join(MATCHERS)} and "
             f"{', '.join(WAYS)}."
         )
-    if candidates < 1 or top < 1:
-        raise OptionError(f"candidates {candidates}, top {top}: choose at least 1.")
+    if not is_count(candidates) or not is_count(top):
+        raise OptionError(f"candidates {candidates!r}, top {top!r}: choose at least 1.")
+    check_sources(city, store=store, region=region, encoded=encoded)
     rows, scores = rank_cells(
         city, compile_query(description, city), matcher, candidates, by, encoded or city.encoded,
         store=store, region=region, timeout=timeout,
@@ -100,6 +103,44 @@ def retrieve(
     best = np.argsort(-scores, kind="stable")[:top]
     ids = tuple(city.cells.id_of(row) for row in rows[best])
     return Ranking(rows[best], ids, scores[best])
+
+
+def is_count(value: object) -> bool:
+    """Whether it is a whole number from 1 on."""
+    return isinstance(value, int | np.integer) and value is not True and bool(value >= 1)
+
+
+def check_sources(
+    city: CityMap,
+    *,
+    store: VectorStore | None,
+    region: Region | None,
+    encoded: EncodedCity | None,
+) -> None:
+    """Raise `OptionError` or `StoreError` where these are none, or belong to another map or network."""
+    from placegraph.outdoor.learn.encoded import EncodedCity
+    from placegraph.outdoor.vectors import Origin, Region
+    from placegraph.outdoor.vectors.embedded import refuse_other
+
+    if region is not None:
+        if not isinstance(region, Region):
+            raise OptionError(
+                f"region is {region!r}; give a `Region` of west, south, east and north in degrees."
+            )
+        region.checked()
+    if encoded is not None and not (isinstance(encoded, EncodedCity) and encoded.city is city):
+        raise OptionError(
+            f"encoded is not {city!r} as a network reads it; give `EncodedCity` of it."
+        )
+    if store is None:
+        return
+    found = getattr(store, "origin", None)
+    if not isinstance(found, Origin):
+        raise OptionError(f"store is {store!r}, no store of vectors; open one by `open_store`.")
+    wanted = (encoded or city.encoded).origin
+    # empty is not known
+    known = Origin(found.map or wanted.map, found.model or wanted.model)
+    refuse_other("The store", known, wanted)
 
 
 def rank_cells(
@@ -157,7 +198,7 @@ def dense_cells(
 ) -> NDArray[np.int64]:
     """Rows of the cells whose embeddings are nearest to that of the text (Eq. 11-13)."""
     text = encoded.network.embed_texts(encoded.text(query).graphs)
-    near = (store or encoded.store).search(text, n, region)
+    near = (encoded.store if store is None else store).search(text, min(n, len(city.cells)), region)
     points = near.ids[0][near.ids[0] >= 0]
     return np.searchsorted(city.cells.points, points)
 

@@ -14,6 +14,8 @@ from placegraph.outdoor.match import HOPELESS
 from placegraph.outdoor.posterior import Posterior, posterior
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from placegraph.outdoor.city import CityMap
@@ -53,27 +55,36 @@ class Prior:
     """(2,) east, north [m] of "you" ..."""
     bearings: tuple[tuple[float, float, float], ...] = ()
     """... and what was said of the way from there: bearing [rad], sigma [rad], certainty."""
+    inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
+    """Whether the speaker may be at positions (K, 2) [m]; anywhere if not given."""
 
     @property
     def informative(self) -> bool:
         """Whether anything is known."""
-        return self.near is not None or self.listener is not None
+        return not (self.near is None and self.listener is None and self.inside is None)
 
     def log(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log prior probability (W,) of all viewpoints of a map; uniform where nothing is known.
 
-        `near` shifts probability within the map; it puts none off the map but where the map ends
-        before it.
+        It is -inf where the speaker cannot be. `near` shifts probability within the map; it puts
+        none off the map but where the map ends before it.
         """
-        prior = np.full(len(positions), -np.log(len(positions)))
+        allowed = (
+            np.ones(len(positions), np.bool_) if self.inside is None else self.inside(positions)
+        )
+        n = int(allowed.sum())
+        prior = np.where(allowed, -np.log(max(1, n)), -np.inf)
+        if not n:
+            return prior
         if self.near is not None:
             # of a round Gaussian, half lies within 1.1774 sigma; viewpoints stand in for their square
             sigma = np.hypot(self.radius / 1.1774, STRIDE / 2)
             off = -0.5 * (((positions - self.near) / sigma) ** 2).sum(axis=1)
+            off = np.where(allowed, off, -np.inf)
             prior = off - np.logaddexp.reduce(off) + off.max()
         if self.listener is not None:
             delta = positions - self.listener
-            area = len(positions) * STRIDE**2 / 1e6
+            area = n * STRIDE**2 / 1e6
             prior += np.log(_walk(np.hypot(*delta.T)) * area + 1e-3)
             for said, sigma, certainty in self.bearings:
                 off = angle_between(bearing(delta), said)
@@ -108,16 +119,15 @@ def search(
     prior: Prior,
     *,
     rows: NDArray[np.int64] | None = None,
-    only: bool = False,
     encoded: EncodedCity | None = None,
 ) -> Posterior:
     """Score the viewpoints of a city, or those in `rows`; `encoded` lets the network judge the best.
 
-    Around rare things out of sight others than those in `rows` are scored, unless `only` these are.
+    Around rare things out of sight others than those in `rows` are scored too.
     """
     if not query.used:
         return _by_prior(city.views, _log_prior(city.views, prior))
-    found = candidates(query, city, prior, rows=rows, only=only)
+    found = candidates(query, city, prior, rows=rows)
     if encoded is not None:
         from placegraph.outdoor.rerank import rerank
 
@@ -174,7 +184,8 @@ def candidates(
 ) -> Candidates:
     """Find and score the viewpoints that a query with statements may have been given at.
 
-    Where `rows` are given these are scored instead; see `search` for `only`.
+    Where `rows` are given these are scored instead, and unless `only` these, those around rare
+    things out of sight.
     """
     views, statements = city.views, query.statements
     n_views = len(views.positions)
@@ -195,6 +206,9 @@ def candidates(
         far = scan.distant(statements, city.scene, query.far, views.positions[chosen])
     elif query.far:
         chosen, bounds, far = _with_far(query, query.far, city, weights, chosen, bounds)
+    if prior.inside is not None:
+        allowed = weights[chosen] > 0.0
+        chosen, bounds, far = chosen[allowed], bounds[allowed], far[allowed]
     relative = log_prior[chosen] - highest if prior.informative else np.zeros(len(chosen))
     scores = scan.score_views(
         statements,

@@ -1,9 +1,12 @@
 """The paper's pipeline on cells: all matchers, all ways to candidates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from placegraph.errors import DescriptionError, OptionError
+from placegraph.errors import DescriptionError, OptionError, StoreError
+from placegraph.estimate import Status
 from placegraph.outdoor.query import compile_query
 from placegraph.outdoor.retrieve import (
     MATCHERS,
@@ -15,7 +18,7 @@ from placegraph.outdoor.retrieve import (
     views_of_candidates,
     within,
 )
-from placegraph.outdoor.vectors import Neighbours, Region
+from placegraph.outdoor.vectors import Neighbours, Origin, Region
 
 BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
 
@@ -255,6 +258,7 @@ def test_a_region_over_the_date_line_and_one_that_is_none(harbour):
 def test_locating_asks_a_store(harbour, encoded, text):
     class Store:
         asked = 0
+        origin = encoded.origin
 
         def search(self, queries, n, region=None):
             Store.asked += 1
@@ -262,8 +266,90 @@ def test_locating_asks_a_store(harbour, encoded, text):
 
     found = harbour.locate(text, store=Store(), encoded=encoded)
     assert Store.asked == 1
-    again = harbour.locate(text, by="dense", encoded=encoded)
+    again = harbour.locate(text, by="both", encoded=encoded)
     assert found.best.probability == pytest.approx(again.best.probability)
+
+
+def test_a_region_is_believed(harbour, encoded, text, said):
+    """Known to be in a small part of the map, the speaker is as likely elsewhere as without it."""
+    at = harbour.locate(text, encoded=encoded).best
+    assert at is not None
+    d = 40.0 / 70_000.0
+    box = Region(at.longitude - d, at.latitude - d, at.longitude + d, at.latitude + d)
+    for by in ("auto", *WAYS):
+        vague = said((BENCH, "near", "me"))
+        anywhere = harbour.locate(vague, by=by, encoded=encoded)
+        here = harbour.locate(vague, by=by, region=box, encoded=encoded)
+        assert here.status is not Status.LOST
+        assert here.best.probability > 3.0 * anywhere.best.probability
+
+
+def test_a_region_holds_where_only_the_way_was_told(harbour, encoded):
+    west, south, east, north = whole(harbour)
+    you = ((west + east) / 2, (south + north) / 2)
+    half = Region(west, south, you[0], north)
+    found = harbour.locate("I am north of you.", listener=you, region=half, encoded=encoded)
+    assert found.modes
+    assert found.support[found.support[:, 2] > 0.0, 0].max() <= half.east
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_a_region_that_holds_nothing_is_said(harbour, encoded, text, matcher):
+    found = harbour.locate(
+        text, matcher=matcher, region=Region(0.0, 0.0, 1.0, 1.0), encoded=encoded
+    )
+    assert found.status is Status.LOST
+    assert "nothing to see in (0.0, 0.0, 1.0, 1.0)" in found.reason
+
+
+def test_the_store_of_another_map_or_network_is_refused(harbour, encoded, make_network, text):
+    from placegraph.outdoor.learn.encoded import EncodedCity
+
+    store = encoded.store
+    others = (
+        (replace(store, origin=replace(store.origin, map="0" * 32)), "another map"),
+        (EncodedCity(harbour, make_network(fusion=0.8)).store, "another model"),
+    )
+    for other, says in others:
+        with pytest.raises(StoreError, match=says):
+            harbour.locate(text, store=other, encoded=encoded)
+        with pytest.raises(StoreError, match=says):
+            retrieve(harbour, text, store=other, encoded=encoded)
+    unknown = replace(store, origin=Origin())
+    assert harbour.locate(text, store=unknown, encoded=encoded).modes
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"region": (7.0, 43.0, 8.0, 44.0)}, r"region is \(7.0.*`Region`"),
+        ({"store": "monaco.vectors"}, "store is 'monaco.vectors'.*open_store"),
+        ({"encoded": "mine"}, "encoded is not"),
+        ({"candidates": True}, "candidates"),
+        ({"candidates": None}, "candidates"),
+        ({"candidates": 1.5}, "candidates"),
+        ({"top": "five"}, "top"),
+    ],
+)
+def test_what_is_no_option_is_refused_by_both(harbour, encoded, text, options, says):
+    with pytest.raises(OptionError, match=says):
+        harbour.locate(text, **{"encoded": encoded, **options})
+    with pytest.raises(OptionError, match=says):
+        retrieve(harbour, text, **{"encoded": encoded, **options})
+
+
+def test_another_map_read_by_a_network_is_refused(harbour, encoded, text):
+    from placegraph.outdoor.learn.encoded import EncodedCity
+
+    other = replace(harbour, source="another map")
+    with pytest.raises(OptionError, match="encoded is not"):
+        harbour.locate(text, encoded=EncodedCity(other, encoded.network))
+
+
+def test_more_candidates_than_cells_are_all_cells(harbour, encoded, text):
+    for matcher in ("relational", "embedding"):
+        many = harbour.locate(text, matcher=matcher, by="dense", candidates=10**30, encoded=encoded)
+        assert many.modes
 
 
 def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
