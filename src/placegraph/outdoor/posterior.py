@@ -20,6 +20,8 @@ WITHIN = 50.0
 """A mode's probability is that of the true place lying within this distance [m]."""
 APART = 40.0
 """Modes are at least this far apart [m]."""
+LOOKED_AT = 8
+"""Peaks that are compared at least: the first one found is not always the heaviest."""
 SURE = 0.7
 """Probability of the best mode from which an estimate is OK."""
 
@@ -72,7 +74,7 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     left = found.probabilities.copy()
     peaks: list[Mode] = []
     smooth = _smoothed(found.positions, left)
-    while len(peaks) < top and len(left):
+    while len(peaks) < max(top, LOOKED_AT) and len(left):
         at = int(np.argmax(smooth))
         if smooth[at] <= 1e-9:
             break
@@ -91,7 +93,7 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
         left = left - mass
         smooth[np.hypot(*delta.T) <= WITHIN] = 0.0
         smooth[near] = 0.0
-    return sorted(peaks, key=lambda m: -m.probability)
+    return sorted(peaks, key=lambda m: -m.probability)[:top]
 
 
 def _smoothed(
