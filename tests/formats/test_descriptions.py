@@ -55,6 +55,7 @@ def test_marks_and_line_ends_of_other_systems(tmp_path):
         (SOUND | {"longitude": 181}, ["longitude is 181", "-180 and 180"]),
         (SOUND | {"latitude": float("nan")}, ["latitude is nan"]),
         (SOUND | {"latitude": 743.73}, ["latitude is 743.73"]),
+        (SOUND | {"longitude": 10**400}, ["longitude is a whole number; it lies between -180"]),
         (SOUND | {"heading_deg": "north"}, ["heading_deg is 'north'"]),
         (SOUND | {"near": [7.4]}, ["near is not [longitude"]),
         (SOUND | {"near": "7.4,43.7"}, ["near is not [longitude"]),
@@ -79,6 +80,10 @@ def test_files_that_are_none(tmp_path):
         read_descriptions(tmp_path)
     with pytest.raises(InputError, match="holds no description; write one a line"):
         read_descriptions(written(tmp_path, "", ""))
+    path = written(tmp_path, SOUND)
+    path.write_text(json.dumps(SOUND).replace("7.", "7" * 5000 + "."), encoding="utf-8")
+    with pytest.raises(InputError, match="line 1"):
+        read_descriptions(path)
     path = written(tmp_path, SOUND)
     path.write_bytes(path.read_bytes() + b'{"text": "B\xe4cker"}\n')
     with pytest.raises(InputError, match="line 2 is not UTF-8"):

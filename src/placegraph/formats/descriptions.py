@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +82,8 @@ class _Line:
         try:
             row = json.loads(line)
         except (ValueError, RecursionError) as error:
-            why = getattr(error, "msg", "nested too deeply")
+            deep = isinstance(error, RecursionError)
+            why = getattr(error, "msg", "nested too deeply" if deep else "a number is too long")
             raise InputError(f"{self.path}, line {self.number} is not JSON: {why}.") from error
         if not isinstance(row, dict):
             raise self.wrong("it is no object; write {...} with id, text, longitude, latitude")
@@ -129,8 +130,11 @@ class _Line:
     def number_in(self, value: object, name: str, most: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong(f"{name} is {str(value)[:40]!r}, not a number")
-        if not (isfinite(value) and abs(value) <= most):
-            raise self.wrong(f"{name} is {value:g}; it lies between -{most:g} and {most:g}")
+        if not abs(value) <= most:  # before it is made a float: whole numbers of JSON have no end
+            said = (
+                f"{value:g}" if abs(value) < 1e9 or isinstance(value, float) else "a whole number"
+            )
+            raise self.wrong(f"{name} is {said}; it lies between -{most:g} and {most:g}")
         return float(value)
 
     def wrong(self, how: str) -> InputError:

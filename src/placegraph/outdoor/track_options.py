@@ -25,7 +25,7 @@ def shares_near(city: CityMap, near: Sequence[float] | None, radius: float) -> F
         *numbers, radius = numbers
     try:
         longitude, latitude = (float(x) for x in numbers)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         longitude = latitude = float("nan")
     if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
         raise OptionError(
@@ -43,7 +43,7 @@ def finite(value: object, name: str, what: str) -> float:
     """Return a finite number; raises `OptionError` otherwise."""
     try:
         number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if isinstance(value, bool | str | bytes) or not np.isfinite(number):
         raise OptionError(f"{name} is {value!r}; give {what} as a finite number.")
