@@ -133,7 +133,7 @@ def _facts(weights: Weights, out: Path, curves: Path, seconds: float) -> dict[st
 
 
 def _go_on(work: Path) -> str:
-    from placegraph.cli.city_train_shown import rows_of
+    from placegraph.outdoor.learn.curves import rows_of
 
     done = len(rows_of(work))
     kept = f"{done} epochs are kept" if done != 1 else "1 epoch is kept"

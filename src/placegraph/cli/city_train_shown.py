@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from placegraph.outdoor.learn.curves import rows_of
 from placegraph.outdoor.learn.train import Progress as Told
 from placegraph.view.curves import draw_curves
 
@@ -79,11 +79,3 @@ def _cell(name: str, value: float) -> str:
 def draw(work: Path) -> Path:
     """Draw the curves so far."""
     return draw_curves(rows_of(work), work / "curves.png")
-
-
-def rows_of(work: Path) -> list[dict[str, float]]:
-    """Figures of the epochs so far."""
-    path = work / "curves.jsonl"
-    if not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]

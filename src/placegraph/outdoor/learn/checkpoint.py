@@ -75,18 +75,6 @@ class Folder:
                 }
         return int(file.meta["epoch"])
 
-    def add_to_curves(self, row: Mapping[str, float]) -> None:
-        """Append a row of figures."""
-        with (self.path / "curves.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(dict(row)) + "\n")
-
-    def curves(self) -> list[dict[str, float]]:
-        """Figures of all epochs so far."""
-        path = self.path / "curves.jsonl"
-        if not path.exists():
-            return []
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-
 
 class PoolFolder:
     """Examples by name; those that are there are not made again."""

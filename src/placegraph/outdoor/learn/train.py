@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.outdoor.learn.curves import add_row, rows_of
 from placegraph.outdoor.learn.pool import fill
 from placegraph.outdoor.learn.sample import Speaker
 from placegraph.outdoor.learn.shape import Shape
@@ -123,13 +124,13 @@ def train(
         judged = [judge(trainer.network, lessons, device) for lessons in check]
         row |= recalls(judged)
         kept.write_state(epoch + 1, trainer.module, trainer.optimizer)
-        kept.add_to_curves(row)
+        add_row(kept.path, row)
         progress.epoch(row)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     scale = float(state["prior"][1])
     fitted = best_prior([judge(trainer.network, lessons, device) for lessons in check], scale)
     state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
-    training = {"plan": kept.plan, "curves": kept.curves()}
+    training = {"plan": kept.plan, "curves": rows_of(kept.path)}
     weights = trained(options.shape, state, training)
     write_weights(out, weights)
     return weights

@@ -1,0 +1,14 @@
+"""The file of a training's figures."""
+
+from placegraph.outdoor.learn.curves import add_row, rows_of
+
+
+def test_rows_come_back_and_one_cut_short_is_passed_over(tmp_path):
+    assert rows_of(tmp_path) == []
+    add_row(tmp_path, {"epoch": 1, "match": 0.5})
+    with (tmp_path / "curves.jsonl").open("a", encoding="utf-8") as file:
+        file.write('{"epoch": 2, "ma')  # the disk was full
+    assert rows_of(tmp_path) == [{"epoch": 1, "match": 0.5}]
+    add_row(tmp_path, {"epoch": 2, "match": 0.25})
+    assert [row["epoch"] for row in rows_of(tmp_path)] == [1, 2]
+    assert [path.name for path in tmp_path.iterdir()] == ["curves.jsonl"]
