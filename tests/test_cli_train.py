@@ -161,7 +161,7 @@ def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):
     locate = ("city", "locate", city, TEXT, "--json")
     found = run(*locate, "--weights", weights, "--store", vectors)
     assert found.code == 0
-    direct = open_map(city).locate(TEXT, by="dense", encoded=EncodedCity(open_map(city), network))
+    direct = open_map(city).locate(TEXT, by="both", encoded=EncodedCity(open_map(city), network))
     assert found.json["modes"][0]["probability"] == pytest.approx(direct.best.probability, abs=1e-3)
     shipped = run(*locate, "--store", vectors)  # these vectors are of other weights
     assert (shipped.code, shipped.out) == (10, "")

@@ -118,7 +118,6 @@ def check_sources(
     encoded: EncodedCity | None,
 ) -> None:
     """Raise `OptionError` or `StoreError` where these are none, or belong to another map or network."""
-    from placegraph.outdoor.learn.encoded import EncodedCity
     from placegraph.outdoor.vectors import Origin, Region
     from placegraph.outdoor.vectors.embedded import refuse_other
 
@@ -128,7 +127,7 @@ def check_sources(
                 f"region is {region!r}; give a `Region` of west, south, east and north in degrees."
             )
         region.checked()
-    if encoded is not None and not (isinstance(encoded, EncodedCity) and encoded.city is city):
+    if encoded is not None and not _reads(encoded, city):
         raise OptionError(
             f"encoded is not {city!r} as a network reads it; give `EncodedCity` of it."
         )
@@ -141,6 +140,16 @@ def check_sources(
     # empty is not known
     known = Origin(found.map or wanted.map, found.model or wanted.model)
     refuse_other("The store", known, wanted)
+
+
+def _reads(encoded: object, city: CityMap) -> bool:
+    """Whether it is this city, or the same one opened twice, as a network reads it."""
+    from placegraph.outdoor.learn.encoded import EncodedCity
+    from placegraph.outdoor.vectors import map_fingerprint
+
+    return isinstance(encoded, EncodedCity) and (
+        encoded.city is city or encoded.origin.map == map_fingerprint(city)
+    )
 
 
 def rank_cells(

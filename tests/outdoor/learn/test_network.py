@@ -175,7 +175,7 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
     module = Network(numpy_network.shape)
     module.load_state_dict({n: torch.from_numpy(a) for n, a in numpy_network.arrays.items()})
     with torch.no_grad():
-        scores = forward(module.to(device), lessons, batch, device)
+        scores = forward(module.eval().to(device), lessons, batch, device)
     return tuple(np.asarray(score.cpu()) for score in scores)
 
 

@@ -341,9 +341,11 @@ def test_what_is_no_option_is_refused_by_both(harbour, encoded, text, options, s
 def test_another_map_read_by_a_network_is_refused(harbour, encoded, text):
     from placegraph.outdoor.learn.encoded import EncodedCity
 
-    other = replace(harbour, source="another map")
+    other = replace(harbour, cells=replace(harbour.cells, size=60.0))
     with pytest.raises(OptionError, match="encoded is not"):
         harbour.locate(text, encoded=EncodedCity(other, encoded.network))
+    again = replace(harbour, source="opened twice")
+    assert harbour.locate(text, encoded=EncodedCity(again, encoded.network)).modes
 
 
 def test_more_candidates_than_cells_are_all_cells(harbour, encoded, text):
