@@ -307,9 +307,9 @@ def _relational(
         return scores
     found = search.candidates(query, city, search.Prior(), rows=views, only=True)
     found = found if encoded is None else rerank(found, query, encoded)
-    at = city.cells.rows_at(city.views.positions[found.rows].astype(np.float64))
-    place = {int(row): i for i, row in enumerate(rows)}
-    for row, score in zip(at, found.scores + found.log_prior, strict=True):
-        if row in place:
-            scores[place[row]] = max(scores[place[row]], score)
+    best = np.full(len(views), -1e9)
+    best[np.searchsorted(views, found.rows)] = found.scores + found.log_prior
+    for i, center in enumerate(city.cells.centers(rows)):  # cells may overlap
+        mine = city.views.near(center, city.cells.size / 2)
+        scores[i] = best[np.searchsorted(views, mine)].max(initial=-1e9)
     return scores

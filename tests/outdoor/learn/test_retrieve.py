@@ -7,6 +7,7 @@ import pytest
 
 from placegraph.errors import DescriptionError, OptionError, StoreError
 from placegraph.estimate import Status
+from placegraph.outdoor.learn.encoded import EncodedCity
 from placegraph.outdoor.query import compile_query
 from placegraph.outdoor.retrieve import (
     MATCHERS,
@@ -67,6 +68,14 @@ def test_relational_matching_finds_the_place(harbour, encoded, text):
     assert np.hypot(*delta.T).min() < 50.0
 
 
+def test_overlapping_cells_share_their_viewpoints(harbour, encoded, text):
+    """A viewpoint counts for every cell that it lies in, not only for the nearest."""
+    wide = replace(harbour, cells=replace(harbour.cells, size=3.0 * harbour.cells.grid.stride))
+    everything = EncodedCity(wide, encoded.network)
+    best = retrieve(wide, text, matcher="relational", by="all", top=9, encoded=everything)
+    assert best.scores == pytest.approx(best.scores[0])
+
+
 def test_the_transformer_and_the_embedding_are_those_of_the_network(harbour, encoded, text, query):
     found = retrieve(harbour, text, matcher="transformer", by="all", top=9, encoded=encoded)
     match = encoded.match(encoded.text(query), encoded.cells, found.rows)
@@ -83,8 +92,6 @@ def test_the_transformer_and_the_embedding_are_those_of_the_network(harbour, enc
 
 
 def test_fused_is_relational_shifted(harbour, make_network, text):
-    from placegraph.outdoor.learn.encoded import EncodedCity
-
     plain = retrieve(
         harbour, text, matcher="relational", by="sparse", top=8,
         encoded=EncodedCity(harbour, make_network()),
@@ -207,8 +214,6 @@ def test_locating_by_any_matcher_and_way(harbour, encoded, text):
 
 
 def test_fusing_nothing_is_relational_matching(harbour, make_network, text):
-    from placegraph.outdoor.learn.encoded import EncodedCity
-
     nothing = EncodedCity(harbour, make_network(fusion=0.0))
     fused = harbour.locate(text, encoded=nothing)
     plain = harbour.locate(text, matcher="relational")
@@ -303,8 +308,6 @@ def test_a_region_that_holds_nothing_is_said(harbour, encoded, text, matcher):
 
 
 def test_the_store_of_another_map_or_network_is_refused(harbour, encoded, make_network, text):
-    from placegraph.outdoor.learn.encoded import EncodedCity
-
     store = encoded.store
     others = (
         (replace(store, origin=replace(store.origin, map="0" * 32)), "another map"),
@@ -339,8 +342,6 @@ def test_what_is_no_option_is_refused_by_both(harbour, encoded, text, options, s
 
 
 def test_another_map_read_by_a_network_is_refused(harbour, encoded, text):
-    from placegraph.outdoor.learn.encoded import EncodedCity
-
     other = replace(harbour, cells=replace(harbour.cells, size=60.0))
     with pytest.raises(OptionError, match="encoded is not"):
         harbour.locate(text, encoded=EncodedCity(other, encoded.network))
