@@ -29,7 +29,7 @@ from placegraph.evaluate.outdoor_queries import Query, load, make_queries
 from placegraph.outdoor.build import build_city
 from placegraph.outdoor.learn.encoded import EncodedCity
 from placegraph.outdoor.learn.network import GraphTransformer
-from placegraph.outdoor.learn.sample import held_out
+from placegraph.outdoor.learn.sample import evaluated
 from placegraph.outdoor.learn.shape import Shape
 
 
@@ -138,7 +138,7 @@ def test_queries_of_trained_cities_stand_in_held_out_tiles(shared, tmp_path):
     for asked in (trained, unseen):
         lonlat = np.array([(q.longitude, q.latitude) for q in asked])
         inside = in_held_out_tiles(city)(lonlat)
-        assert np.array_equal(inside, held_out(*city.plane.to_plane(lonlat).T))
+        assert np.array_equal(inside, evaluated(*city.plane.to_plane(lonlat).T))
         share.append(inside.mean())
     assert share[0] == 1.0
     assert 0.0 < share[1] < 0.8
