@@ -57,9 +57,7 @@ def trained(
     weights = folder / "weights"
     if not weights.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        train(
-            cities, weights, folder=folder, pools=work / "pools", options=options, device=device
-        )
+        train(cities, weights, folder=folder, pools=work / "pools", options=options, device=device)
     return GraphTransformer.open(weights)
 
 

@@ -127,7 +127,7 @@ ONE, TWO = "I am next to a bench.", "A tram stop is south of me."
 def test_sentences_without_motion_are_one_text(harbour):
     tracker = CityTracker(harbour)
     tracker.tell(ONE)
-    told, located = tracker.tell(TWO), harbour.locate(f"{ONE} {TWO}")
+    told, located = tracker.tell(TWO), harbour.locate(f"{ONE} {TWO}", matcher="relational")
     assert metres(harbour, told.best, (located.best.longitude, located.best.latitude)) < 5.0
     assert told.best.probability == pytest.approx(located.best.probability, abs=0.05)
 

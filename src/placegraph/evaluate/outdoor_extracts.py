@@ -60,7 +60,7 @@ def open_city(name: str, data: Path, maps: Path) -> CityMap:
 
 
 def in_held_out_tiles(city: CityMap) -> Where:
-    """Predicate for `make_queries`: whether longitude and latitude (n, 2) lie in tiles kept for evaluation."""
+    """Predicate for `make_queries`: whether positions (n, 2) [deg] lie in tiles for evaluation."""
 
     def where(lonlat: Floats) -> NDArray[np.bool_]:
         return evaluated(*city.plane.to_plane(lonlat).T)

@@ -364,8 +364,8 @@ class CityMap:
             alone, on cells.
         by
             Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or
-            ``all`` places; ``auto`` takes both where a store is given, embeddings in very large maps,
-            else the inverted index.
+            ``all`` places; ``auto`` takes both where a store is given, else the inverted index.
+            Embeddings alone are fast in maps of any size, find less, and are never sure (`OK`).
         candidates
             How many cells embeddings propose.
         store

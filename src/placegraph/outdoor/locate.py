@@ -43,8 +43,10 @@ MOST_SUPPORT = 4000
 """At most this many points of the posterior are kept in an estimate."""
 SPACING = 6.67
 """Positions are scored this finely [m]."""
-LARGE = 300_000
-"""In maps of more cells candidates are found by embeddings: their time does not grow."""
+DENSE_REACH = 0.4
+"""Probability that the place is among the cells that embeddings propose (docs/benchmarks.md): an
+estimate by these alone cannot be surer than that."""
+RANKS_ONLY = "The {} matcher ranks places; how sure it is of the best it does not know."
 SHARPNESS = {"transformer": 1.0, "edit-distance": 1.0, "embedding": 20.0}
 """What a matcher's score is multiplied by to be a log-likelihood."""
 
@@ -92,7 +94,7 @@ def locate(
         return CityEstimate(Status.LOST, (), reason, description)
     found, spacing = _found(query, city, prior, matching)
     peaks = modes(found, top, spacing)
-    status, reason = status_of(found, peaks)
+    status, reason = _status(found, peaks, matching)
     places = tuple(_place(mode, city, query) for mode in peaks)
     if places and description.conflicts and not _resolved(places[0], query):
         status, reason = (
@@ -123,6 +125,14 @@ class Matching:
             raise OptionError(f"candidates is {self.candidates!r}; choose at least 1.")
 
 
+def _status(found: Posterior, peaks: list[Mode], matching: Matching) -> tuple[Status, str]:
+    """Status of the posterior; a matcher whose scores are no probabilities is never sure."""
+    status, reason = status_of(found, peaks)
+    if status is Status.OK and matching.matcher not in ("fused", "relational"):
+        return Status.AMBIGUOUS, RANKS_ONLY.format(matching.matcher)
+    return status, reason
+
+
 def _found(
     query: Query, city: CityMap, prior: Prior, matching: Matching
 ) -> tuple[Posterior, float]:
@@ -130,7 +140,6 @@ def _found(
     by = matching.by
     if by == "auto":
         by = "sparse" if matching.store is None else "both"
-        by = "dense" if len(city.cells) > LARGE else by
     if matching.matcher not in ("fused", "relational"):
         return _by_cells(query, city, prior, matching, by), city.cells.size
     fused = matching.matcher == "fused"
@@ -141,7 +150,9 @@ def _found(
             city, query, matching.candidates, by, encoded,
             store=matching.store, region=matching.region,
         )  # fmt: skip
-    return search(query, city, prior, rows=rows, encoded=encoded if fused else None), SPACING
+    reach = DENSE_REACH if by == "dense" else 1.0
+    network = encoded if fused else None
+    return search(query, city, prior, rows=rows, reach=reach, encoded=network), SPACING
 
 
 def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching, by: By) -> Posterior:

@@ -119,11 +119,13 @@ def search(
     prior: Prior,
     *,
     rows: NDArray[np.int64] | None = None,
+    reach: float = 1.0,
     encoded: EncodedCity | None = None,
 ) -> Posterior:
     """Score the viewpoints of a city, or those in `rows`; `encoded` lets the network judge the best.
 
-    Around rare things out of sight others than those in `rows` are scored too.
+    Around rare things out of sight others than those in `rows` are scored too; `reach` is the
+    probability that `rows` hold the right one.
     """
     if not query.used:
         return _by_prior(city.views, _log_prior(city.views, prior))
@@ -132,11 +134,14 @@ def search(
         from placegraph.outdoor.rerank import rerank
 
         found = rerank(found, query, encoded)
-    return closer(query, city, found)
+    return closer(query, city, found, reach)
 
 
-def closer(query: Query, city: CityMap, found: Candidates) -> Posterior:
-    """Look more closely at the best of the scored viewpoints, and apply Bayes to all."""
+def closer(query: Query, city: CityMap, found: Candidates, reach: float = 1.0) -> Posterior:
+    """Look more closely at the best of the scored viewpoints, and apply Bayes to all.
+
+    The right one is among them with probability `reach`: together they weigh no more than that.
+    """
     words = query.words(len(city.views.posting_starts) - 1)
     scored = _Scored(
         city.views.positions[found.rows].astype(np.float64),
@@ -145,9 +150,11 @@ def closer(query: Query, city: CityMap, found: Candidates) -> Posterior:
         found.far,
     )
     scored = _closer(query, city, words, found.rows, scored)
-    return posterior(
-        scored.positions, scored.scores.astype(np.float64), scored.log_prior, found.rest
-    )
+    scores, rest = scored.scores.astype(np.float64), found.rest
+    if reach < 1.0 and len(scores):
+        here = np.logaddexp.reduce(scores + scored.log_prior)
+        rest = max(rest, float(here + np.log(1.0 / reach - 1.0)))
+    return posterior(scored.positions, scores, scored.log_prior, rest)
 
 
 def _log_prior(views: ViewIndex, prior: Prior) -> NDArray[np.float64]:

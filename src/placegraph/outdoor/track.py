@@ -2,7 +2,7 @@
 
 The Bayesian step of a filter (predict by motion, correct by what is said) over all viewpoints of a
 map at once, so nothing is drawn by chance. Sentences said without motion between them are read as one
-text, with the same likelihood as `CityMap.locate`: "the bakery" may mean the one spoken of before,
+text, with the likelihood of relational matching: "the bakery" may mean the one spoken of before,
 and what is said twice is no surer.
 """
 

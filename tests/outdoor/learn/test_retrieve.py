@@ -8,6 +8,7 @@ import pytest
 from placegraph.errors import DescriptionError, OptionError, StoreError
 from placegraph.estimate import Status
 from placegraph.outdoor.learn.encoded import EncodedCity
+from placegraph.outdoor.locate import read
 from placegraph.outdoor.query import compile_query
 from placegraph.outdoor.retrieve import (
     MATCHERS,
@@ -19,6 +20,7 @@ from placegraph.outdoor.retrieve import (
     views_of_candidates,
     within,
 )
+from placegraph.outdoor.search import Prior, search
 from placegraph.outdoor.vectors import Neighbours, Origin, Region
 
 BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
@@ -376,18 +378,22 @@ def test_locate_refuses_what_it_does_not_know(harbour, text, options, says):
         harbour.locate(text, **options)
 
 
-def test_a_very_large_map_takes_embeddings(harbour, encoded, text, monkeypatch):
-    from placegraph.outdoor import locate as module
+def test_embeddings_alone_are_never_sure(harbour, encoded, text):
+    sure = harbour.locate(text, matcher="relational")
+    found = harbour.locate(text, matcher="relational", by="dense", encoded=encoded, candidates=500)
+    assert sure.status is Status.OK
+    assert found.status is not Status.OK
+    assert sum(mode.probability for mode in found.modes) <= 0.4 + 1e-9
 
-    used = []
 
-    def watch(city, query, n, by, *rest, **more):
-        used.append(by)
-        return views_of_candidates(city, query, n, by, *rest, **more)
+@pytest.mark.parametrize("matcher", ["transformer", "embedding", "edit-distance"])
+def test_ranks_are_no_probabilities(harbour, encoded, text, matcher):
+    assert harbour.locate(text, matcher=matcher, encoded=encoded).status is not Status.OK
 
-    monkeypatch.setattr(module, "views_of_candidates", watch)
-    harbour.locate(text, encoded=encoded)
-    assert used == []
-    monkeypatch.setattr(module, "LARGE", 10)
-    harbour.locate(text, encoded=encoded)
-    assert used == ["dense"]
+
+def test_a_share_that_may_be_missing_is_kept_for_the_rest(harbour, text):
+    query = compile_query(read(harbour, text), harbour)
+    rows = np.arange(len(harbour.views.positions))
+    for reach in (1.0, 0.5, 0.1):
+        found = search(query, harbour, Prior(), rows=rows, reach=reach)
+        assert found.probabilities.sum() <= reach + 1e-9

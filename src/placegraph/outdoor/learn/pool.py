@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.description import Description
     from placegraph.outdoor.learn.sample import Speaker
 
@@ -69,7 +68,7 @@ def fill(speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = la
         query = compile_query(example.description, city)
         if not any(not s.negated for s in query.used):
             continue
-        rows, values = _candidates(query, city, example.position, rng)
+        rows, values = _candidates(query, speaker, example.position, rng)
         delta = np.abs(city.views.positions[rows] - example.position).max(axis=1)
         label = np.where(delta <= AT, 1, np.where(delta <= NEARBY, -1, 0))
         label[rows < 0] = -1
@@ -110,13 +109,19 @@ def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> Fits:
 
 
 def _candidates(
-    query: Query, city: CityMap, position: NDArray[np.float64], rng: Generator
+    query: Query, speaker: Speaker, position: NDArray[np.float64], rng: Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Viewpoints (K,) to tell apart: the true ones, the best of matching, and any others."""
-    found = candidates(query, city, Prior())
-    best = np.argsort(-found.scores, kind="stable")[:HARD]
-    true = rng.permutation(city.views.near(position, AT))[:4]  # not the nearest: cells stand apart
-    others = rng.integers(len(city.views.positions), size=OTHERS)
+    """Viewpoints (K,) to tell apart: the true ones, the best of matching, and any others.
+
+    Who trains does not see the tiles that are held out, not even as wrong places.
+    """
+    views = speaker.city.views
+    found = candidates(query, speaker.city, Prior())
+    best = np.argsort(-found.scores, kind="stable")
+    best = best[speaker.may_see(views.positions[found.rows[best]])][:HARD]
+    true = rng.permutation(views.near(position, AT))[:4]  # not the nearest: cells stand apart
+    others = rng.integers(len(views.positions), size=OTHERS)
+    others = others[speaker.may_see(views.positions[others])]
     rows = np.concatenate([true, found.rows[best], others]).astype(np.int64)
     known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))
     rows = rows[np.sort(np.unique(rows, return_index=True)[1])]

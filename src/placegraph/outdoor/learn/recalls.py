@@ -99,7 +99,9 @@ def best_prior(judged: Sequence[Judged], scale: float) -> tuple[float, float]:
 
     `judged` are texts from where nothing was trained, with the weight still 1 and this `scale`.
     """
-    best, found = -np.inf, (1.0, 0.0)
+    best, found = -np.inf, (1.0, 0.0)  # nothing told: as relational matching has it
+    if not any(j.near.any() for j in judged):
+        return found
     for new in SCALES:
         for weight in WEIGHTS:
             likelihood = np.mean([_likelihood(j, scale, new, weight) for j in judged])

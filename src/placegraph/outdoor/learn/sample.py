@@ -116,6 +116,10 @@ class Speaker:
         held = held_out(*positions.T)
         return held & ~evaluated(*positions.T) if self.held else ~held
 
+    def may_see(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Whether places at positions (n, 2) [m] may stand beside its own to be told from them."""
+        return np.full(len(positions), True) if self.held else ~held_out(*positions.T)
+
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Viewpoints in its tiles with enough in sight to speak of."""

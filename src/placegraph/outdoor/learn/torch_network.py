@@ -242,16 +242,13 @@ class Network(nn.Module):
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))
         self.pool_text = Pool(shape.width, shape.dimension)
         self.pool_place = Pool(shape.width, shape.dimension)
-        first = nn.Linear(3 * shape.dimension, shape.dimension)
-        last = nn.Linear(shape.dimension, 2)
         self.forget = nn.Dropout(DROPOUT)
+        verdict = nn.Linear(shape.dimension, 1)
+        nn.init.zeros_(verdict.weight)
+        nn.init.constant_(verdict.bias, FEW)
         self.judge = nn.Sequential(
-            nn.Linear(3 * shape.dimension, shape.dimension),
-            nn.ReLU(),
-            nn.Linear(shape.dimension, 1),
+            nn.Linear(3 * shape.dimension, shape.dimension), nn.ReLU(), verdict
         )
-        nn.init.zeros_(self.judge[2].weight)
-        nn.init.constant_(self.judge[2].bias, FEW)
         # training begins with what the statements say literally, and with relational matching alone
         self.prior = nn.Parameter(torch.ones(3))
 

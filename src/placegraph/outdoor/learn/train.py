@@ -197,9 +197,10 @@ class School:
 
     def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
         from placegraph.outdoor.learn.torch_batches import Lessons
+        from placegraph.outdoor.vectors import map_fingerprint
 
         city, seed = self.cities[name], self.options.seed
-        file = f"{file}-{seed}-{n}-{len(city.objects)}"
+        file = f"{file}-{seed}-{n}-{map_fingerprint(city)[:8]}"
         pool = self.store.read(file)
         if pool is None:
             rng = np.random.default_rng([seed, epoch, *name.encode()])
