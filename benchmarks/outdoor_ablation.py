@@ -84,6 +84,7 @@ def main(
     examples: Annotated[int, typer.Option(help="New descriptions a city and epoch.")] = 1200,
     steps: Annotated[int, typer.Option(help="Batches an epoch.")] = 300,
     only: Annotated[str, typer.Option(help="Names of variants with commas.")] = "",
+    on: Annotated[str, typer.Option(help="Cities to measure on, with commas; all.")] = "",
     seed: Annotated[int, typer.Option(help="Seed of the trainings and the queries.")] = 0,
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
     *,
@@ -108,7 +109,9 @@ def main(
     wanted = {n: o for n, o in wanted.items() if not only or n in only.split(",")}
     cities = {name: open_city(name, data, maps) for name in names}
     tasks = []
-    for name, city in cities.items():
+    measured = [n for n in names if not on or n in on.split(",")]
+    for name in measured:
+        city = cities[name]
         path = data / EXTRACTS[name]
         told = unseen_queries(name, city, path, n=queries, seed=seed)
         tasks.append(Task.of(city, load(path), told))
@@ -131,7 +134,7 @@ def main(
     out.parent.mkdir(parents=True, exist_ok=True)
     record = {
         "machine": machine(),
-        "cities": names,
+        "cities": measured,
         "queries": queries,
         "seed": seed,
         "rows": rows,
