@@ -26,9 +26,13 @@ def rows_of(folder: str | PathLike[str]) -> list[dict[str, float]]:
 
 
 def add_row(folder: str | PathLike[str], row: Mapping[str, float]) -> None:
-    """Add the figures of an epoch; the file is replaced whole, so that none is ever cut short."""
+    """Add the figures of an epoch, in the place of older ones of it and of later epochs.
+
+    The file is replaced whole, so that none is ever cut short.
+    """
     path = Path(folder) / NAME
     temporary = path.with_suffix(".tmp")
-    rows = [*rows_of(folder), dict(row)]
+    before = [r for r in rows_of(folder) if r.get("epoch", 0) < row.get("epoch", 1)]
+    rows = [*before, dict(row)]
     temporary.write_text("".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8")
     temporary.replace(path)

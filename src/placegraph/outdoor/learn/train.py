@@ -123,8 +123,8 @@ def train(
         row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
         judged = [judge(trainer.network, lessons, device) for lessons in check]
         row |= recalls(judged)
+        add_row(kept.path, row)  # first: an epoch that is done again gives the same row
         kept.write_state(epoch + 1, trainer.module, trainer.optimizer)
-        add_row(kept.path, row)
         progress.epoch(row)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     scale = float(state["prior"][1])
