@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -59,7 +59,9 @@ class EncodedCity:
 
     def text(self, query: Query) -> EncodedText:
         """A query as the network reads it."""
-        texts = TextGraphs.of([query.description])
+        # what is said again is no surer: the query has it once
+        said = (*query.used, *(statement for statement, _ in query.unused))
+        texts = TextGraphs.of([replace(query.description, statements=said)])
         fits = fits_of(texts, [query])
         counts, total = self.city.word_counts
         return EncodedText(texts, word_fits(fits.starts, fits.tokens, fits.weights, counts, total))
