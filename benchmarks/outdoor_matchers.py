@@ -127,7 +127,7 @@ def main(
         "seed": seed,
         "cells": cells,
         "rows": [r.to_dict() for r in rows],
-        "default_against_best_single": lead,
+        "fused_against_best_single": lead,
     }
     out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 

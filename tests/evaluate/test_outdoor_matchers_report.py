@@ -71,7 +71,7 @@ def test_tables_hold_every_matcher_and_the_paper(rows):
     assert "| a: " in text
 
 
-def test_nothing_is_compared_without_the_default(rows):
+def test_nothing_is_compared_without_both_fused(rows):
     without = [r for r in rows if r.method != FUSED]
     assert advantages(without, np.random.default_rng(0)) == []
     assert "best single" not in report(without, [])

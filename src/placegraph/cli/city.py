@@ -108,7 +108,7 @@ def locate(
     listener: Annotated[
         str | None, typer.Option(help="LON,LAT of 'you' in the text, where that is known.")
     ] = None,
-    matcher: Matcher = "fused",
+    matcher: Matcher = "relational",
     candidates_by: CandidatesBy = "auto",
     store: Store = None,
     weights: Weights = None,

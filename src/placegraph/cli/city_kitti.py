@@ -65,7 +65,7 @@ def evaluate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write every answer as JSON to this file.")
     ] = None,
-    matcher: Matcher = "fused",
+    matcher: Matcher = "relational",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:

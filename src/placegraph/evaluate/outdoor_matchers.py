@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 EDIT, EDIT_PLAIN = "edit distance", "edit distance, plain"
 DENSE = "dense candidates alone"
-RELATIONAL, FUSED = "relational", "fused (default)"
+RELATIONAL, FUSED = "relational (default)", "fused"
 WAYS: tuple[By, ...] = ("dense", "sparse", "both")
 TRANSFORMER = {by: f"transformer, {by} candidates" for by in WAYS}
 MATCHERS = (*BAGS, EDIT_PLAIN, EDIT, DENSE, *TRANSFORMER.values(), RELATIONAL, FUSED)
@@ -173,7 +173,7 @@ def matcher(
     for by, called in TRANSFORMER.items():
         if name == called:
             return RetrieveMatcher(city, "transformer", by)
-    return LocateMatcher(city, {"matcher": "relational"} if name == RELATIONAL else {})
+    return LocateMatcher(city, {"matcher": "fused"} if name == FUSED else {})
 
 
 def ask(

@@ -59,7 +59,7 @@ def best_single(rows: Sequence[Row], measure: str) -> str:
 
 
 def advantage(rows: Sequence[Row], other: str, measure: str, rng: Generator) -> Interval:
-    """Recall@1 of the default minus that of another matcher, on the queries that both had."""
+    """Recall@1 of both fused minus that of another matcher, on the queries that both had."""
     pairs = []
     for city in dict.fromkeys(r.city for r in rows):
         found = {r.method: hits(r, measure) for r in rows if r.city == city}
@@ -70,7 +70,7 @@ def advantage(rows: Sequence[Row], other: str, measure: str, rng: Generator) -> 
 
 
 def advantages(rows: Sequence[Row], rng: Generator) -> list[dict[str, Any]]:
-    """By protocol and measure: the best single matcher, and how far the default is ahead of it."""
+    """By protocol and measure: the best single matcher, and how far both fused are ahead of it."""
     table = []
     for protocol, mine in _by_protocol(rows).items():
         for measure in MEASURES:
@@ -81,7 +81,7 @@ def advantages(rows: Sequence[Row], rng: Generator) -> list[dict[str, Any]]:
                 {
                     "title": title(protocol),
                     "measure": measure,
-                    "default": mean_recall(mine, FUSED, measure)[0],
+                    "fused": mean_recall(mine, FUSED, measure)[0],
                     "best_single": other,
                     "single": mean_recall(mine, other, measure)[0],
                     "difference": advantage(mine, other, measure, rng)._asdict(),
@@ -91,7 +91,7 @@ def advantages(rows: Sequence[Row], rng: Generator) -> list[dict[str, Any]]:
 
 
 def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
-    """Markdown: every setting at a glance, the default's lead, and what each city gives."""
+    """Markdown: every setting at a glance, the lead of both fused, and what each city gives."""
     grouped = _by_protocol(rows)
     shown = methods(rows)
     parts = []
@@ -108,7 +108,7 @@ def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
             markdown(["", *map(title, grouped)], lines),
         ]
     if table:
-        parts += ["#### Recall@1 of the default and of the best single matcher", _lead(table)]
+        parts += ["#### Recall@1 of both fused, and of the best single matcher", _lead(table)]
     for protocol, mine in list(grouped.items())[:1]:
         parts += [f"#### {title(protocol)}: mean of the cities, then each", _detail(mine, shown)]
     return "\n\n".join(parts)
@@ -126,12 +126,12 @@ def _mean(rows: Sequence[Row], method: str, measure: str) -> list[float]:
 
 
 def _lead(table: Sequence[dict[str, Any]]) -> str:
-    header = ["", "hit", "default", "best single", "matcher", "difference", "95 % interval"]
+    header = ["", "hit", "fused", "best single", "matcher", "difference", "95 % interval"]
     lines = []
     for row in table:
         d = row["difference"]
         interval = f"{d['low']:+.3f} to {d['high']:+.3f}"
-        figures = [share(row["default"]), share(row["single"]), row["best_single"]]
+        figures = [share(row["fused"]), share(row["single"]), row["best_single"]]
         lines.append([row["title"], row["measure"], *figures, f"{d['mean']:+.3f}", interval])
     return markdown(header, lines)
 

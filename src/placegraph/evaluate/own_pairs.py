@@ -84,7 +84,10 @@ class OwnPairs:
 
 
 def evaluate_folder(
-    folder: str | PathLike[str], *, matcher: Matcher = "fused", progress: Progress | None = None
+    folder: str | PathLike[str],
+    *,
+    matcher: Matcher = "relational",
+    progress: Progress | None = None,
 ) -> OwnPairs:
     """Locate every description of a folder on its map.
 

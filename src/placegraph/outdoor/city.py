@@ -332,7 +332,7 @@ class CityMap:
         heading: float | None = None,
         listener: Sequence[float] | None = None,
         answers: Sequence[Answer] = (),
-        matcher: Matcher = "fused",
+        matcher: Matcher = "relational",
         by: By | Literal["auto"] = "auto",
         candidates: int = 50,
         store: VectorStore | None = None,
@@ -359,9 +359,9 @@ class CityMap:
         answers
             Answers to earlier questions of `CityEstimate.next_question`.
         matcher
-            ``fused``: relational matching, with the best judged by the network as well.
-            ``relational``; ``transformer`` (Eq. 14-17), ``edit-distance`` or ``embedding`` (Eq. 11)
-            alone, on cells.
+            ``relational`` measures best at the price; ``fused`` lets the network judge its best places
+            as well. ``transformer`` (Eq. 14-17), ``edit-distance`` or ``embedding`` (Eq. 11) alone,
+            on cells.
         by
             Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or
             ``all`` places; ``auto`` takes both where a store is given, else the inverted index.

@@ -108,7 +108,7 @@ def locate(
 class Matching:
     """How places are found and compared; see `CityMap.locate`."""
 
-    matcher: Matcher = "fused"
+    matcher: Matcher = "relational"
     by: By | Literal["auto"] = "auto"
     candidates: int = 50
     store: VectorStore | None = None

@@ -50,7 +50,7 @@ def retrieve(
     city: CityMap,
     description: Description,
     *,
-    matcher: Matcher = "fused",
+    matcher: Matcher = "relational",
     candidates: int = 10,
     by: By = "both",
     top: int = 5,

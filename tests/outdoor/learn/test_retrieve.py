@@ -217,12 +217,12 @@ def test_locating_by_any_matcher_and_way(harbour, encoded, text):
 
 def test_fusing_nothing_is_relational_matching(harbour, make_network, text):
     nothing = EncodedCity(harbour, make_network(fusion=0.0))
-    fused = harbour.locate(text, encoded=nothing)
+    fused = harbour.locate(text, matcher="fused", encoded=nothing)
     plain = harbour.locate(text, matcher="relational")
     assert fused.best.probability == pytest.approx(plain.best.probability)
     assert fused.best.latitude == plain.best.latitude
     loud = EncodedCity(harbour, make_network(fusion=1.0))
-    shifted = harbour.locate(text, encoded=loud)
+    shifted = harbour.locate(text, matcher="fused", encoded=loud)
     assert [m.probability for m in shifted.modes] != pytest.approx(
         [m.probability for m in plain.modes], abs=1e-4
     )
