@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError, PlacegraphError
 from placegraph.maps import open_map
 from placegraph.outdoor.build import TOLERANCE, build_city, names_of
-from placegraph.outdoor.city import AREA, GRAIN, LINE, POINT
+from placegraph.outdoor.city import GRAIN
+from placegraph.outdoor.objects import AREA, LINE, POINT
 from placegraph.outdoor.simplify import centers, simplify
 from placegraph.outdoor.vocabulary import Vocabulary
 from placegraph.store import read_map, writing

@@ -10,8 +10,9 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.evaluate.outdoor_matchers import cell_centers
 from placegraph.outdoor.cells import cell_sightings
-from placegraph.outdoor.city import CityMap, CityObjects
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.learn.sample import TILE, held_out
+from placegraph.outdoor.objects import CityObjects
 
 if TYPE_CHECKING:
     from numpy.random import Generator

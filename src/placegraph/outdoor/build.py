@@ -15,7 +15,8 @@ import numpy as np
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.osm import LINE, LeftOut, OsmElement, read_osm
 from placegraph.geometry import LocalPlane
-from placegraph.outdoor.city import CityMap, CityObjects
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.objects import CityObjects
 from placegraph.outdoor.simplify import centers, simplify
 
 if TYPE_CHECKING:

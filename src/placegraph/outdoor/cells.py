@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import LocalPlane
     from placegraph.graph import SceneGraph
-    from placegraph.outdoor.city import CityObjects
+    from placegraph.outdoor.objects import CityObjects
 
 LINE, AREA = 1, 2
 NEAR = 10.0

@@ -19,7 +19,7 @@ from placegraph.outdoor.raster import Grid, Sightings, sightings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityObjects
+    from placegraph.outdoor.objects import CityObjects
 
 POINT, AREA = 0, 2
 STRIDE = 20.0

@@ -10,7 +10,7 @@ from placegraph.outdoor.describe.words import tokens
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.outdoor.city import CityObjects
+    from placegraph.outdoor.objects import CityObjects
 
 LONGEST = 8
 """Names are found in running text up to this many words."""

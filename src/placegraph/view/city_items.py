@@ -13,7 +13,8 @@ from placegraph.view.style import AREA, LINE, PAINTS, paint_of
 
 if TYPE_CHECKING:
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap, CityObjects
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.objects import CityObjects
 
 
 def labels_of(objects: CityObjects, row: int) -> list[str]:

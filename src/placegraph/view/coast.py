@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityObjects
+    from placegraph.outdoor.objects import CityObjects
     from placegraph.view.canvas import Bounds
 
 COASTLINE = "natural=coastline"

@@ -16,7 +16,8 @@ from placegraph.view.style import AREA, LINE
 if TYPE_CHECKING:
     from placegraph.estimate import CityEstimate, ObjectRef, Place
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap, CityObjects
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.objects import CityObjects
 
 BANDWIDTH = 9.0
 """Standard deviation of the kernel that makes heat of the posterior's points [m]."""

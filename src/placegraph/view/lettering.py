@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityObjects
+    from placegraph.outdoor.objects import CityObjects
     from placegraph.view.canvas import Points
     from placegraph.view.fonts import Face
 

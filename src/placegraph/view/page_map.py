@@ -39,7 +39,8 @@ from placegraph.view.svg import Svg, clean, in_layers
 if TYPE_CHECKING:
     from placegraph.estimate import CityEstimate, Place
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap, CityObjects
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.objects import CityObjects
 
 DETAIL_BYTES = 1_600_000
 """Objects are drawn in detail, those nearest to a mode first, until so much is written."""

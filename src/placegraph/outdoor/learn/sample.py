@@ -16,7 +16,6 @@ from numba import njit
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.cells import compass
-from placegraph.outdoor.city import AREA, LINE
 from placegraph.outdoor.description import (
     SPEAKER,
     Description,
@@ -24,6 +23,7 @@ from placegraph.outdoor.description import (
     Relation,
     Statement,
 )
+from placegraph.outdoor.objects import AREA, LINE
 from placegraph.outdoor.raster import nearest_on_parts
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class Speaker:
                 break
             kind = habits.about
             if kind == "mixed":
-                kind = str(rng.choice(["pairs", "me", "near", "stand", "there", "not"]))
+                kind = str(rng.choice(["pairs", "me", "near", "stand", "there", "missing"]))
             getattr(told, kind)(seen)
         return told.description() if len(told.statements) >= 3 else None
 
@@ -237,7 +237,7 @@ class _Told:
         """A thing is in sight, or several."""
         self.add(Relation.VISIBLE, self.node(seen, self.pick(seen), counted=True), SPEAKER)
 
-    def not_(self, seen: _Seen) -> None:
+    def missing(self, seen: _Seen) -> None:
         """A thing is not in sight."""
         city = self.speaker.city
         here = {city.objects.label(i) for i in seen.objects}
@@ -302,9 +302,6 @@ class _Told:
             self.statements.append(
                 Statement(relation, source, target, bearing=bearing, negated=negated)
             )
-
-
-setattr(_Told, "not", _Told.not_)
 
 
 def _habits(rng: Generator) -> _Habits:
