@@ -44,8 +44,8 @@ MOST_SUPPORT = 4000
 SPACING = 6.67
 """Positions are scored this finely [m]."""
 DENSE_REACH = 0.4
-"""Probability that the place is among the cells that embeddings propose (docs/benchmarks.md): an
-estimate by these alone cannot be surer than that."""
+"""Probability that the place is near one of 50 cells that embeddings propose, in a large city (60 texts
+each: Vancouver .40, Ankara .45, Liechtenstein .48): an estimate by these alone cannot be surer."""
 RANKS_ONLY = "The {} matcher ranks places; how sure it is of the best it does not know."
 SHARPNESS = {"transformer": 1.0, "edit-distance": 1.0, "embedding": 20.0}
 """What a matcher's score is multiplied by to be a log-likelihood."""
