@@ -192,7 +192,7 @@ def test_no_frames(text):
 def estimate_of(status, *probabilities, evidence=()):
     pose = np.array([1.25, -2.5, 1.6, np.pi / 2])
     matrix = pose_matrix(pose, level_from_camera((0.0, 1.0, 0.0)))
-    covariance = np.diag([9e-4, 16e-4, 1e-4, np.radians(2.0) ** 2])
+    covariance = np.diag([9e-4, 16e-4, 1e-4, 1e-5, 1e-5, np.radians(2.0) ** 2])
     modes = tuple(
         PoseMode(matrix, pose, covariance, p, "study", matrix, lambda: evidence)
         for p in probabilities

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from placegraph.estimate import (
     Place,
     PoseEstimate,
     PoseMode,
+    Refinement,
     Status,
 )
 from placegraph.geometry import level_from_camera, pose_matrix
@@ -64,7 +66,9 @@ def posed():
 
 def test_a_pose_as_json(posed):
     got = strict(posed)
-    assert set(got) == {"status", "reason", "modes", "frames", "trajectory", "stats"}
+    keys = {"status", "reason", "modes", "frames", "trajectory", "stats", "refinement"}
+    assert set(got) == keys
+    assert got["refinement"] is None
     assert (got["status"], got["reason"]) == ("OK", "One pose fits.")
     assert got["frames"] == [3, 7]
     np.testing.assert_array_equal(got["trajectory"], posed.trajectory)
@@ -151,3 +155,14 @@ def test_history_is_for_pictures_not_for_json(posed):
 
 def test_status_is_text():
     assert [str(s) for s in Status] == ["OK", "AMBIGUOUS", "LOST"]
+
+
+def test_a_refinement_as_json(posed):
+    refined = Refinement(False, "No image was matched.", posed.modes[1], posed.trajectory, {"n": 1})
+    got = strict(replace(posed, refinement=refined))["refinement"]
+    assert (got["accepted"], got["reason"], got["stats"]) == (
+        False,
+        "No image was matched.",
+        {"n": 1},
+    )
+    assert got["coarse"] == strict(posed)["modes"][1]

@@ -19,8 +19,10 @@ from placegraph.geometry import (
     pose_matrix,
     quaternion_from_rotation,
     rotation_from_quaternion,
+    rotation_from_vector,
     rotation_z,
     split_pose,
+    vector_from_rotation,
     wrap,
 )
 
@@ -306,6 +308,20 @@ def test_quaternions_of_half_turns(axis, angle):
     quaternion[axis], quaternion[3] = math.sin(angle / 2), math.cos(angle / 2)
     back = quaternion_from_rotation(rotation_from_quaternion(quaternion))
     assert min(np.abs(back - quaternion).max(), np.abs(back + quaternion).max()) < 1e-12
+
+
+@given(st.tuples(*[st.floats(-1.7, 1.7)] * 3))
+def test_rotation_vectors_and_rotations(vector):
+    rotation = rotation_from_vector(vector)
+    is_rotation(rotation)
+    assert np.allclose(rotation @ vector, vector, atol=1e-9)  # the axis stays
+    assert np.allclose(vector_from_rotation(rotation), vector, atol=1e-7)
+    assert np.allclose(rotation_from_vector(np.negative(vector)), rotation.T)
+
+
+def test_a_turn_about_z_is_a_yaw():
+    assert np.allclose(rotation_from_vector((0.0, 0.0, 0.3)), rotation_z(0.3))
+    assert np.allclose(vector_from_rotation(rotation_z(-1e-9)), (0.0, 0.0, -1e-9), atol=1e-15)
 
 
 def test_a_quarter_turn_about_z_turns_x_to_y():

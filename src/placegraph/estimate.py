@@ -119,7 +119,8 @@ class PoseMode:
     pose: NDArray[np.float64]
     """(4,) float64 x, y, z [m], yaw [rad] of the camera stood upright (`geometry.split_pose`)."""
     covariance: NDArray[np.float64]
-    """(4, 4) float64 of `pose` [m^2, m rad, rad^2]."""
+    """(6, 6) float64 of x, y, z [m] and of a small turn about the map's x, y, z axes [rad], which
+    is ROS's order: the true pose is exp(turn) @ rotation at position + shift."""
     probability: float
     scene: str
     """Which of the merged scenes of the map it lies in."""
@@ -144,6 +145,31 @@ class PoseMode:
             "covariance": self.covariance.tolist(),
             "evidence": [e.to_dict() for e in self.evidence],
         }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What became of a coarse pose when it was fitted to images and depth (Sec. 3.6)."""
+
+    accepted: bool
+    """Whether the best mode is the refined pose; if not, it is the coarse one."""
+    reason: str
+    """One sentence: why."""
+    coarse: PoseMode
+    """The best mode before."""
+    coarse_trajectory: NDArray[np.float64] = field(repr=False)
+    """(T, 4, 4) map_from_camera of every frame used before."""
+    stats: dict[str, Any] = field(default_factory=dict)
+    """Readings and matches used, what they said of both poses, seconds of each stage."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        return {
+            "accepted": self.accepted,
+            "reason": self.reason,
+            "coarse": self.coarse.to_dict(),
+            "stats": self.stats,
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,6 +247,8 @@ class PoseEstimate(Estimate[PoseMode]):
     """What it took: seconds of each stage, particles, rays."""
     history: tuple[PassRecord, ...] = ()
     """Particles of each pass, where `FilterOptions.record` asked for them."""
+    refinement: Refinement | None = None
+    """How the pose was refined; None where nobody asked for it or there was nothing to refine."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""
@@ -228,4 +256,5 @@ class PoseEstimate(Estimate[PoseMode]):
             "frames": self.frames.tolist(),
             "trajectory": self.trajectory.tolist(),
             "stats": self.stats,
+            "refinement": self.refinement.to_dict() if self.refinement else None,
         }

@@ -215,6 +215,37 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Floats:
     return upright
 
 
+def rotation_from_vector(vector: ArrayLike) -> Floats:
+    """Rotations (..., 3, 3) of rotation vectors (..., 3) [rad]: axis times angle (Rodrigues)."""
+    w = np.asarray(vector, np.float64)
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    small = angle < 1e-6  # there sin(a)/a and (1 - cos a)/a^2 are their limits to all digits
+    a = np.where(small, 1.0, angle)
+    cross = cross_matrix(w)
+    first = np.where(small, 1.0, np.sin(a) / a)
+    second = np.where(small, 0.5, 2.0 * np.sin(0.5 * a) ** 2 / a**2)
+    rotation: Floats = np.eye(3) + first * cross + second * (cross @ cross)
+    return rotation
+
+
+def vector_from_rotation(rotation: ArrayLike) -> Floats:
+    """Rotation vectors (..., 3) [rad, shorter than pi] of rotations (..., 3, 3)."""
+    q = quaternion_from_rotation(rotation)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., 3:])
+    scale = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+    vector: Floats = q[..., :3] * scale
+    return vector
+
+
+def cross_matrix(vector: ArrayLike) -> Floats:
+    """Matrices (..., 3, 3) with [a] b = a x b of vectors (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(vector, np.float64), -1, 0)
+    o = np.zeros_like(x)
+    rows = [[o, -z, y], [z, o, -x], [-y, x, o]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 # ----------------------------------------------------------------------------------- cameras
 
 

@@ -13,7 +13,12 @@ from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Status
 from placegraph.formats.capture import Capture, open_capture
 from placegraph.formats.frame import Frame
-from placegraph.geometry import level_from_camera, pose_matrix, split_pose, wrap
+from placegraph.geometry import (
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+    vector_from_rotation,
+)
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.labels import ClassesOfInstances
@@ -167,8 +172,8 @@ def test_the_answer_is_whole(answer, room, walk, truth):
         delta = np.linalg.inv(true[i]) @ matrix
         assert np.linalg.norm(delta[:3, 3]) < 0.12
     # the true pose lies within what the covariance allows
-    error = best.pose - split_pose(true[5])[0]
-    error[3] = wrap(error[3])
+    turn = vector_from_rotation(true[5][:3, :3] @ best.map_from_camera[:3, :3].T)
+    error = np.concatenate([true[5][:3, 3] - best.map_from_camera[:3, 3], turn])
     assert error @ np.linalg.solve(best.covariance, error) < 40
 
 

@@ -174,7 +174,7 @@ def test_what_is_badly_known_has_a_large_variance(rng):
     covariance = covariance_of(fit)
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0
-    sd = np.sqrt(np.diag(covariance))
+    sd = np.sqrt(np.diag(covariance))[[0, 1, 2, 5]]
     assert sd[1] > 3 * sd[0]
     # of the order of the likelihood's own: the samples lie about where it is high
     assert (sd[:3] > 0.5 * np.maximum(spread, NARROWEST)[:3]).all()
@@ -183,7 +183,7 @@ def test_what_is_badly_known_has_a_large_variance(rng):
 
 def test_no_pose_is_known_without_error(rng):
     (fit,) = polish(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
-    assert (np.diag(covariance_of(fit)) >= NARROWEST**2).all()
+    assert (np.diag(covariance_of(fit))[[0, 1, 2, 5]] >= NARROWEST**2).all()
 
 
 # ---------------------------------------------------------------------------- a rendered walk
@@ -202,5 +202,5 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     fits = polish(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
     assert np.linalg.norm(error_of(fits[0], true)[:3]) < 0.05
     assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
-    sd = np.sqrt(np.diag(covariance_of(fits[0])))
+    sd = np.sqrt(np.diag(covariance_of(fits[0])))[[0, 1, 2, 5]]
     assert (sd < [0.15, 0.15, 0.15, 0.1]).all()

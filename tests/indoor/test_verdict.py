@@ -19,7 +19,7 @@ TOLD = 60.0
 
 def modes(*shares, spread=0.05):
     """Modes of these probabilities, known to `spread` [m] along each axis."""
-    covariance = np.diag([spread**2, spread**2, 0.01, 0.01])
+    covariance = np.diag([spread**2, spread**2, 0.01, 1e-4, 1e-4, 0.01])
     return [
         PoseMode(np.eye(4), np.zeros(4), covariance, share, "flat", np.eye(4)) for share in shares
     ]

@@ -252,7 +252,7 @@ def test_a_core_leaves_out_stray_particles():
 
 def mode(x, y, yaw, probability, scene="room", evidence=()):
     pose = np.array([x, y, 1.6, yaw])
-    covariance = np.diag([0.02, 0.01, 0.001, 0.001])
+    covariance = np.diag([0.02, 0.01, 0.001, 1e-5, 1e-5, 0.001])
     matrix = pose_matrix(pose, UPRIGHT)
     return PoseMode(matrix, pose, covariance, probability, scene, matrix, lambda: evidence)
 

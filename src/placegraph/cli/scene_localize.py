@@ -181,7 +181,7 @@ def show(estimate: PoseEstimate) -> None:
 def pose_words(mode: PoseMode) -> str:
     """A mode in numbers: x, y, z [m], yaw [deg], probability, standard deviations."""
     x, y, z, yaw = mode.pose.tolist()
-    sx, sy, _, turn = (sqrt(max(v, 0.0)) for v in mode.covariance.diagonal().tolist())
+    sx, sy, *_, turn = (sqrt(max(v, 0.0)) for v in mode.covariance.diagonal().tolist())
     scene = f"  in {mode.scene}" if mode.scene else ""
     return (
         f"x {x:.3f} m  y {y:.3f} m  z {z:.3f} m  yaw_deg {degrees(yaw):.2f}  "

@@ -149,8 +149,17 @@ def probabilities(values: NDArray[np.float64], temperature: float) -> NDArray[np
 _SOFT = 6.0  # nats that count as one among the samples of a fit
 
 
+TILT = 0.006
+"""Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
+
+
 def covariance_of(fit: Fit) -> NDArray[np.float64]:
-    """Covariance (4, 4) of a fit from its samples."""
+    """Covariance (6, 6) of a fit from its samples: x, y, z, and a turn about the map's axes."""
     logs = (fit.values - fit.values.max()) / _SOFT
     _, covariance = moments(fit.samples, np.exp(logs))
-    return covariance + np.diag(NARROWEST**2)
+    whole = np.diag([0.0, 0.0, 0.0, TILT**2, TILT**2, 0.0])
+    whole[np.ix_(_FITTED, _FITTED)] = covariance + np.diag(NARROWEST**2)
+    return whole
+
+
+_FITTED = [0, 1, 2, 5]

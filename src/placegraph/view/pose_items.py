@@ -191,7 +191,7 @@ def in_words(estimate: PoseEstimate) -> str:
     x, y, z, yaw = best.pose.tolist()
     deviation = np.sqrt(np.maximum(np.diagonal(best.covariance), 0.0))
     spread = 100.0 * float(np.hypot(*deviation[:2]))
-    turn = float(np.degrees(deviation[3]))
+    turn = float(np.degrees(deviation[5]))
     return (
         f"x {x:.2f}  y {y:.2f}  z {z:.2f} m,  yaw {np.degrees(yaw):.1f}°  "
         f"(± {spread:.{int(spread < 10)}f} cm, ± {turn:.1f}°)"
