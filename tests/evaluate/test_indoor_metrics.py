@@ -20,11 +20,17 @@ from placegraph.evaluate.indoor_metrics import (
     mean_particles,
     measure,
     normalised_error,
+    pose_error,
     position_error,
     rotation_error,
     score,
 )
-from placegraph.geometry import level_from_camera, pose_matrix, rotation_from_quaternion
+from placegraph.geometry import (
+    level_from_camera,
+    pose_matrix,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 
 LEVEL = level_from_camera([0.05, 0.99, 0.1])
 
@@ -33,9 +39,17 @@ def at(x=0.0, y=0.0, z=1.6, yaw_deg=0.0):
     return pose_matrix([x, y, z, math.radians(yaw_deg)], LEVEL)
 
 
+def moved(pose, off):
+    """Pose (4, 4) shifted and turned by (6,), both in the map's axes."""
+    after = pose.copy()
+    after[:3, 3] += off[:3]
+    after[:3, :3] = rotation_from_vector(off[3:]) @ pose[:3, :3]
+    return after
+
+
 def mode(pose, probability=0.9, sigma=0.1):
     return SimpleNamespace(
-        map_from_camera=pose, probability=probability, covariance=np.eye(4) * sigma**2
+        map_from_camera=pose, probability=probability, covariance=np.eye(6) * sigma**2
     )
 
 
@@ -52,7 +66,7 @@ def answer(position=0.05, rotation=1.0, status="OK", **more):
     fields = {
         "window": "seq01 5:10", "place": "seq01", "changed": False, "coverage": None,
         "probability": 0.9, "held": position <= NEAR[0] and rotation <= NEAR[1],
-        "whitened": (0.5, -0.5, 0.5, -0.5), "frames": 5, "seconds": 1.0,
+        "whitened": (0.5, -0.5, 0.5, -0.5, 0.5, -0.5), "frames": 5, "seconds": 1.0,
     }  # fmt: skip
     return Answer(position=position, rotation=rotation, status=status, **(fields | more))
 
@@ -80,13 +94,25 @@ def test_the_angle_is_the_geodesic_one(axis, degrees):
 
 
 def test_normalised_errors_of_honest_covariances_are_of_unit_variance(rng):
-    mixing = rng.normal(size=(4, 4)) * [0.1, 0.2, 0.05, 0.03]
+    mixing = rng.normal(size=(6, 6)) * np.array([[0.1, 0.2, 0.05, 0.03, 0.02, 0.01]]).T
     covariance = mixing @ mixing.T
-    poses = np.array([0, 0, 1.6, math.pi]) + rng.multivariate_normal(np.zeros(4), covariance, 3000)
-    whole = [normalised_error(covariance, at(yaw_deg=180), p) for p in pose_matrix(poses, LEVEL)]
-    assert np.cov(np.transpose(whole)) == pytest.approx(np.eye(4), abs=0.12)
+    answer_ = at(yaw_deg=180)
+    offs = rng.multivariate_normal(np.zeros(6), covariance, 3000)
+    whole = [normalised_error(covariance, answer_, moved(answer_, d)) for d in offs]
+    assert np.cov(np.transpose(whole)) == pytest.approx(np.eye(6), abs=0.12)
     assert (np.sum(np.square(whole), axis=1) <= WITHIN_95).mean() == pytest.approx(0.95, abs=0.015)
-    assert np.isnan(normalised_error(np.zeros((4, 4)), at(), at())).all()
+    assert np.isnan(normalised_error(np.zeros((6, 6)), at(), at())).all()
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6), st.floats(-180, 180))
+def test_the_error_is_the_step_to_the_truth_in_the_maps_axes(off, yaw_deg):
+    pose = at(1, 2, yaw_deg=yaw_deg)
+    assert pose_error(pose, moved(pose, off)) == pytest.approx(off, abs=1e-9)
+
+
+def test_the_limit_is_that_of_six_degrees_of_freedom():
+    half = WITHIN_95 / 2  # an even number of degrees: the tail is a finite sum
+    assert math.exp(-half) * (1 + half + half**2 / 2) == pytest.approx(0.05, abs=1e-6)
 
 
 def test_an_estimate_is_measured():
@@ -96,7 +122,7 @@ def test_an_estimate_is_measured():
     got = measure(two, at(), seconds=0.5, frames=5, window="w", place="p")
     assert (got.position, got.rotation) == pytest.approx((5.0, 0.0), abs=1e-6)
     assert (got.status, got.probability, got.held) == ("AMBIGUOUS", 0.6, True)
-    assert got.whitened == pytest.approx((-50.0, 0.0, 0.0, 0.0), abs=1e-6)
+    assert got.whitened == pytest.approx((-50.0, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-6)
     assert got.particles == 20.0
     none = measure(estimate("LOST"), at(), seconds=0.5, frames=5)
     assert not none.answered
@@ -138,12 +164,14 @@ def test_status_is_weighed_against_the_truth():
 
 
 def test_calibration_is_of_right_answers():
-    wild = answer(14.0, 179.0, whitened=(99.0,) * 4, probability=0.2)
-    s = score([answer(whitened=(1.0, 2.0, 0.0, 0.0)), answer(whitened=(1.0, 0.0, 3.0, 0.0)), wild])
-    assert s.spread == pytest.approx((1.0, math.sqrt(2), math.sqrt(4.5), 0.0))
-    assert s.inside == 0.5  # 5 and 10 against 9.49
+    wild = answer(14.0, 179.0, whitened=(99.0,) * 6, probability=0.2)
+    well = answer(whitened=(1.0, 2.0, 0.0, 0.0, 0.0, 0.0))
+    badly = answer(whitened=(1.0, 0.0, 3.0, 0.0, 0.0, 2.0))
+    s = score([well, badly, wild])
+    assert s.spread == pytest.approx((1.0, math.sqrt(2), math.sqrt(4.5), 0.0, 0.0, math.sqrt(2)))
+    assert s.inside == 0.5  # 5 and 14 against 12.6
     assert s.calibration.error == pytest.approx((0.1 + 0.1 + 0.2) / 3)
-    unsound = score([answer(whitened=(math.nan,) * 4)])
+    unsound = score([answer(whitened=(math.nan,) * 6)])
     assert unsound.inside == 0.0
     assert np.isnan(unsound.spread).all()
     assert math.isnan(score([wild]).inside)

@@ -11,7 +11,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.evaluate.calibration import Reliability, reliability
-from placegraph.geometry import split_pose, wrap
+from placegraph.geometry import vector_from_rotation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -25,8 +25,10 @@ THRESHOLDS = ((0.10, 5.0), (0.25, 2.0), (0.25, 10.0), (1.00, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""
 NEAR = (0.5, 10.0)
 """What `OK` promises, and what a mode's probability speaks of: this near to the truth."""
-WITHIN_95 = 9.4877
-"""95 % of the squared normalised errors of four degrees of freedom are smaller (chi-squared)."""
+AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
+"""What the six numbers of a pose's error are, in the order of `PoseMode.covariance`."""
+WITHIN_95 = 12.5916
+"""95 % of the squared normalised errors of six degrees of freedom are smaller (chi-squared)."""
 
 
 def position_error(map_from_camera: Floats, truth: Floats) -> float:
@@ -57,18 +59,28 @@ def near(map_from_camera: Floats, truth: Floats, limits: tuple[float, float] = N
     )
 
 
+def pose_error(map_from_camera: Floats, truth: Floats) -> Floats:
+    """What leads from a pose (4, 4) to the truth (4, 4): (6,) shift [m], turn [rad], map axes.
+
+    The shift is added to the position; the turn is the vector of the rotation that comes after the
+    pose's own: log(R_true R^T), as `PoseMode.covariance` has it.
+    """
+    turn = truth[:3, :3] @ map_from_camera[:3, :3].T
+    return np.concatenate([truth[:3, 3] - map_from_camera[:3, 3], vector_from_rotation(turn)])
+
+
 def normalised_error(covariance: Floats, map_from_camera: Floats, truth: Floats) -> Floats:
-    """Error (4,) of x, y, z, yaw, whitened by the covariance (4, 4): of unit variance if honest.
+    """`pose_error` (6,), whitened by the covariance (6, 6): of unit variance if that is honest.
 
     The squares sum to the squared Mahalanobis distance. NaN where the covariance is not positive
     definite.
     """
-    off = split_pose(truth)[0] - split_pose(map_from_camera)[0]
-    off[3] = wrap(off[3])
     try:
-        whole: Floats = np.linalg.solve(np.linalg.cholesky(covariance), off)
+        whole: Floats = np.linalg.solve(
+            np.linalg.cholesky(covariance), pose_error(map_from_camera, truth)
+        )
     except np.linalg.LinAlgError:
-        return np.full(4, np.nan)
+        return np.full(6, np.nan)
     return whole
 
 
@@ -94,7 +106,7 @@ class Answer:
     held: bool
     """Whether the truth is near one of the modes."""
     whitened: tuple[float, ...]
-    """(4,) `normalised_error` of the best mode; empty where there is none."""
+    """(6,) `normalised_error` of the best mode; empty where there is none."""
     frames: int
     seconds: float
     """Wall time of the whole estimate."""
@@ -196,7 +208,7 @@ class Score:
     calibration: Reliability
     """Of the best mode's probability to be near the truth."""
     spread: tuple[float, ...]
-    """(4,) root mean square of the whitened errors of right answers: 1 if honest, above 1 if
+    """(6,) root mean square of the whitened errors of right answers: 1 if honest, above 1 if
     the covariance is too small."""
     inside: float
     """Share of right answers within the 95 % ellipsoid of their covariance."""
@@ -283,10 +295,10 @@ def wrong_ones(answers: Iterable[Answer]) -> list[str]:
 
 
 def root_mean_square(whitened: Sequence[Sequence[float]]) -> tuple[float, ...]:
-    """Root mean square (4,) of whitened errors, those without a sound covariance left out."""
+    """Root mean square (6,) of whitened errors, those without a sound covariance left out."""
     sound = _sound(whitened)
     if not len(sound):
-        return (math.nan,) * 4
+        return (math.nan,) * 6
     return tuple(np.sqrt((sound**2).mean(axis=0)).tolist())
 
 
@@ -310,7 +322,7 @@ def pair(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _sound(whitened: Sequence[Sequence[float]]) -> Floats:
-    table = np.array(whitened, np.float64).reshape(-1, 4)
+    table = np.array(whitened, np.float64).reshape(-1, 6)
     return table[np.isfinite(table).all(axis=1)]
 
 

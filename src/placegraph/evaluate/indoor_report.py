@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from placegraph.evaluate.indoor_jobs import TITLES, Job
-from placegraph.evaluate.indoor_metrics import THRESHOLDS, Answer, Score, score
+from placegraph.evaluate.indoor_metrics import AXES, THRESHOLDS, Answer, Score, score
 from placegraph.evaluate.indoor_reference import COVERED as COVERED_REFERENCES
 from placegraph.evaluate.indoor_reference import Reference, references
 from placegraph.evaluate.indoor_windows import COVERED, HALVES
@@ -216,7 +216,7 @@ def by_job(rows: Iterable[Row]) -> list[tuple[Job, dict[int, Row]]]:
 def calibration_table(rows: Sequence[Row]) -> str:
     """Whether probabilities and covariances are honest, all lengths pooled."""
     header = ["", "answers", "calibration error", "of perfect"]
-    header += ["error / sigma: x", "y", "z", "yaw", "within the 95 % ellipsoid"]
+    header += [f"error / sigma: {AXES[0]}", *AXES[1:], "within the 95 % ellipsoid"]
     lines = []
     for job, of in by_job(rows):
         s = score([a for row in of.values() for a in row.answers])
