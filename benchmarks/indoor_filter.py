@@ -10,13 +10,13 @@ again and it goes on where it was cut. `docs/benchmarks.md` explains the protoco
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate import indoor_maps
+from placegraph.evaluate.indoor_bench import Bench
 from placegraph.evaluate.indoor_jobs import (
     ANSWERING,
     QUICK,
@@ -35,60 +35,14 @@ from placegraph.evaluate.indoor_windows import (
     LENGTHS,
     OFFICE_EVERY,
     OFFICE_LENGTH,
-    covered,
-    house_windows,
-    office_windows,
 )
 from placegraph.evaluate.journal import Journal, fingerprint
 from placegraph.evaluate.machine import machine
-
-if TYPE_CHECKING:
-    from placegraph.evaluate.indoor_windows import Window
-    from placegraph.indoor.scene_map import SceneMap
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data"
 OUT = ROOT / "benchmarks/results/indoor_filter.json"
 ALL_LENGTHS = ",".join(str(n) for n in LENGTHS)
-
-
-class Bench:
-    """Maps and windows, made when they are first needed."""
-
-    def __init__(self, data: Path, cache: Path, every: int, office_every: int) -> None:
-        self.data = data
-        self.cache = cache
-        self.every = every
-        self.office_every = office_every
-        self._maps: dict[str, SceneMap] = {}
-        self._windows: dict[tuple[str, int, int], list[Window]] = {}
-
-    def scene(self, name: str) -> SceneMap:
-        """Map of a job; only the last is kept, and it has answered once before it is timed."""
-        if name not in self._maps:
-            self._maps.clear()
-            if name in HALVES:
-                made = indoor_maps.office(self.data, self.cache, name)
-            elif name == "coarse":
-                made = indoor_maps.coarse_house(self.data, self.cache)
-            else:
-                made = indoor_maps.house(self.data, self.cache)
-            self._maps[name] = made
-        return self._maps[name]
-
-    def windows(self, job: Job, length: int) -> list[Window]:
-        """Windows of a length that a job is asked about."""
-        office = job.table in HALVES
-        every = self.office_every if office else self.every
-        key = (job.map if office else "house", length, every)
-        if key not in self._windows:
-            if office:
-                made = office_windows(self.data / "office", job.table, length=length, every=every)
-                made = [covered(self.scene(job.map), w) for w in made]
-            else:
-                made = house_windows(self.data / "house", length, every=every)
-            self._windows[key] = made
-        return self._windows[key]
 
 
 def run(
@@ -103,7 +57,7 @@ def run(
     tick: Progress,
 ) -> Row:
     """Ask a job about all windows of a length that nobody asked about yet."""
-    windows = bench.windows(job, length)
+    windows = bench.windows(job.table, length)
     keys = [f"{job.key(w, seed, code)} {device}" for w in windows]
     open_ = [(k, w) for k, w in zip(keys, windows, strict=True) if k not in journal]
     task = tick.add_task(f"{job.name}, {length} frames", total=len(open_))

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
+from placegraph.evaluate import indoor_bench
 from placegraph.evaluate.indoor_metrics import measure
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,7 +34,7 @@ def bench(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
         )  # fmt: skip
 
     monkeypatch.setattr(script, "ask", ask)
-    monkeypatch.setattr(script, "covered", lambda _, window: window)
+    monkeypatch.setattr(indoor_bench, "covered", lambda _, window: window)
     monkeypatch.setattr(script.Bench, "scene", lambda _, name: name)
     script.asked = asked
     return script
