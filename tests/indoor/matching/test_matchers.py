@@ -7,11 +7,14 @@ from placegraph.errors import OptionError
 from placegraph.indoor.matching import MATCHERS, Matcher, matcher
 
 
-@pytest.fixture(scope="module", params=["sift"])
+@pytest.fixture(scope="module", params=["sift", "xfeat", "xfeat dense"])
 def any_matcher(request):
     if request.param == "sift":
         pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[refine]'")
-    return matcher(request.param)
+        return matcher("sift")
+    pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[xfeat]'")
+    weights = request.getfixturevalue("shared") / "weights/xfeat.pt"
+    return matcher("xfeat", weights=weights, dense="dense" in request.param)
 
 
 def test_it_is_a_matcher(any_matcher):
@@ -53,7 +56,28 @@ def test_grey_images_and_odd_sizes_are_welcome(any_matcher, texture, rng):
     grey = picture[:, :, 1]
     (found,) = any_matcher.match(grey, [np.repeat(grey[:, :, None], 3, axis=2)])
     assert len(found) > 50
-    assert np.mean(np.linalg.norm(found.query - found.rendered, axis=1) < 1.0) > 0.9
+    assert np.mean(np.linalg.norm(found.query - found.rendered, axis=1) < 1.5) > 0.9
+
+
+def test_no_match_lies_outside_the_mask(any_matcher, picture):
+    mask = np.zeros(picture.shape[:2], bool)
+    mask[60:180, 100:260] = True
+    (found,) = any_matcher.match(picture, [picture], masks=[mask])
+    assert len(found) > 30
+    x, y = found.rendered.T
+    assert ((x >= 104) & (x < 256) & (y >= 64) & (y < 176)).all()
+    (nothing,) = any_matcher.match(picture, [picture], masks=[np.zeros_like(mask)])
+    assert len(nothing) == 0
+
+
+def test_the_query_is_matched_with_each_view_by_itself(any_matcher, picture, warped):
+    views = [warped(picture, np.array([[1, 0, dx], [0, 1, 0], [0, 0, 1.0]])) for dx in (5, -11)]
+    for found, view in zip(any_matcher.match(picture, views), views, strict=True):
+        (alone,) = any_matcher.match(picture, [view])
+        assert np.array_equal(found.query, alone.query)
+        assert np.array_equal(found.rendered, alone.rendered)
+        assert (np.diff(found.confidence) <= 0).all()
+        assert len(found) > 100
 
 
 def test_nothing_to_match_with(any_matcher, picture):

@@ -39,35 +39,12 @@ def test_points_are_counted_from_the_corner_of_the_first_pixel(sift, picture, wa
     assert np.abs(np.median(found.rendered - 2 * found.query, axis=0)).max() < 0.1
 
 
-def test_the_query_is_matched_with_each_view_by_itself(sift, picture, warped, errors):
-    homographies = [np.array([[1, 0, dx], [0, 1, 0], [0, 0, 1.0]]) for dx in (5, -11)]
-    views = [warped(picture, h) for h in homographies]
-    together = sift.match(picture, views)
-    for found, view, h in zip(together, views, homographies, strict=True):
-        (alone,) = sift.match(picture, [view])
-        assert np.array_equal(found.query, alone.query)
-        assert np.array_equal(found.rendered, alone.rendered)
-        assert np.median(errors(found, h)) < 0.2
-        assert (np.diff(found.confidence) <= 0).all()
-
-
 def test_light_does_not_matter(sift, picture, warped, errors):
     h = np.array([[1, 0, 6], [0, 1, 3], [0, 0, 1.0]])
     shade = np.linspace(0.35, 1.0, 320)[None, :, None] * [1.0, 0.85, 0.7]
     (found,) = sift.match((picture * shade).astype(np.uint8), [warped(picture, h)])
     assert len(found) > 80
     assert np.mean(errors(found, h) < 2.0) > 0.95
-
-
-def test_no_match_lies_outside_the_mask(sift, picture):
-    mask = np.zeros(picture.shape[:2], bool)
-    mask[60:180, 100:260] = True
-    (found,) = sift.match(picture, [picture], masks=[mask])
-    assert len(found) > 30
-    x, y = found.rendered.T
-    assert ((x >= 104) & (x < 256) & (y >= 64) & (y < 176)).all()
-    (nothing,) = sift.match(picture, [picture], masks=[np.zeros_like(mask)])
-    assert len(nothing) == 0
 
 
 @pytest.mark.parametrize("upright", [False, True])

@@ -26,7 +26,16 @@ def _sift() -> Callable[..., Matcher]:
     return SiftMatcher
 
 
-MATCHERS: dict[str, Callable[[], Callable[..., Matcher]]] = {"sift": _sift}
+def _xfeat() -> Callable[..., Matcher]:
+    from placegraph.indoor.matching.xfeat import XFeatMatcher
+
+    return XFeatMatcher
+
+
+MATCHERS: dict[str, Callable[[], Callable[..., Matcher]]] = {
+    "sift": _sift,
+    "xfeat": _xfeat,
+}
 """What makes each matcher, imported when it is asked for. Options are keywords of the class; it has
 `weights` and `device` where it runs a network."""
 

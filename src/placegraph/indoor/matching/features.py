@@ -37,10 +37,17 @@ class Features:
         keep = inside(mask, self.points, margin)
         return self if keep.all() else Features(self.points[keep], self.vectors[keep])
 
+    def matched(
+        self, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
+    ) -> Matches:
+        """Matches with the features of a view; parameters as of `mutual`."""
+        rows, columns, sure = mutual(self, view, ratio=ratio, least=least, apart=apart)
+        return Matches.of(self.points[rows], view.points[columns], sure)
+
 
 def mutual(
     query: Features, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
-) -> Matches:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
     """Pairs of features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
 
     Parameters
@@ -52,33 +59,38 @@ def mutual(
     least
         Smallest cosine of two vectors that match.
     apart
-        Vectors of features nearer than this to the match [px] are no rivals of it: one spot may
-        have several features, at several scales.
+        Features nearer than this to the match [px] are no rivals of it: one spot may have several
+        features, at several scales.
+
+    Returns
+    -------
+    tuple
+        Rows (K,) of the query, rows (K,) of the view, and how sure each pair is (K,), in [0, 1]: 1
+        less the ratio, or the cosine where every ratio will do.
 
     """
     if not len(query) or not len(view):
-        return Matches.none()
+        return np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0)
     cosine = query.vectors @ view.vectors.T
     nearest = cosine.argmax(axis=1)
     rows = np.flatnonzero(cosine.argmax(axis=0)[nearest] == np.arange(len(query)))
     rows = rows[cosine[rows, nearest[rows]] >= least]
     columns = nearest[rows]
-    best = cosine[rows, columns]
-    if ratio < 1.0:
-        rival = np.maximum(
-            _second(cosine[rows], view.points, columns, apart),
-            _second(cosine.T[columns], query.points, rows, apart),
-        )
-        ratios = np.sqrt(np.maximum(1.0 - best, 0.0) / np.maximum(1.0 - rival, 1e-9))
-        keep = ratios <= ratio
-        rows, columns, sure = rows[keep], columns[keep], (1.0 - ratios)[keep]
-    else:
-        sure = np.maximum(best, 0.0)
-    return Matches.of(query.points[rows], view.points[columns], sure)
+    best = cosine[rows, columns].astype(np.float64)
+    if ratio >= 1.0:
+        return rows, columns, np.maximum(best, 0.0)
+    rival = np.maximum(
+        _second(cosine[rows], view.points, columns, apart),
+        _second(cosine.T[columns], query.points, rows, apart),
+    )
+    # distances of unit vectors: |a - b|^2 = 2 - 2 a.b
+    ratios = np.sqrt(np.maximum(1.0 - best, 0.0) / np.maximum(1.0 - rival, 1e-9))
+    keep = ratios <= ratio
+    return rows[keep], columns[keep], 1.0 - ratios[keep]
 
 
 def _second(
-    cosine: NDArray[np.float32], points: Floats, best: NDArray[np.int64], apart: float
+    cosine: NDArray[np.float32], points: Floats, best: NDArray[np.intp], apart: float
 ) -> NDArray[np.float32]:
     """Largest cosine (K,) of rows (K, N) elsewhere than near the best feature of each."""
     spots = points.astype(np.float32)

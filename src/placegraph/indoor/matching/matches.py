@@ -149,3 +149,10 @@ def inside(mask: NDArray[np.bool_] | None, points: Floats, margin: int = 0) -> N
     top, bottom = np.clip(y - margin, 0, h - 1), np.clip(y + margin, 0, h - 1) + 1
     holes = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
     return holes == 0
+
+
+def check_range(**options: tuple[float, float, float]) -> None:
+    """`OptionError` where a named value is not between its least and its largest."""
+    for name, (value, low, high) in options.items():
+        if not low <= value <= high:
+            raise OptionError(f"{name} is {value}; it must lie between {low:g} and {high:g}.")

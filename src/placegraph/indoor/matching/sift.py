@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MissingExtraError, OptionError
-from placegraph.indoor.matching.features import Features, mutual
-from placegraph.indoor.matching.matches import Matches, blank, colours, grey, pairs
+from placegraph.errors import MissingExtraError
+from placegraph.indoor.matching.features import Features
+from placegraph.indoor.matching.matches import Matches, blank, check_range, colours, grey, pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,8 +67,8 @@ class SiftMatcher:
         margin: int = 4,
         apart: float = 3.0,
     ) -> None:
-        _check(features=(features, 1, 1e6), contrast=(contrast, 0, 1), ratio=(ratio, 0, 1))
-        _check(equalise=(equalise, 0, 100), margin=(margin, 0, 1e4), apart=(apart, 0, 1e4))
+        check_range(features=(features, 1, 1e6), contrast=(contrast, 0, 1), ratio=(ratio, 0, 1))
+        check_range(equalise=(equalise, 0, 100), margin=(margin, 0, 1e4), apart=(apart, 0, 1e4))
         self.ratio = ratio
         self.upright = upright
         self.margin = margin
@@ -91,11 +91,8 @@ class SiftMatcher:
         shown = pairs(views, masks)
         ours = self.features(colours(query, "query"))
         return [
-            mutual(
-                ours,
-                self.features(view).within(mask, self.margin),
-                ratio=self.ratio,
-                apart=self.apart,
+            ours.matched(
+                self.features(view).within(mask, self.margin), ratio=self.ratio, apart=self.apart
             )
             for view, mask in shown
         ]
@@ -132,12 +129,6 @@ def _rooted(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     sums = vectors.sum(axis=1, keepdims=True)
     rooted: NDArray[np.float32] = np.sqrt(vectors / np.maximum(sums, 1e-6), dtype=np.float32)
     return rooted
-
-
-def _check(**options: tuple[float, float, float]) -> None:
-    for name, (value, low, high) in options.items():
-        if not low <= value <= high:
-            raise OptionError(f"{name} is {value}; it must lie between {low:g} and {high:g}.")
 
 
 def _opencv() -> Any:  # noqa: ANN401  # the module

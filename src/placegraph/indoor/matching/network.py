@@ -1,0 +1,70 @@
+"""What matchers with a network share: the device, and weights from a file that may be anything."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import InputError, MissingExtraError, OptionError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def torch_for(name: str, extra: str) -> Any:  # noqa: ANN401  # the module
+    """PyTorch, for the matcher `name`; `MissingExtraError` with the extra that brings it."""
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingExtraError(
+            f"The matcher {name!r} needs PyTorch: pip install 'placegraph[{extra}]'."
+        ) from error
+    return torch
+
+
+def device_for(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and torch.device
+    """Device of this name; `auto` is a GPU where there is one.
+
+    Raises `OptionError` where there is no such device: none is taken instead.
+    """
+    if device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        found = torch.device(device)
+    except RuntimeError as error:
+        raise OptionError(f"device is {device!r}; it is 'cpu', 'cuda' or 'auto'.") from error
+    if found.type == "cuda" and not torch.cuda.is_available():
+        raise OptionError(f"device is {device!r}, but PyTorch sees no GPU here; 'cpu' works.")
+    return found
+
+
+def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: ANN401
+    """Weights from a file: tensors by name. Nothing in the file is run.
+
+    Raises `InputError` where the file is missing, no file of weights, or holds anything else.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path} does not exist; weights= names the file with the weights of {name!r}."
+        ) from error
+    except Exception as error:  # torch.load raises whatever its parsers do
+        why = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise InputError(
+            f"{path} cannot be read as weights of {name!r} ({why[:120]}); download it again."
+        ) from error
+    if not isinstance(state, dict) or not all(torch.is_tensor(v) for v in state.values()):
+        raise InputError(f"{path} holds no tensors by name; weights of {name!r} are a state dict.")
+    return state
+
+
+def fill(network: Any, state: dict[str, Any], path: Path, name: str) -> None:  # noqa: ANN401
+    """Put weights into a network; `InputError` where they are another network's."""
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        lines = str(error).splitlines()
+        why = " ".join((lines[1] if len(lines) > 1 else lines[0]).split())
+        raise InputError(
+            f"{path} holds weights of another network than {name!r} ({why[:160]}); give its own."
+        ) from error
