@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 
 TILE = 4
 """A packet is a tile of 4 x 4 pixels."""
-MOST_TAPS = np.float32(8.0)
+MOST_LOOKS = np.float32(8.0)
 """Looks at the texture along the longer side of what a pixel covers."""
+WIDEST = np.float32(1e12)
+"""Texels, squared, that a pixel may cover along; grazing rays cover all there are."""
 SHARP = np.float32(1.05)
 """Texels a pixel: up to here a surface is seen at its finest level."""
 CONTRAST = 6
@@ -42,6 +44,7 @@ CREASE = np.float32(0.9)
 JUMP = np.float32(0.01)
 """Share of the depth by which a neighbour leaves a face's plane where one thing stands before another."""
 
+ONE, HALF, SHARE = np.float32(1.0), np.float32(0.5), np.float32(1.0 / 255.0)
 # without the flags that take away NaN and infinity: grazing rays meet both
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
@@ -81,33 +84,37 @@ class Picture(NamedTuple):
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def draw(world, eye, picture, first, last):
     """Fill rows 4 `first` to before 4 `last` of a picture, one ray a pixel."""
-    rows, columns = picture.depth.shape
+    colour, depth, points = picture.colour, picture.depth, picture.points
+    objects, triangles, object_of = picture.objects, picture.triangles, world.surface.object_of
+    rays = eye.rays
+    rows, columns = depth.shape
     packet, ints, valid = new_packet()
+    places = np.zeros((LANES, 2), np.int64)
+    colours = np.zeros((LANES, 3), np.float32)
     for top in range(TILE * first, min(TILE * last, rows), TILE):
         for left in range(0, columns, TILE):
             for lane in range(LANES):
                 row, column = top + lane // TILE, left + lane % TILE
-                inside = row < rows and column < columns
-                valid[lane] = -1 if inside else 0
+                valid[lane] = -1 if row < rows and column < columns else 0
                 row, column = min(row, rows - 1), min(column, columns - 1)
-                ray = eye.rays[row, column]
-                _aim(packet, lane, eye, ray[0], ray[1])
+                places[lane, 0], places[lane, 1] = row, column
+                aim(eye.turn, eye.origin, packet, lane, rays[row, column, 0], rays[row, column, 1])
             trace16(world.tracer, packet, ints, valid)
+            shade(world, eye, packet, ints, places, np.float32(1.0), colours)
             for lane in range(LANES):
                 triangle = ints[TRIANGLE, lane]
-                if valid[lane] == 0 or triangle < 0:
+                if triangle < 0:
                     continue
-                row, column = top + lane // TILE, left + lane % TILE
+                row, column = places[lane, 0], places[lane, 1]
                 far = packet[FAR, lane]
-                picture.depth[row, column] = far
-                picture.triangles[row, column] = triangle
-                picture.objects[row, column] = world.surface.object_of[triangle]
+                depth[row, column] = far
+                triangles[row, column] = triangle
+                objects[row, column] = object_of[triangle]
                 for k in range(3):
-                    point = packet[ORIGIN + k, lane] + far * packet[DIRECTION + k, lane]
-                    picture.points[row, column, k] = point
-                colour = _colour(world, eye, packet, ints, lane, row, column, np.float32(1.0))
-                for k in range(3):
-                    picture.colour[row, column, k] = np.uint8(colour[k] + np.float32(0.5))
+                    points[row, column, k] = (
+                        packet[ORIGIN + k, lane] + far * packet[DIRECTION + k, lane]
+                    )
+                    colour[row, column, k] = np.uint8(colours[lane, k] + HALF)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -118,233 +125,264 @@ def smooth(world, eye, picture, colour, offsets, first, last):
     `offsets`: (S, 2) float32, x and y of the rays in a pixel from its centre [px]; S divides 16.
     """
     columns = picture.depth.shape[1]
+    edge = np.empty(columns, np.bool_)
     samples = len(offsets)
-    room = LANES // samples
-    places = np.empty((room, 2), np.int64)
+    width = ONE / np.sqrt(np.float32(samples))
     packet, ints, valid = new_packet()
-    waiting = 0
+    places = np.zeros((LANES, 2), np.int64)
+    colours = np.zeros((LANES, 3), np.float32)
+    lane = 0
     for row in range(first, last):
+        edges(world, picture, row, edge)
         for column in range(columns):
-            if _on_edge(world, picture, row, column):
-                places[waiting] = row, column
-                waiting += 1
-                if waiting == room:
-                    _mean(world, eye, colour, offsets, places, waiting, packet, ints, valid)
-                    waiting = 0
-    if waiting:
-        _mean(world, eye, colour, offsets, places, waiting, packet, ints, valid)
+            if not edge[column]:
+                continue
+            xx, xy, yx, yy = steps(eye.rays, row, column)
+            for k in range(samples):
+                across, down = offsets[k, 0], offsets[k, 1]
+                x = eye.rays[row, column, 0] + across * xx + down * yx
+                y = eye.rays[row, column, 1] + across * xy + down * yy
+                aim(eye.turn, eye.origin, packet, lane, x, y)
+                places[lane, 0], places[lane, 1], valid[lane] = row, column, -1
+                lane += 1
+            if lane == LANES:
+                trace16(world.tracer, packet, ints, valid)
+                shade(world, eye, packet, ints, places, width, colours)
+                mix(ints, places, colours, samples, lane, colour)
+                lane = 0
+    if lane:
+        valid[lane:] = 0
+        trace16(world.tracer, packet, ints, valid)
+        shade(world, eye, packet, ints, places, width, colours)
+        mix(ints, places, colours, samples, lane, colour)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _mean(world, eye, colour, offsets, places, number, packet, ints, valid):
-    """Mean colours of `number` pixels; rays that hit nothing do not count."""
-    samples = len(offsets)
-    for lane in range(LANES):
-        which = lane // samples
-        valid[lane] = -1 if which < number else 0
-        row, column = places[min(which, number - 1)]
-        shift = offsets[lane % samples]
-        ray = eye.rays[row, column]
-        (xx, xy), (yx, yy) = _steps(eye, row, column)
-        x = ray[0] + shift[0] * xx + shift[1] * yx
-        y = ray[1] + shift[0] * xy + shift[1] * yy
-        _aim(packet, lane, eye, x, y)
-    trace16(world.tracer, packet, ints, valid)
-    width = np.float32(1.0) / np.sqrt(np.float32(samples))
-    for which in range(number):
-        row, column = places[which]
+def mix(ints, places, colours, samples, lanes, colour):
+    """Write the mean colour of every `samples` lanes; rays that hit nothing do not count."""
+    for start in range(0, lanes, samples):
         red = green = blue = hits = np.float32(0.0)
-        for lane in range(which * samples, (which + 1) * samples):
+        for lane in range(start, start + samples):
             if ints[TRIANGLE, lane] >= 0:
-                r, g, b = _colour(world, eye, packet, ints, lane, row, column, width)
-                red, green, blue = red + r, green + g, blue + b
-                hits += np.float32(1.0)
+                red += colours[lane, 0]
+                green += colours[lane, 1]
+                blue += colours[lane, 2]
+                hits += ONE
         if hits > 0:
-            half = np.float32(0.5)
-            colour[row, column, 0] = np.uint8(red / hits + half)
-            colour[row, column, 1] = np.uint8(green / hits + half)
-            colour[row, column, 2] = np.uint8(blue / hits + half)
+            row, column = places[start, 0], places[start, 1]
+            colour[row, column, 0] = np.uint8(red / hits + HALF)
+            colour[row, column, 1] = np.uint8(green / hits + HALF)
+            colour[row, column, 2] = np.uint8(blue / hits + HALF)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _aim(packet, lane, eye, x, y):
+@njit(cache=True, nogil=True, error_model="numpy")
+def aim(turn, origin, packet, lane, x, y):
     """Fill a lane with the ray (x, y, 1) of the camera: distances along it are depths."""
     for k in range(3):
-        packet[ORIGIN + k, lane] = eye.origin[k]
-        packet[DIRECTION + k, lane] = eye.turn[k, 0] * x + eye.turn[k, 1] * y + eye.turn[k, 2]
+        packet[ORIGIN + k, lane] = origin[k]
+        packet[DIRECTION + k, lane] = turn[k, 0] * x + turn[k, 1] * y + turn[k, 2]
     packet[FAR, lane] = np.inf
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _steps(eye, row, column):
-    """How a ray's x and y change from one pixel to the next, along the row and down the column."""
-    rows, columns = eye.rays.shape[:2]
-    right, down = min(column + 1, columns - 1), min(row + 1, rows - 1)
+@njit(cache=True, nogil=True, error_model="numpy")
+def steps(rays, row, column):
+    """How a ray's x and y change from one pixel to the next: along the row, and down the column."""
+    right, down = min(column + 1, rays.shape[1] - 1), min(row + 1, rays.shape[0] - 1)
     left, up = max(right - 1, 0), max(down - 1, 0)
-    a, b = eye.rays[row, right], eye.rays[row, left]
-    c, d = eye.rays[down, column], eye.rays[up, column]
-    return (a[0] - b[0], a[1] - b[1]), (c[0] - d[0], c[1] - d[1])
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _colour(world, eye, packet, ints, lane, row, column, width):
-    """Colour (3 floats, 0 to 255) that a lane has hit; it stands for `width` of a pixel."""
-    surface, triangle = world.surface, ints[TRIANGLE, lane]
-    a, b, c = surface.triangles[triangle]
-    u, v = packet[U, lane], packet[V, lane]
-    w = np.float32(1.0) - u - v
-    red = green = blue = np.float32(1.0)
-    if world.coloured:
-        share = np.float32(1.0 / 255.0)
-        p, q, r = surface.colours[a], surface.colours[b], surface.colours[c]
-        red = (w * p[0] + u * q[0] + v * r[0]) * share
-        green = (w * p[1] + u * q[1] + v * r[1]) * share
-        blue = (w * p[2] + u * q[2] + v * r[2]) * share
-    levels = surface.levels[surface.texture_of[triangle]]
-    if levels[0, 1] * levels[0, 2] == 1:
-        texel = surface.texels[levels[0, 0]]
-        return red * texel[0], green * texel[1], blue * texel[2]
-    p, q, r = surface.uv[a], surface.uv[b], surface.uv[c]
-    s, t = w * p[0] + u * q[0] + v * r[0], w * p[1] + u * q[1] + v * r[1]
-    (ux, vx), (uy, vy) = _weights(world, eye, packet, lane, a, b, c, row, column, width)
-    sx, tx = ux * (q[0] - p[0]) + vx * (r[0] - p[0]), ux * (q[1] - p[1]) + vx * (r[1] - p[1])
-    sy, ty = uy * (q[0] - p[0]) + vy * (r[0] - p[0]), uy * (q[1] - p[1]) + vy * (r[1] - p[1])
-    x, y, z = _filtered(surface.texels, levels, s, t, sx, tx, sy, ty)
-    return red * x, green * y, blue * z
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _weights(world, eye, packet, lane, a, b, c, row, column, width):
-    """How u and v change over `width` of a pixel, along the row and down the column."""
-    va, vb, vc = world.vertices[a], world.vertices[b], world.vertices[c]
-    ex, ey, ez = vb[0] - va[0], vb[1] - va[1], vb[2] - va[2]
-    fx, fy, fz = vc[0] - va[0], vc[1] - va[1], vc[2] - va[2]
-    dx, dy, dz = packet[DIRECTION, lane], packet[DIRECTION + 1, lane], packet[DIRECTION + 2, lane]
-    # p = e2 x d, q = d x e1: du = t ddx . p / (e1 . p), dv = t ddx . q / (e1 . p)
-    px, py, pz = fy * dz - fz * dy, fz * dx - fx * dz, fx * dy - fy * dx
-    qx, qy, qz = dy * ez - dz * ey, dz * ex - dx * ez, dx * ey - dy * ex
-    scale = width * packet[FAR, lane] / (ex * px + ey * py + ez * pz)
-    (xx, xy), (yx, yy) = _steps(eye, row, column)
-    turn = eye.turn
-    # of the camera's x and y axes
-    p0 = turn[0, 0] * px + turn[1, 0] * py + turn[2, 0] * pz
-    p1 = turn[0, 1] * px + turn[1, 1] * py + turn[2, 1] * pz
-    q0 = turn[0, 0] * qx + turn[1, 0] * qy + turn[2, 0] * qz
-    q1 = turn[0, 1] * qx + turn[1, 1] * qy + turn[2, 1] * qz
-    along = scale * (xx * p0 + xy * p1), scale * (xx * q0 + xy * q1)
-    down = scale * (yx * p0 + yy * p1), scale * (yx * q0 + yy * q1)
-    return along, down
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _filtered(texels, levels, s, t, sx, tx, sy, ty):
-    """Mean colour (3 floats) of what a pixel covers of a texture.
-
-    It covers about the ellipse of (sx, tx) and (sy, ty) at (s, t), in texture coordinates: several
-    looks along its longer axis, each at the level, between two levels, whose texels are as wide as a
-    look's share.
-    """
-    columns, rows = np.float32(levels[0, 1]), np.float32(levels[0, 2])
-    along = np.sqrt((sx * columns) ** 2 + (tx * rows) ** 2)
-    down = np.sqrt((sy * columns) ** 2 + (ty * rows) ** 2)
-    longer, shorter = max(along, down), min(along, down)
-    if not longer > SHARP:
-        return _between(texels, levels, 0, s, t)
-    if not longer < np.float32(1e6):  # along the surface: everything at once
-        return _between(texels, levels, len(levels) - 1, s, t)
-    if down > along:
-        sx, tx = sy, ty
-    taps = min(np.ceil(longer / max(shorter, np.float32(1.0)) - np.float32(0.25)), MOST_TAPS)
-    fine = max(np.log2(longer / taps), np.float32(0.0))
-    level = min(int(fine), len(levels) - 1)
-    part = fine - np.float32(level)
-    red = green = blue = np.float32(0.0)
-    for tap in range(int(taps)):
-        at = (np.float32(tap) + np.float32(0.5)) / taps - np.float32(0.5)
-        x, y = s + at * sx, t + at * tx
-        r, g, b = _between(texels, levels, level, x, y)
-        if part > np.float32(0.05) and level + 1 < len(levels):
-            r1, g1, b1 = _between(texels, levels, level + 1, x, y)
-            r, g, b = r + part * (r1 - r), g + part * (g1 - g), b + part * (b1 - b)
-        red, green, blue = red + r, green + g, blue + b
-    return red / taps, green / taps, blue / taps
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _between(texels, levels, level, s, t):
-    """Colour (3 floats) between the four texels of a level around (s, t), repeated beyond [0, 1)."""
-    start, columns, rows = levels[level]
-    half = np.float32(0.5)
-    x = (s - np.floor(s)) * np.float32(columns) - half
-    y = (t - np.floor(t)) * np.float32(rows) - half
-    left, top = int(np.floor(x)), int(np.floor(y))
-    x, y = x - np.float32(left), y - np.float32(top)
-    right = left + 1 if left + 1 < columns else 0
-    bottom = top + 1 if top + 1 < rows else 0
-    left = left if left >= 0 else columns - 1
-    top = top if top >= 0 else rows - 1
-    a, b = texels[start + top * columns + left], texels[start + top * columns + right]
-    c, d = texels[start + bottom * columns + left], texels[start + bottom * columns + right]
-    one = np.float32(1.0)
-    wa, wb, wc, wd = (one - x) * (one - y), x * (one - y), (one - x) * y, x * y
     return (
-        wa * a[0] + wb * b[0] + wc * c[0] + wd * d[0],
-        wa * a[1] + wb * b[1] + wc * c[1] + wd * d[1],
-        wa * a[2] + wb * b[2] + wc * c[2] + wd * d[2],
+        rays[row, right, 0] - rays[row, left, 0],
+        rays[row, right, 1] - rays[row, left, 1],
+        rays[down, column, 0] - rays[up, column, 0],
+        rays[down, column, 1] - rays[up, column, 1],
     )
+
+
+# ----------------------------------------------------------------------------------- colours
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def shade(world, eye, packet, ints, places, width, colours):
+    """Colours (16, 3) float32, 0 to 255, of what the lanes of a packet hit.
+
+    `places`: (16, 2) row and column of each lane's pixel, of which it stands for the share `width`
+    in height and breadth. Lanes that hit nothing are left alone.
+    """
+    surface, at = world.surface, world.vertices
+    triangles, own, uv = surface.triangles, surface.colours, surface.uv
+    texture_of, levels, texels = surface.texture_of, surface.levels, surface.texels
+    for lane in range(LANES):
+        triangle = ints[TRIANGLE, lane]
+        if triangle < 0:
+            continue
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        u, v = packet[U, lane], packet[V, lane]
+        if world.coloured:
+            w = ONE - u - v
+            for k in range(3):
+                colours[lane, k] = (w * own[a, k] + u * own[b, k] + v * own[c, k]) * SHARE
+        else:
+            colours[lane, :] = ONE
+        texture = texture_of[triangle]
+        if levels[texture, 0, 1] * levels[texture, 0, 2] == 1:
+            only = levels[texture, 0, 0]
+            for k in range(3):
+                colours[lane, k] *= texels[only, k]
+            continue
+        us, ut = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
+        vs, vt = uv[c, 0] - uv[a, 0], uv[c, 1] - uv[a, 1]
+        # p = e2 x d, q = d x e1: du = t ddx . p / (e1 . p), dv = t ddx . q / (e1 . p)
+        ex, ey, ez = at[b, 0] - at[a, 0], at[b, 1] - at[a, 1], at[b, 2] - at[a, 2]
+        fx, fy, fz = at[c, 0] - at[a, 0], at[c, 1] - at[a, 1], at[c, 2] - at[a, 2]
+        dx, dy, dz = (
+            packet[DIRECTION, lane],
+            packet[DIRECTION + 1, lane],
+            packet[DIRECTION + 2, lane],
+        )
+        px, py, pz = cross(fx, fy, fz, dx, dy, dz)
+        qx, qy, qz = cross(dx, dy, dz, ex, ey, ez)
+        scale = width * packet[FAR, lane] / (ex * px + ey * py + ez * pz)
+        p0, p1 = across(eye.turn, px, py, pz)
+        q0, q1 = across(eye.turn, qx, qy, qz)
+        xx, xy, yx, yy = steps(eye.rays, places[lane, 0], places[lane, 1])
+        ux, vx = scale * (xx * p0 + xy * p1), scale * (xx * q0 + xy * q1)
+        uy, vy = scale * (yx * p0 + yy * p1), scale * (yx * q0 + yy * q1)
+        columns, rows = np.float32(levels[texture, 0, 1]), np.float32(levels[texture, 0, 2])
+        sx, tx = ux * us + vx * vs, ux * ut + vx * vt
+        sy, ty = uy * us + vy * vs, uy * ut + vy * vt
+        along = (sx * columns) ** 2 + (tx * rows) ** 2
+        down = (sy * columns) ** 2 + (ty * rows) ** 2
+        if down > along:
+            sx, tx = sy, ty
+        taps, level, part = looks(max(along, down), min(along, down), levels.shape[1] - 1)
+        s, t = uv[a, 0] + u * us + v * vs, uv[a, 1] + u * ut + v * vt
+        red, green, blue = filtered(levels, texels, texture, s, t, sx, tx, taps, level, part)
+        colours[lane, 0] *= red
+        colours[lane, 1] *= green
+        colours[lane, 2] *= blue
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def cross(ax, ay, az, bx, by, bz):
+    """Product of two vectors."""
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def across(turn, x, y, z):
+    """Parts of a vector along the camera's x and y axes."""
+    return (
+        turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
+        turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z,
+    )
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def looks(longer, shorter, deepest):
+    """How to look at a texture of which a pixel covers about an ellipse of these axes [texels^2].
+
+    Returns how many looks along the longer axis, the level whose texels are at most as wide as a
+    look's share, and the part that the next coarser level has in it.
+    """
+    # an axis is infinite, or not a number, where the ray runs along the face
+    longer = np.sqrt(min(WIDEST, longer))
+    if longer <= SHARP:
+        return 1, 0, np.float32(0.0)
+    shorter = np.sqrt(max(shorter, ONE) if shorter < WIDEST else WIDEST)
+    taps = max(int(min(np.ceil(longer / shorter - np.float32(0.25)), MOST_LOOKS)), 1)
+    fine = max(np.log2(longer / np.float32(taps)), np.float32(0.0))
+    level = min(int(fine), deepest)
+    part = fine - np.float32(level)
+    if part < np.float32(0.05) or level == deepest:
+        part = np.float32(0.0)
+    return taps, level, part
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def filtered(levels, texels, texture, s, t, sx, tx, taps, level, part):
+    """Mean colour (3 floats) of a texture around (s, t), seen by `looks` along (sx, tx).
+
+    Textures repeat beyond [0, 1); a look lies between the four texels around it.
+    """
+    red = green = blue = np.float32(0.0)
+    share = ONE / np.float32(taps)
+    for coarser in range(2 if part > 0 else 1):
+        start = levels[texture, level + coarser, 0]
+        columns, rows = levels[texture, level + coarser, 1], levels[texture, level + coarser, 2]
+        weight = share * (part if coarser else ONE - part)
+        for tap in range(taps):
+            at = (np.float32(tap) + HALF) * share - HALF
+            x, y = s + at * sx, t + at * tx
+            x = (x - np.floor(x)) * np.float32(columns) - HALF
+            y = (y - np.floor(y)) * np.float32(rows) - HALF
+            left, top = int(np.floor(x)), int(np.floor(y))
+            x, y = x - np.float32(left), (y - np.float32(top))
+            right = left + 1 if left + 1 < columns else 0
+            bottom = top + 1 if top + 1 < rows else 0
+            left = left if left >= 0 else columns - 1
+            top = top if top >= 0 else rows - 1
+            a, b = start + top * columns + left, start + top * columns + right
+            c, d = start + bottom * columns + left, start + bottom * columns + right
+            wa, wb = weight * (ONE - x) * (ONE - y), weight * x * (ONE - y)
+            wc, wd = weight * (ONE - x) * y, weight * x * y
+            red += wa * texels[a, 0] + wb * texels[b, 0] + wc * texels[c, 0] + wd * texels[d, 0]
+            green += wa * texels[a, 1] + wb * texels[b, 1] + wc * texels[c, 1] + wd * texels[d, 1]
+            blue += wa * texels[a, 2] + wb * texels[b, 2] + wc * texels[c, 2] + wd * texels[d, 2]
+    return red, green, blue
 
 
 # ------------------------------------------------------------------------------------- edges
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _on_edge(world, picture, row, column):
-    """Whether a pixel lies at an edge whose stairs can be seen."""
-    if picture.triangles[row, column] < 0:
-        return False
-    rows, columns = picture.depth.shape
-    return (
-        (column + 1 < columns and _edge(world, picture, row, column, row, column + 1))
-        or (row + 1 < rows and _edge(world, picture, row, column, row + 1, column))
-        or (column > 0 and _edge(world, picture, row, column, row, column - 1))
-        or (row > 0 and _edge(world, picture, row, column, row - 1, column))
-    )
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _edge(world, picture, row, column, i, j):
-    """Whether an edge that can be seen runs between two pixels."""
-    one, other = picture.triangles[row, column], picture.triangles[i, j]
-    if one == other or other < 0:
-        return False
-    contrast = False
-    for k in range(3):
-        contrast |= (
-            abs(int(picture.colour[row, column, k]) - int(picture.colour[i, j, k])) >= CONTRAST
-        )
-    if not contrast:
-        return False
-    surface = world.surface
-    if picture.objects[row, column] != picture.objects[i, j]:
-        return True
-    if surface.texture_of[one] != surface.texture_of[other]:
-        return True
-    x, y, z = _normal(world, one)
-    p, q, r = _normal(world, other)
-    a, b = picture.points[row, column], picture.points[i, j]
-    gap = x * (b[0] - a[0]) + y * (b[1] - a[1]) + z * (b[2] - a[2])
-    jumps = abs(gap) > JUMP * picture.depth[row, column]
-    return jumps or abs(x * p + y * q + z * r) < CREASE
+def edges(world, picture, row, edge):
+    """Mark the pixels (W,) of a row at edges whose stairs can be seen."""
+    triangles, objects, colour = picture.triangles, picture.objects, picture.colour
+    points, depth, texture_of = picture.points, picture.depth, world.surface.texture_of
+    corners, at = world.surface.triangles, world.vertices
+    rows, columns = triangles.shape
+    for column in range(columns):
+        edge[column] = False
+        one = triangles[row, column]
+        if one < 0:
+            continue
+        for side in range(4):
+            i = row + (side == 1) - (side == 3)
+            j = column + (side == 0) - (side == 2)
+            if i < 0 or j < 0 or i >= rows or j >= columns:
+                continue
+            other = triangles[i, j]
+            if other == one or other < 0 or not contrast(colour, row, column, i, j):
+                continue
+            if objects[row, column] == objects[i, j] and texture_of[one] == texture_of[other]:
+                x, y, z = normal(corners, at, one)
+                p, q, r = normal(corners, at, other)
+                gap = x * (points[i, j, 0] - points[row, column, 0])
+                gap += y * (points[i, j, 1] - points[row, column, 1])
+                gap += z * (points[i, j, 2] - points[row, column, 2])
+                jumps = abs(gap) > JUMP * depth[row, column]
+                if not jumps and abs(x * p + y * q + z * r) >= CREASE:
+                    continue
+            edge[column] = True
+            break
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _normal(world, triangle):
+def contrast(colour, row, column, i, j):
+    """Whether two pixels differ enough for stairs to be seen."""
+    red = abs(int(colour[row, column, 0]) - int(colour[i, j, 0]))
+    green = abs(int(colour[row, column, 1]) - int(colour[i, j, 1]))
+    blue = abs(int(colour[row, column, 2]) - int(colour[i, j, 2]))
+    return max(red, green, blue) >= CONTRAST
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def normal(triangles, at, triangle):
     """Unit normal (3 floats) of a triangle; zero where it has no area."""
-    a, b, c = world.surface.triangles[triangle]
-    va, vb, vc = world.vertices[a], world.vertices[b], world.vertices[c]
-    ex, ey, ez = vb[0] - va[0], vb[1] - va[1], vb[2] - va[2]
-    fx, fy, fz = vc[0] - va[0], vc[1] - va[1], vc[2] - va[2]
-    x, y, z = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    x, y, z = cross(
+        at[b, 0] - at[a, 0], at[b, 1] - at[a, 1], at[b, 2] - at[a, 2],
+        at[c, 0] - at[a, 0], at[c, 1] - at[a, 1], at[c, 2] - at[a, 2],
+    )  # fmt: skip
     length = np.sqrt(x * x + y * y + z * z)
-    scale = np.float32(1.0) / length if length > 0 else np.float32(0.0)
+    scale = ONE / length if length > 0 else np.float32(0.0)
     return x * scale, y * scale, z * scale
