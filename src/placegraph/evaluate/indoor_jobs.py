@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
 from placegraph.evaluate.indoor_metrics import Answer, measure
 from placegraph.evaluate.indoor_windows import HALVES
@@ -143,7 +143,18 @@ QUICK = (
 """Rows of a first impression."""
 
 
-def chosen(jobs: Iterable[Job], only: Sequence[str]) -> list[Job]:
+class Named(Protocol):
+    """What has a name that rows can be chosen by."""
+
+    @property
+    def name(self) -> str:
+        """`instances: all`."""
+
+
+Row = TypeVar("Row", bound=Named)
+
+
+def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
     """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is."""
     return [
         j
