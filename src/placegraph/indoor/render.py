@@ -141,6 +141,10 @@ class Renderer:
             tracer = (caster or scene.caster).tracer
             self._world = World(tracer, scene.surface, mesh.vertices, coloured)
             self._draw = self._by_cpu
+        elif self.device.startswith("cuda"):
+            from placegraph.indoor.raycast.warp_render import WarpRenderer
+
+            self._draw = WarpRenderer(scene, self.device).draw
         else:
             raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
 
