@@ -11,6 +11,7 @@ import typer
 
 from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
 from placegraph.cli.scene_localize import localize
+from placegraph.cli.scene_render import render
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
@@ -20,6 +21,7 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 app.command("localize")(localize)
+app.command("render")(render)
 
 MapFile = Annotated[
     Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
