@@ -108,7 +108,7 @@ def edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool
 
 def creases(normals: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Pixels (H, W) where faces meet in an edge; `normals`: (H, W, 3), NaN where there is nothing."""
-    known: NDArray[np.bool_] = np.isfinite(normals).all(axis=-1)
+    known = np.asarray(np.isfinite(normals).all(axis=-1))
     total = _box(np.where(known[..., None], normals, 0.0), 5)
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     mean = np.where(known[..., None], total / np.maximum(length, 1e-9), np.nan)

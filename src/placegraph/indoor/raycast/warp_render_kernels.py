@@ -2,15 +2,16 @@
 
 import warp as wp
 
+from placegraph.indoor import render_kernels
 from placegraph.indoor.raycast.warp_score_kernels import Surface
 
 FARTHEST = wp.constant(wp.float32(3.0e38))
-WIDEST = wp.constant(wp.float32(1.0e12))
-MOST_LOOKS = wp.constant(wp.float32(8.0))
-SHARP = wp.constant(wp.float32(1.05))
-CONTRAST = wp.constant(6)
-CREASE = wp.constant(wp.float32(0.9))
-JUMP = wp.constant(wp.float32(0.01))
+WIDEST = wp.constant(wp.float32(render_kernels.WIDEST))
+MOST_LOOKS = wp.constant(wp.float32(render_kernels.MOST_LOOKS))
+SHARP = wp.constant(wp.float32(render_kernels.SHARP))
+CONTRAST = wp.constant(render_kernels.CONTRAST)
+CREASE = wp.constant(wp.float32(render_kernels.CREASE))
+JUMP = wp.constant(wp.float32(render_kernels.JUMP))
 
 
 @wp.struct
