@@ -8,7 +8,10 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGES = ("placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex", "warp-lang")
+PACKAGES = (
+    "placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex", "warp-lang",
+    "opencv-python-headless", "poselib", "kornia", "torch", "small_gicp",
+)  # fmt: skip
 
 
 def machine() -> dict[str, object]:
