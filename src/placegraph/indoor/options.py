@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 
 
-def _numbers(owner: object) -> None:
+def check_numbers(owner: object) -> None:
     """Raise where a number of an options struct is not finite, or negative."""
     for entry in fields(owner):  # type: ignore[arg-type]
         value = getattr(owner, entry.name)
@@ -18,14 +18,16 @@ def _numbers(owner: object) -> None:
             raise OptionError(f"{entry.name} is {value}; it must be a number, not below 0.")
 
 
-def _whole(owner: object, *names: str) -> None:
+def check_whole(owner: object, *names: str) -> None:
+    """Raise where one of these numbers of an options struct is not 1, 2, 3, ..."""
     for name in names:
         value = getattr(owner, name)
         if int(value) != value or value < 1:
             raise OptionError(f"{name} is {value}; it must be a whole number from 1 on.")
 
 
-def _positive(owner: object, *names: str) -> None:
+def check_positive(owner: object, *names: str) -> None:
+    """Raise where one of these numbers of an options struct is not greater than 0."""
     for name in names:
         value = getattr(owner, name)
         if not (np.isfinite(value) and value > 0):
@@ -44,7 +46,7 @@ class MotionNoise:
     rotation_per_radian: float = 0.02
 
     def __post_init__(self) -> None:
-        _numbers(self)
+        check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +93,8 @@ class Likelihood:
             raise OptionError(f"kind is {self.kind!r}; it is 'calibrated' or 'gaussian'.")
         if not 0 < self.wrong < 1:
             raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
-        _numbers(self)
-        _positive(self, "sharpness", "object_patches", "depth_floor", "sigma", "depth_clip")
+        check_numbers(self)
+        check_positive(self, "sharpness", "object_patches", "depth_floor", "sigma", "depth_clip")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +111,9 @@ class Pass:
     """Most particles drawn for the pass and after a resampling."""
 
     def __post_init__(self) -> None:
-        _numbers(self)
-        _positive(self, "stride")
-        _whole(self, "particles")
+        check_numbers(self)
+        check_positive(self, "stride")
+        check_whole(self, "particles")
 
 
 ONE_PASS = (Pass(stride=20.0, box=0.0, turn=np.pi, particles=300),)
@@ -174,9 +176,9 @@ class FilterOptions:
             raise OptionError("heights: give at least one height of the camera above the floor.")
         if not self.passes:
             raise OptionError("passes: the filter needs at least one.")
-        _numbers(self)
-        _whole(self, "per_cell", "modes")
-        _positive(self, "spacing", "kld_error")
+        check_numbers(self)
+        check_whole(self, "per_cell", "modes")
+        check_positive(self, "spacing", "kld_error")
         if not (self.every >= 0 and self.every_metre >= 0):
             raise OptionError("every, every_metre: a time and a way, not less than 0.")
         if not 0 < self.kld_confidence < 1 or not 0 <= self.injection < 1:

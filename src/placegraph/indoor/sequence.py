@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import PassRecord, PoseEstimate
 from placegraph.geometry import between, compose
+from placegraph.indoor.clock import timed
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.filter import ParticleFilter, run_pass
 from placegraph.indoor.motion import level_poses
@@ -74,19 +74,17 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         scorer: Scorer,
     ) -> Sequence_:
         """Read and encode frames; raises where nothing can be compared with the map."""
-        start = perf_counter()
-        poses = leveled(frames)
+        seconds: dict[str, float] = {}
         options = usable(scene, options)
-        encoder = encoder or own_encoder(scene, frames[0])
-        sightings = [sight(frame, encoder, options) for frame in frames]
+        with timed(seconds, "reading"):
+            encoder = encoder or own_encoder(scene, frames[0])
+            sightings = [sight(frame, encoder, options) for frame in frames]
         if not any(s.patches or s.depth is not None or s.rgb is not None for s in sightings):
             raise OptionError(
                 "Nothing to compare: the frames have no depth and no labels that the map knows, and "
                 "the map has no colours (or these terms are switched off)."
             )
-        out = cls(scene, options, scorer, sightings, poses)
-        out.seconds["reading"] = perf_counter() - start
-        return out
+        return cls(scene, options, scorer, sightings, leveled(frames), seconds)
 
     def __len__(self) -> int:
         return len(self.sightings)
@@ -107,16 +105,16 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         self, prior: Prior | None, rng: Generator, progress: Progress | None = None
     ) -> PoseEstimate:
         """Search, filter, polish, judge."""
-        with self._timed("table"):
+        with timed(self.seconds, "table"):
             self._need_table()
             self.views(COARSE)
-        with self._timed("search"):
+        with timed(self.seconds, "search"):
             seeds = self._seeds(prior, rng)
-        with self._timed("filter"):
+        with timed(self.seconds, "filter"):
             modes, history, counts = self._filtered(seeds, prior, rng, progress)
-        with self._timed("polish"):
+        with timed(self.seconds, "polish"):
             fits = self._polished(modes, seeds, rng)
-        with self._timed("verdict"):
+        with timed(self.seconds, "verdict"):
             estimate = verdict(self, fits)
         stats = {
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
@@ -252,26 +250,12 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         """Rows of the newest frames, which the last level is fitted to."""
         return np.arange(max(0, len(self) - NEWEST), len(self))
 
-    def _timed(self, stage: str) -> _Timer:
-        return _Timer(self.seconds, stage)
-
 
 def leveled(frames: Sequence[Frame]) -> NDArray[np.float64]:
     """Level poses (T, 4) of the odometry of frames."""
     return level_poses(
         np.stack([f.odometry for f in frames]), np.stack([f.gravity for f in frames])
     )
-
-
-class _Timer:
-    def __init__(self, seconds: dict[str, float], stage: str) -> None:
-        self.seconds, self.stage, self.start = seconds, stage, perf_counter()
-
-    def __enter__(self) -> None:
-        self.start = perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + perf_counter() - self.start
 
 
 def usable(scene: SceneMap, options: FilterOptions) -> FilterOptions:

@@ -136,6 +136,6 @@ def _opencv() -> Any:  # noqa: ANN401  # the module
         import cv2
     except ImportError as error:
         raise MissingExtraError(
-            "The matcher 'sift' needs OpenCV: pip install 'placegraph[refine]'."
+            "The matcher 'sift' needs OpenCV: pip install 'placegraph[sift]'."
         ) from error
     return cv2

@@ -1,0 +1,138 @@
+"""Depth readings of a frame, to be aligned with the map: projective point-to-plane.
+
+Every reading casts its own ray, so that its partner is what the camera would see there, hidden
+surfaces have no part, and no cloud, tree or normal estimation is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.formats.frame import Frame
+    from placegraph.geometry import Camera
+    from placegraph.indoor.raycast.packets import Tracer
+    from placegraph.indoor.scene_map import SceneMap
+
+_TILE = 4
+_REACH = 3  # pixels from a reading to the points that its normal is made of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Depth of one frame at R = 16 * tiles pixels, in tiles of 4 x 4."""
+
+    directions: NDArray[np.float32]
+    """(R, 3) rays in the camera through the pixels' centres, z = 1."""
+    depth: NDArray[np.float32]
+    """(R,) [m], 0: no reading."""
+    normals: NDArray[np.float32]
+    """(R, 3) of what was seen, towards the camera; zero where unknown."""
+
+
+def readings(frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 0) -> Readings:
+    """About `count` readings of a depth image (h, w) [m], spread evenly.
+
+    Two phases never share a pixel. Readings on edges of depth are left out: what lies between two
+    surfaces belongs to none.
+    """
+    h, w = depth.shape
+    camera = frame.depth_camera or frame.camera
+    stride = max(2, round((h * w / count) ** 0.5))
+    rows, columns = _lattice(h, stride, phase), _lattice(w, stride, phase)
+    v, u = _tiled(rows, columns)
+    inside = (v >= 0) & (u >= 0)
+    v, u = np.maximum(v, 0), np.maximum(u, 0)
+    kept = inside & np.isfinite(depth[v, u]) & ~_edges(depth)[v, u]
+    rays = _directions(camera, h, w)
+    return Readings(
+        rays[v, u],
+        np.where(kept, np.nan_to_num(depth[v, u]), 0.0).astype(np.float32),
+        _normals(rays * depth[..., None], v, u),
+    )
+
+
+def _normals(
+    points: NDArray[np.float32], v: NDArray[np.int64], u: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Unit normals (R, 3) towards the camera at pixels of points (h, w, 3); zero where unknown."""
+    h, w = points.shape[:2]
+    up, down = np.maximum(v - _REACH, 0), np.minimum(v + _REACH, h - 1)
+    left, right = np.maximum(u - _REACH, 0), np.minimum(u + _REACH, w - 1)
+    normal = np.cross(points[down, u] - points[up, u], points[v, right] - points[v, left])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.nan_to_num(normal / np.maximum(length, 1e-12)).astype(np.float32)
+
+
+def _lattice(size: int, stride: int, phase: int) -> NDArray[np.int64]:
+    start = (stride // 2 + phase * (stride // 2)) % stride
+    return np.arange(start, size, stride)
+
+
+def _tiled(
+    rows: NDArray[np.int64], columns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns (R,) of a lattice in tiles of 4 x 4, filled up with -1."""
+    pad = [(0, -len(rows) % _TILE), (0, -len(columns) % _TILE)]
+    v = np.pad(rows, pad[0], constant_values=-1)
+    u = np.pad(columns, pad[1], constant_values=-1)
+    grid = np.stack(np.meshgrid(v, u, indexing="ij"))
+    tiles = grid.reshape(2, len(v) // _TILE, _TILE, len(u) // _TILE, _TILE)
+    flat = tiles.transpose(0, 1, 3, 2, 4).reshape(2, -1)
+    return flat[0], flat[1]
+
+
+def _edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels (h, w) where depth jumps to a neighbour by more than a slanted wall's would."""
+    out = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        jump = np.abs(np.diff(depth, axis=axis)) > 0.02 + 0.03 * _low(depth, axis)
+        before, after = [slice(None)] * 2, [slice(None)] * 2
+        before[axis], after[axis] = slice(None, -1), slice(1, None)
+        out[tuple(before)] |= jump
+        out[tuple(after)] |= jump
+    return out
+
+
+def _low(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    low = np.minimum(np.roll(depth, -1, axis), depth)
+    return low[:-1] if axis == 0 else low[:, :-1]
+
+
+def _directions(camera: Camera, h: int, w: int) -> NDArray[np.float32]:
+    v, u = np.mgrid[:h, :w]
+    return camera.directions(np.stack([u, v], axis=-1) + 0.5).astype(np.float32)
+
+
+class Surfaces(NamedTuple):
+    """What compiled code needs of the map to align depth with it."""
+
+    tracer: Tracer
+    normals: NDArray[np.float32]
+    """(T, 3) unit normals."""
+    object_of: NDArray[np.int32]
+    """(T,)"""
+
+    @classmethod
+    def of(cls, scene: SceneMap) -> Surfaces:
+        """Surfaces of a map."""
+        normals = scene.mesh.normals()
+        lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        unit = (normals / lengths).astype(np.float32)
+        return cls(scene.caster.tracer, unit, scene.mesh.object_of)
+
+
+class Kernel(NamedTuple):
+    """How residuals [m] become weights; see `options.DepthNoise`."""
+
+    floor: float
+    slope: float
+    surface: float
+    facing: tuple[float, float]
+    width: float
+    """Residual, in standard deviations, at which a reading has a quarter of its say left."""

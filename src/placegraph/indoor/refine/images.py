@@ -1,0 +1,163 @@
+"""Images against renderings of the map: matches lifted to 3D, and poses from them (Sec. 3.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MissingExtraError
+from placegraph.geometry import rotation_z
+from placegraph.indoor.refine.pixels import Sights
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.frame import Frame
+    from placegraph.geometry import Camera, Floats
+    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.indoor.render import Renderer, Rendering
+
+_STEEP = 0.15
+"""A match is not lifted where depth changes by more than this share within a pixel or two: which of
+the two surfaces was meant, nobody knows."""
+
+
+def turned(map_from_camera: Floats, options: RefineOptions) -> list[Floats]:
+    """The pose and others turned about the vertical within +-spread, evenly: `views` in all."""
+    if options.views == 1:
+        return [map_from_camera]
+    turns = np.linspace(-options.spread, options.spread, options.views - 1)
+    out = [map_from_camera]
+    for yaw in turns[np.argsort(np.abs(turns), kind="stable")]:
+        pose = map_from_camera.copy()
+        pose[:3, :3] = rotation_z(yaw) @ pose[:3, :3]
+        out.append(pose)
+    return out
+
+
+def look(
+    renderer: Renderer,
+    frame: Frame,
+    query: NDArray[np.uint8],
+    poses: Sequence[Floats],
+    matcher: Matcher,
+    *,
+    camera: Camera | None = None,
+    sigma: float = 1.0,
+) -> Sights:
+    """Points of the map that a frame (H, W, 3) shares with renderings from some poses (4, 4).
+
+    `camera`: of the renderings; the frame's own if not given. `sigma`: deviation of a match [px of
+    the frame].
+    """
+    drawn = [renderer.render(pose, camera or frame.camera, samples=1) for pose in poses]
+    found = matcher.match(query, [d.colour for d in drawn], masks=[d.mask for d in drawn])
+    points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
+    for picture, matches in zip(drawn, found, strict=True):
+        lifted, whole = lift(picture, matches.rendered)
+        points.append(lifted[whole])
+        pixels.append(matches.query[whole])
+    return Sights.of(np.concatenate(points), np.concatenate(pixels), frame.camera, sigma)
+
+
+def lift(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Points (N, 3) [m, map] that pixels (N, 2) of a rendering show, and which of them are sound.
+
+    Between pixel centres points are interpolated in the plane of the four around; a pixel at the
+    end of the map, or astride two surfaces, is unsound.
+    """
+    h, w = picture.depth.shape
+    if not len(pixels) or min(h, w) < 2:
+        return np.zeros((len(pixels), 3)), np.zeros(len(pixels), bool)
+    at = pixels - 0.5
+    x = np.clip(np.floor(at[:, 0]), 0, w - 2).astype(np.int64)
+    y = np.clip(np.floor(at[:, 1]), 0, h - 2).astype(np.int64)
+    right, down = np.clip(at[:, 0] - x, 0, 1)[:, None], np.clip(at[:, 1] - y, 0, 1)[:, None]
+    corners = [(y, x), (y, x + 1), (y + 1, x), (y + 1, x + 1)]
+    shares = [(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right]
+    points = np.sum(
+        [s * picture.points[c].astype(np.float64) for c, s in zip(corners, shares, strict=True)],
+        axis=0,
+    )
+    depths = np.stack([picture.depth[c] for c in corners])
+    with np.errstate(invalid="ignore"):
+        sound = np.ptp(depths, axis=0) < _STEEP * depths.min(axis=0)
+    return points, sound & np.isfinite(points).all(axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Consensus:
+    """A pose that many matches agree on."""
+
+    pose: Floats
+    """(4, 4) map_from_camera of the reference frame."""
+    inliers: list[NDArray[np.bool_]]
+    """For each frame which of its matches agree."""
+
+    @property
+    def count(self) -> int:
+        """Inliers of all frames."""
+        return int(sum(i.sum() for i in self.inliers))
+
+
+def solve_frame(sights: Sights, options: RefineOptions) -> Consensus | None:
+    """PnP with RANSAC on one frame, by PoseLib; None where too few matches agree."""
+    return solve_rig([sights], [np.eye(4)], options)
+
+
+def solve_rig(
+    sights: Sequence[Sights], reference_from_camera: Sequence[Floats], options: RefineOptions
+) -> Consensus | None:
+    """PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
+
+    `reference_from_camera`: (4, 4) of each frame; the pose found is the reference's. A rig agrees
+    on a pose where no frame alone would: its wrong matches agree on nothing in common.
+    """
+    poselib = _poselib()
+    used = [t for t, seen in enumerate(sights) if len(seen)]
+    if sum(len(sights[t]) for t in used) < options.least:
+        return None
+    pixels = [sights[t].rays * sights[t].focal for t in used]
+    points = [sights[t].points for t in used]
+    cameras = [_pinhole(sights[t].focal) for t in used]
+    ransac = {"max_reproj_error": options.inlier, "max_iterations": 5000, "seed": 0}
+    if len(used) == 1 and np.allclose(reference_from_camera[used[0]], np.eye(4)):
+        pose, info = poselib.estimate_absolute_pose(pixels[0], points[0], cameras[0], ransac, {})
+        inliers = [info["inliers"]]
+    else:
+        mounts = [_camera_pose(poselib, np.linalg.inv(reference_from_camera[t])) for t in used]
+        pose, info = poselib.estimate_generalized_absolute_pose(
+            pixels, points, mounts, cameras, ransac, {}
+        )
+        inliers = info["inliers"]
+    agreed = [np.zeros(len(seen), bool) for seen in sights]
+    for t, inlier in zip(used, inliers, strict=True):
+        agreed[t] = np.asarray(inlier, bool)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pose.R.T, -pose.R.T @ pose.t
+    found = Consensus(matrix, agreed)
+    sound = np.isfinite(matrix).all() and found.count >= options.least
+    return found if sound else None
+
+
+def _pinhole(focal: float) -> dict[str, Any]:
+    return {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal, 0.0, 0.0]}
+
+
+def _camera_pose(poselib: Any, camera_from_rig: Floats) -> Any:  # noqa: ANN401  # PoseLib is untyped
+    pose = poselib.CameraPose()
+    pose.R, pose.t = camera_from_rig[:3, :3], camera_from_rig[:3, 3]
+    return pose
+
+
+def _poselib() -> Any:  # noqa: ANN401  # PoseLib is untyped
+    try:
+        import poselib
+    except ImportError as error:
+        raise MissingExtraError("poselib", "refine") from error
+    return poselib

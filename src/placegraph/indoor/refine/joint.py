@@ -1,0 +1,220 @@
+"""All frames of a sequence in one robust optimisation of their poses.
+
+Unknown are the poses of all frames, six degrees of freedom each. Depth readings and matched points
+tie each frame to the map, odometry ties it to its neighbours, gravity to the vertical; Gauss-Newton
+with weights that are set anew at each step, from a wide robust kernel to a narrow one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
+from placegraph.indoor.refine.depth import Kernel
+from placegraph.indoor.refine.kernels import depth_system, pixel_system
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.refine.depth import Readings, Surfaces
+    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.indoor.refine.pixels import Sights
+
+READINGS = 60.0
+"""Independent readings that the depth of one frame is worth: neighbours err together."""
+POINTS = 40.0
+"""Independent points that the matches of one frame are worth at most."""
+LOOSE = (1.0, 0.5)
+"""Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
+stays where it is."""
+_STILL = 2e-4  # a step so small [m, rad] is the last
+_TELLING = 20  # readings of an object from which on it may be found to have moved
+_MOVED = 0.05  # share that a moved object keeps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What is known of the poses of T frames."""
+
+    surfaces: Surfaces
+    readings: Sequence[Readings | None]
+    """(T,)"""
+    sights: Sequence[Sights]
+    """(T,)"""
+    odometry: Floats
+    """(T, 4, 4) odometry_from_camera"""
+    gravity: Floats
+    """(T, 3) unit direction in camera axes"""
+    objects: int
+    """Number of the map's objects."""
+    options: RefineOptions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Poses that fit best, and what the fit is worth."""
+
+    poses: Floats
+    """(T, 4, 4) map_from_camera"""
+    information: Floats
+    """(6 T, 6 T) of shifts [m] and turns [rad] in map axes, frame by frame."""
+    shares: Floats
+    """(N,) weight of each object: low where its readings lie elsewhere, as of moved furniture."""
+    cost: float
+    """Mean robust cost of the depth readings, 0 to 1; NaN without depth."""
+    steps: int
+    """Gauss-Newton steps taken."""
+    told: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    """(N, 2) sum of weights and number of the readings of each object."""
+
+    def covariance(self, frame: int = -1) -> Floats:
+        """(6, 6) of one frame, the others being unknown too."""
+        count = len(self.poses)
+        rows = np.arange(6) + 6 * (frame % count)
+        unit = np.zeros((6 * count, 6))
+        unit[rows, np.arange(6)] = 1.0
+        return np.asarray(np.linalg.solve(self.information, unit)[rows])
+
+
+def solve(
+    problem: Problem,
+    start: Floats,
+    widths: Sequence[tuple[float, float]],
+    steps: int = 4,
+) -> Solution:
+    """Poses (T, 4, 4) from a start (T, 4, 4), through kernels from wide to narrow.
+
+    `widths`: of the depth and of the pixel kernel, in standard deviations, one pair a round of at
+    most `steps` Gauss-Newton steps.
+    """
+    poses, count = start.copy(), len(start)
+    shares, cost, taken = np.ones(problem.objects), np.nan, 0
+    told = np.zeros((problem.objects, 2))
+    for depth_width, pixel_width in widths:
+        for number in range(steps):
+            h, g = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
+            told, cost = _add_depth(problem, poses, shares, depth_width, h, g)
+            _add_sights(problem, poses, pixel_width, h, g)
+            _add_odometry(problem, poses, h, g)
+            _add_gravity(problem, poses, h, g)
+            _add_start(poses, start, h, g)
+            step = -np.linalg.solve(h, g).reshape(count, 6)
+            poses[:, :3, 3] += step[:, :3]
+            poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
+            taken += 1
+            if number:  # not before the poses have had one step to come near
+                shares = _shares(told)
+            if np.abs(step).max() < _STILL:
+                break
+    return Solution(poses, h, shares, cost, taken, told)
+
+
+def _shares(told: Floats) -> Floats:
+    """Weight (N,) of each object: what less than half fits is likely to have moved."""
+    fits = told[:, 0] / np.maximum(told[:, 1], 1.0)
+    return np.where(told[:, 1] > _TELLING, np.clip(2.0 * fits, _MOVED, 1.0), 1.0)
+
+
+def _add_depth(
+    problem: Problem, poses: Floats, shares: Floats, width: float, h: Floats, g: Floats
+) -> tuple[Floats, float]:
+    noise = problem.options.noise
+    kernel = Kernel(noise.floor, noise.slope, noise.surface, noise.facing, width)
+    told, total = np.zeros((problem.objects, 2)), np.zeros(3)
+    for t, seen in enumerate(problem.readings):
+        if seen is None:
+            continue
+        block, slope, of_objects, sums = depth_system(
+            problem.surfaces,
+            shares,
+            np.ascontiguousarray(poses[t, :3, :3]),
+            np.ascontiguousarray(poses[t, :3, 3]),
+            seen.directions,
+            seen.depth,
+            seen.normals,
+            kernel,
+        )
+        # few readings are not worth more than they are
+        worth = READINGS / max(float(sums[0]), 0.25 * len(seen.depth), 1.0)
+        rows = slice(6 * t, 6 * t + 6)
+        h[rows, rows] += worth * block
+        g[rows] += worth * slope
+        told += of_objects
+        total += sums
+    return told, float(total[1] / total[0]) if total[0] else np.nan
+
+
+def _add_sights(problem: Problem, poses: Floats, width: float, h: Floats, g: Floats) -> None:
+    for t, seen in enumerate(problem.sights):
+        if not len(seen):
+            continue
+        block, slope, total = pixel_system(
+            np.ascontiguousarray(poses[t, :3, :3]),
+            np.ascontiguousarray(poses[t, :3, 3]),
+            seen.points,
+            seen.rays,
+            seen.sigma,
+            seen.focal,
+            width,
+        )
+        worth = min(1.0, POINTS / max(total, 1.0))
+        rows = slice(6 * t, 6 * t + 6)
+        h[rows, rows] += worth * block
+        g[rows] += worth * slope
+
+
+def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
+    """Errors (T - 1, 6) of the steps between frames, in map axes, and their deviations (T - 1, 6)."""
+    steps = np.linalg.inv(problem.odometry[:-1]) @ problem.odometry[1:]
+    led = poses[:-1] @ steps
+    shift = poses[1:, :3, 3] - led[:, :3, 3]
+    turn = vector_from_rotation(poses[1:, :3, :3] @ np.swapaxes(led[:, :3, :3], 1, 2))
+    noise = problem.options.motion
+    way = np.linalg.norm(steps[:, :3, 3], axis=1)
+    angle = np.linalg.norm(vector_from_rotation(steps[:, :3, :3]), axis=1)
+    deviations = np.stack(
+        [
+            noise.translation + noise.translation_per_metre * way,
+            noise.rotation + noise.rotation_per_radian * angle,
+        ],
+        axis=1,
+    )
+    return np.concatenate([shift, turn], axis=1), np.repeat(deviations, 3, axis=1)
+
+
+def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
+    if len(poses) < 2:
+        return
+    errors, deviations = odometry_errors(problem, poses)
+    # a turn of frame t swings the step from it: led = p_t + R_t step
+    swings = cross_matrix(poses[1:, :3, 3] - errors[:, :3] - poses[:-1, :3, 3])
+    for t in range(len(errors)):
+        j = np.zeros((6, 12))
+        j[:, :6], j[:, 6:] = -np.eye(6), np.eye(6)
+        j[:3, 3:6] = swings[t]
+        weighted = j.T / deviations[t] ** 2
+        rows = slice(6 * t, 6 * t + 12)
+        h[rows, rows] += weighted @ j
+        g[rows] += weighted @ errors[t]
+
+
+def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
+    """The known tilt is a prior, not a cage."""
+    up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
+    variance = problem.options.tilt**2
+    for t, j in enumerate(-cross_matrix(up)[:, :2]):
+        rows = slice(6 * t + 3, 6 * t + 6)
+        h[rows, rows] += j.T @ j / variance
+        g[rows] += j.T @ up[t, :2] / variance
+
+
+def _add_start(poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
+    shift = poses[:, :3, 3] - start[:, :3, 3]
+    turn = vector_from_rotation(poses[:, :3, :3] @ np.swapaxes(start[:, :3, :3], 1, 2))
+    weights = np.repeat(1.0 / np.square(LOOSE), 3)
+    g += (np.concatenate([shift, turn], axis=1) * weights).ravel()
+    h[np.diag_indices(len(h))] += np.tile(weights, len(poses))

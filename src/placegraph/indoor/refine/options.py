@@ -1,0 +1,81 @@
+"""Options of the refinement: plain structs with units; defaults are what measured best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from placegraph.errors import OptionError
+from placegraph.indoor.options import MotionNoise, check_numbers, check_positive, check_whole
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """How far a depth reading may lie from the map's surface."""
+
+    floor: float = 0.004
+    """Standard deviation of a reading at 0 m [m] ..."""
+    slope: float = 0.003
+    """... and what it gains a square metre [1/m]."""
+    surface: float = 0.008
+    """Standard deviation of the map's own surface [m]."""
+    facing: tuple[float, float] = (0.5, 0.85)
+    """Cosine of the angle between the seen and the map's normal: below the first a reading has no
+    say, from the second on all of it."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        low, high = self.facing
+        if not -1.0 <= low < high <= 1.0:
+            raise OptionError(f"facing is {self.facing}; give two ascending cosines.")
+
+
+@dataclass(frozen=True, slots=True)
+class RefineOptions:
+    """Everything that can be set about refining a pose (Sec. 3.6)."""
+
+    depth: bool = True
+    """Align depth images to the map's mesh, where there are any."""
+    images: bool | Literal["auto"] = "auto"
+    """Match images with renderings; ``auto``: where depth alone does not fix the pose."""
+    joint: bool = True
+    """All frames in one robust optimisation; else the frame with most inliers decides, as in the
+    paper."""
+    views: int = 6
+    """Rendered views a frame is matched with, for matchers that know no neighbourhood (paper: 6)."""
+    spread: float = 0.7853981633974483
+    """Half width in yaw of these views [rad] (paper: 45 degrees)."""
+    frames: int = 12
+    """Most frames whose images are matched; they are spread over the sequence."""
+    readings: int = 1500
+    """Depth readings of a frame that are aligned."""
+    reach: tuple[float, float] = (0.15, 0.12)
+    """How far off the start may be: standard deviations in the plane [m] and in yaw [rad]. Only of a
+    start that is given (`scene.refine`); `localize` knows what its own poses are worth."""
+    inlier: float = 8.0
+    """Reprojection error of an inlier of RANSAC [px of the colour image]."""
+    least: int = 12
+    """Fewest inliers of a frame, or of a sequence, that count as a pose."""
+    noise: DepthNoise = field(default_factory=DepthNoise)
+    motion: MotionNoise = field(default_factory=lambda: MotionNoise(0.004, 0.02, 0.002, 0.02))
+    """Standard deviations of odometry from frame to frame."""
+    tilt: float = 0.005
+    """Standard deviation of the direction of gravity [rad]."""
+    check: bool = True
+    """Keep the coarse pose where held-back pixels do not speak for the refined one."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        check_whole(self, "views", "frames", "readings", "least")
+        check_positive(self, "inlier", "tilt")
+        if self.images not in {True, False, "auto"}:
+            raise OptionError(f"images is {self.images!r}; it is True, False or 'auto'.")
+        if not (self.depth or self.images):
+            raise OptionError("depth and images are both off; leave one on, or refine=False.")
+        if min(self.reach) < 0:
+            raise OptionError(f"reach is {self.reach}; it is a way and a turn, not below 0.")
+
+    @classmethod
+    def paper(cls) -> RefineOptions:
+        """The paper's recipe: six views a frame, PnP frame by frame, most inliers decide."""
+        return cls(depth=False, images=True, joint=False, check=False)

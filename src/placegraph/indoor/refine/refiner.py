@@ -1,0 +1,237 @@
+"""From a coarse trajectory to centimetres: by depth, by images, and by both together (Sec. 3.6)."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.indoor.clock import timed
+from placegraph.indoor.matching.guided import GuidedMatcher
+from placegraph.indoor.observe import spread
+from placegraph.indoor.raycast.embree import processors
+from placegraph.indoor.refine.check import held_back
+from placegraph.indoor.refine.depth import Readings, Surfaces, readings
+from placegraph.indoor.refine.images import look, solve_frame, solve_rig, turned
+from placegraph.indoor.refine.joint import Problem, Solution, solve
+from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.render import Renderer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.frame import Frame
+    from placegraph.geometry import Floats
+    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.indoor.scene_map import SceneMap
+
+    Progress = Callable[[str, int, int], None]
+
+DEPTH_WIDTHS = ((10.0, 6.0), (5.0, 3.0), (3.0, 2.0))
+"""Kernels of depth and pixels from a start within a hand's breadth, in standard deviations."""
+FINE_WIDTHS = ((5.0, 6.0), (3.0, 3.0), (3.0, 2.0))
+"""Kernels once matches are there."""
+UNSURE = 0.45
+"""Mean robust cost of the depth readings from which on images are asked too."""
+FEW = 5
+"""Most frames that a matcher which knows no neighbourhood is given: it takes its time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One round of matching: at which scale, how, and how well matches are placed."""
+
+    matcher: Matcher
+    scale: int
+    """Renderings are this many times smaller than the query."""
+    sigma: float
+    """Standard deviation of a right match [px of the query]."""
+    turned: bool = False
+    """Views turned in yaw are matched too."""
+
+
+def stages_of(matcher: Matcher | None, *, near: bool) -> list[Stage]:
+    """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
+    if matcher is not None:
+        return [Stage(matcher, 1, 2.0, turned=True), Stage(matcher, 1, 2.0)]
+    fine = [Stage(GuidedMatcher(radius=10, half=7, cell=8), 4, 2.0)]
+    if near:
+        return fine
+    wide = [Stage(GuidedMatcher(radius=28, half=5, cell=8), 4, 3.0)]
+    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 2, 1.0)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A refined trajectory, and what it rests on."""
+
+    poses: Floats
+    """(T, 4, 4) map_from_camera"""
+    solution: Solution | None
+    """None: nothing was there to go by."""
+    sights: list[Sights]
+    """(T,) matches used."""
+
+
+@dataclass(eq=False)
+class Refiner:
+    """Frames of one capture, ready to be aligned with one map."""
+
+    scene: SceneMap
+    frames: Sequence[Frame]
+    depths: Sequence[NDArray[np.float32] | None]
+    """(T,) of (h, w) [m]"""
+    queries: Sequence[NDArray[np.uint8] | None]
+    """(T,) of (H, W, 3)"""
+    options: RefineOptions
+    matcher: Matcher | None
+    """None: the guided matcher."""
+    device: str = "auto"
+    stats: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.surfaces = Surfaces.of(self.scene)
+        self.renderer = Renderer(self.scene, device=self.device)
+        self.seconds: dict[str, float] = {}
+        self._readings: dict[int, list[Readings | None]] = {}
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether depth takes part."""
+        return self.options.depth and any(d is not None for d in self.depths)
+
+    def readings(self, phase: int = 0) -> list[Readings | None]:
+        """Depth readings (T,) of a phase: 0 for the fit, 1 for the check; cut once."""
+        if phase not in self._readings:
+            self._readings[phase] = [
+                None if depth is None or not self.options.depth
+                else readings(frame, depth, self.options.readings, phase)
+                for frame, depth in zip(self.frames, self.depths, strict=True)
+            ]  # fmt: skip
+        return self._readings[phase]
+
+    def problem(self, sights: Sequence[Sights] | None = None) -> Problem:
+        """What is known of the poses, with matches or without."""
+        return Problem(
+            self.surfaces,
+            self.readings(),
+            sights or [Sights.none()] * len(self.frames),
+            np.stack([f.odometry for f in self.frames]),
+            np.stack([f.gravity for f in self.frames]),
+            len(self.scene),
+            self.options,
+        )
+
+    def fitted(self, start: Floats, progress: Progress | None = None) -> Fitted:
+        """Best trajectory from a start (T, 4, 4) that is known to a hand's breadth or two."""
+        tell = progress or (lambda *_: None)
+        tell("aligning depth", 0, 1)
+        solution = self._aligned(start)
+        poses = start if solution is None else solution.poses
+        sights: list[Sights] = [Sights.none()] * len(self.frames)
+        stages = self._stages(solution)
+        for number, stage in enumerate(stages):
+            tell("matching images", number, len(stages))
+            found = self._looked(stage, poses)
+            if not self.options.joint:
+                return self._best_frame(found, poses)
+            sights, led = self._agreed(found, poses, robust=number + 1 < len(stages) or number == 0)
+            with timed(self.seconds, "solving"):
+                solution = solve(self.problem(sights), led, FINE_WIDTHS)
+            poses = solution.poses
+        tell("checking", 0, 1)
+        return Fitted(poses, solution, sights)
+
+    # ------------------------------------------------------------------------------- stages
+
+    def _aligned(self, start: Floats) -> Solution | None:
+        """Poses by depth alone; None where there is none."""
+        if not self.has_depth:
+            return None
+        with timed(self.seconds, "depth"):
+            solution = solve(self.problem(), start, DEPTH_WIDTHS)
+        self.stats["depth_cost"] = round(solution.cost, 3)
+        return solution
+
+    def _stages(self, solution: Solution | None) -> list[Stage]:
+        """Rounds of matching that are wanted and may help."""
+        wanted = self.options.images
+        if solution is not None and wanted == "auto":
+            wanted = solution.cost > UNSURE
+        coloured = self.scene.coloured and any(q is not None for q in self.queries)
+        if not wanted or not coloured:
+            return []
+        return stages_of(self.matcher, near=solution is not None)
+
+    def _looked(self, stage: Stage, poses: Floats) -> list[Sights]:
+        """Matches of the frames that are looked at, those in held-back blocks left out."""
+        rows = [t for t in self.looked() if self.queries[t] is not None]
+        sights: list[Sights] = [Sights.none()] * len(self.frames)
+
+        def one(t: int) -> Sights:
+            frame, query = self.frames[t], self.queries[t]
+            assert query is not None  # noqa: S101  chosen so
+            width, height = frame.camera.width, frame.camera.height
+            camera = frame.camera.resized(
+                max(8, width // stage.scale), max(8, height // stage.scale)
+            )
+            views = turned(poses[t], self.options) if stage.turned else [poses[t]]
+            seen = look(
+                self.renderer, frame, query, views, stage.matcher, camera=camera, sigma=stage.sigma
+            )
+            return seen[~held_back(seen.pixels, width)] if self.options.check else seen
+
+        with timed(self.seconds, "matching"), ThreadPoolExecutor(self._threads(stage)) as pool:
+            for t, seen in zip(rows, pool.map(one, rows), strict=True):
+                sights[t] = seen
+        self.stats["matches"] = sum(map(len, sights))
+        return sights
+
+    def looked(self) -> NDArray[np.int64]:
+        """Rows of the frames whose images are used."""
+        most = self.options.frames if self.matcher is None else min(self.options.frames, FEW)
+        return spread(len(self.frames), most)
+
+    def _threads(self, stage: Stage) -> int:
+        """Frames matched at once: networks have threads of their own."""
+        return processors() if stage.matcher.name == GuidedMatcher.name else 1
+
+    def _agreed(
+        self, sights: list[Sights], poses: Floats, *, robust: bool
+    ) -> tuple[list[Sights], Floats]:
+        """Matches that agree on one pose of the rig, and the trajectory that follows from it."""
+        if not robust:
+            return sights, poses
+        with timed(self.seconds, "ransac"):
+            mounts = np.linalg.inv(poses[-1]) @ poses
+            consensus = solve_rig(sights, list(mounts), self.options)
+        if consensus is None:
+            return [Sights.none()] * len(sights), poses
+        kept = [seen[inlier] for seen, inlier in zip(sights, consensus.inliers, strict=True)]
+        # depth has said where the poses are; without it the consensus does
+        led = poses if self.has_depth else consensus.pose @ mounts
+        return kept, led
+
+    def _best_frame(self, sights: list[Sights], poses: Floats) -> Fitted:
+        """Sec. 3.6: PnP frame by frame, the one with most inliers decides."""
+        best: tuple[int, Floats, int] | None = None
+        with timed(self.seconds, "ransac"):
+            for t, seen in enumerate(sights):
+                found = solve_frame(seen, self.options)
+                if found is not None and (best is None or found.count > best[0]):
+                    best = found.count, found.pose, t
+        if best is None:
+            return Fitted(poses, None, [Sights.none()] * len(sights))
+        _, pose, t = best
+        odometry = np.stack([f.odometry for f in self.frames])
+        led = pose @ np.linalg.inv(odometry[t]) @ odometry
+        kept = [Sights.none()] * len(sights)
+        kept[t] = sights[t][sights[t].errors(pose) < self.options.inlier]
+        self.stats["decided_by"] = self.frames[t].index
+        solution = solve(self.problem(kept), led, FINE_WIDTHS[-1:], steps=1)
+        return Fitted(led, solution, kept)
