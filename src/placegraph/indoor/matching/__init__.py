@@ -32,9 +32,23 @@ def _xfeat() -> Callable[..., Matcher]:
     return XFeatMatcher
 
 
+def _roma() -> Callable[..., Matcher]:
+    from placegraph.indoor.matching.roma import RomaMatcher
+
+    return RomaMatcher
+
+
+def _romav2() -> Callable[..., Matcher]:
+    from placegraph.indoor.matching.romav2 import RomaV2Matcher
+
+    return RomaV2Matcher
+
+
 MATCHERS: dict[str, Callable[[], Callable[..., Matcher]]] = {
     "sift": _sift,
     "xfeat": _xfeat,
+    "roma": _roma,
+    "romav2": _romav2,
 }
 """What makes each matcher, imported when it is asked for. Options are keywords of the class; it has
 `weights` and `device` where it runs a network."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 
@@ -58,13 +60,15 @@ def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: AN
     return state
 
 
-def fill(network: Any, state: dict[str, Any], path: Path, name: str) -> None:  # noqa: ANN401
-    """Put weights into a network; `InputError` where they are another network's."""
+@contextmanager
+def fitting(path: Path | str | None, name: str) -> Iterator[None]:
+    """Where weights are put into a network: `InputError` where they are another network's."""
     try:
-        network.load_state_dict(state)
+        yield
     except RuntimeError as error:
         lines = str(error).splitlines()
         why = " ".join((lines[1] if len(lines) > 1 else lines[0]).split())
         raise InputError(
-            f"{path} holds weights of another network than {name!r} ({why[:160]}); give its own."
+            f"{path or 'The file from the hub'} holds weights of another network than {name!r} "
+            f"({why[:160]}); give its own."
         ) from error

@@ -22,7 +22,7 @@ from placegraph.indoor.matching.matches import (
     inside,
     pairs,
 )
-from placegraph.indoor.matching.network import device_for, fill, read_state, torch_for
+from placegraph.indoor.matching.network import device_for, fitting, read_state, torch_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -227,7 +227,9 @@ def _network(torch: Any, weights: Path | str | None) -> Any:  # noqa: ANN401
         ) from error
     if weights is not None:
         xfeat = XFeat()
-        fill(xfeat.net, read_state(torch, Path(weights), "xfeat"), Path(weights), "xfeat")
+        state = read_state(torch, Path(weights), "xfeat")
+        with fitting(weights, "xfeat"):
+            xfeat.net.load_state_dict(state)
         return xfeat
     try:
         return XFeat.from_pretrained()
