@@ -240,7 +240,7 @@ def _read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
         frames = [int(row) for row in told["frames"]]
         trajectory = np.array([_matrix(pose) for pose in told["trajectory"]]).reshape(-1, 4, 4)
         reason, status = str(told["reason"]), str(told["status"])
-    except (TypeError, KeyError, ValueError) as error:
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path} is not what `placegraph scene localize --json` prints "
             f"({type(error).__name__}: {error}); write its output to a file and give that."
