@@ -32,6 +32,8 @@ PIXELS = (3.0, 5.0, 10.0)
 """A match is right to within so many pixels of the query."""
 TURNS_DEG = (15.0, 30.0, 45.0)
 """Views are turned by so much, to the left and to the right."""
+KINDS = ("true", "disturbed", *(f"turned {degrees:.0f}" for degrees in TURNS_DEG))
+"""Where views are rendered from."""
 OFF = 0.2
 """How far a disturbed pose is from the true one [m]."""
 OFF_TURN_DEG = 10.0

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.evaluate.indoor_matches import LIMITS, PIXELS, Found, Trial, summary
+from placegraph.evaluate.indoor_matches import KINDS, LIMITS, PIXELS, Found, Trial, summary
 from placegraph.evaluate.indoor_report import errors
 from placegraph.evaluate.indoor_windows import COVERED
 from placegraph.evaluate.tables import markdown, number, shares
@@ -21,7 +21,6 @@ PARTS: dict[str, Callable[[Found], object]] = {
     "office, the others": lambda f: f.covered is not None and f.covered < COVERED,
 }
 """Queries told apart."""
-KINDS = ("true", "disturbed", "turned 15", "turned 30", "turned 45")
 HEADER = [
     "", "matches",
     f"right to {'/'.join(f'{p:.0f}' for p in PIXELS)} px",
