@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.indoor.frames import chosen_frames
 from placegraph.indoor.motion import keyframes
+from placegraph.indoor.observe import sight
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
 from placegraph.indoor.scorer import Scorer
-from placegraph.indoor.sequence import Sequence_, leveled
+from placegraph.indoor.sequence import Sequence_, leveled, usable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture import Capture
     from placegraph.formats.frame import Frame
     from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.matching import Matcher
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.search import Prior
 
@@ -37,6 +40,8 @@ def localize(
     prior: Prior | None = None,
     encoder: Encoder | None = None,
     options: FilterOptions | None = None,
+    refine: bool | RefineOptions = True,
+    matcher: str | Matcher = "auto",
     seed: int = 0,
     device: str = "auto",
     progress: Progress | None = None,
@@ -57,6 +62,11 @@ def localize(
         Says what patches show; the capture's own labels if not given.
     options
         `FilterOptions`; what measured best if not given.
+    refine
+        Fit the best mode to images and depth, to centimetres; `RefineOptions` say how.
+    matcher
+        How images are matched with renderings of the map: ``auto`` and ``guided`` need no extra;
+        ``sift``, ``xfeat``, ``roma``, ``romav2`` need theirs; or a `Matcher` of one's own.
     seed
         Of all randomness.
     device
@@ -71,44 +81,32 @@ def localize(
     InputError
         An image is broken.
     MissingExtraError
-        The device asked for needs an extra.
+        The device or the matcher asked for needs an extra.
 
     """
     options = options or FilterOptions()
     if seed < 0:
         raise OptionError(f"seed is {seed}; a seed is not negative.")
-    chosen = _chosen(capture, frames)
+    chosen = chosen_frames(capture, frames)
     stamps = np.array([frame.stamp for frame in chosen])
     kept = keyframes(stamps, leveled(chosen), options.every, options.every_metre)
     chosen = [chosen[i] for i in kept]
+    refining = RefineOptions() if refine is True else refine or None
+    matching = chosen_matcher(matcher, device) if refining else None
     if len(chosen) > WINDOW:
         from placegraph.indoor.tracker import follow
 
-        return follow(scene, chosen, prior, encoder, options, seed, device, progress)
-    scorer = Scorer(scene, options.likelihood, device)
-    sequence = Sequence_.of(scene, chosen, encoder, options, scorer)
-    return sequence.localized(prior, np.random.default_rng(seed), progress)
-
-
-def _chosen(
-    capture: Capture | Sequence[Frame], frames: slice | Sequence[int] | None
-) -> list[Frame]:
-    rows: Any = range(len(capture))
-    if isinstance(frames, slice):
-        rows = rows[frames]
-    elif frames is not None:
-        if isinstance(frames, (str, int)) or not all(
-            isinstance(i, (int, np.integer)) for i in frames
-        ):
-            raise OptionError(f"frames is {frames!r}; give a slice, or rows as whole numbers.")
-        rows = list(frames)
-        if any(not -len(capture) <= i < len(capture) for i in rows):
-            raise OptionError(f"frames: a row lies outside the capture's {len(capture)} frames.")
-    if not rows:
-        raise OptionError(f"frames: none chosen of the capture's {len(capture)}.")
-    chosen = [capture[i] for i in rows]
-    if any(b.stamp <= a.stamp for a, b in itertools.pairwise(chosen)):
-        raise OptionError(
-            "frames: their stamps must grow; choose each frame once, in order of time."
-        )
-    return chosen
+        coarse = follow(scene, chosen, prior, encoder, options, seed, device, progress)
+        senses = usable(scene, options)
+        sightings = [sight(frame, None, senses) for frame in chosen[-WINDOW:]] if refining else []
+    else:
+        scorer = Scorer(scene, options.likelihood, device)
+        sequence = Sequence_.of(scene, chosen, encoder, options, scorer)
+        coarse = sequence.localized(prior, np.random.default_rng(seed), progress)
+        sightings = sequence.sightings
+    if refining is None:
+        return coarse
+    return refine_estimate(
+        coarse, scene, sightings, matcher=matching, options=refining, device=device,
+        progress=progress,
+    )  # fmt: skip

@@ -22,9 +22,12 @@ if TYPE_CHECKING:
     from placegraph.formats.capture import Capture
     from placegraph.geometry import Camera
     from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.matching import Matcher
     from placegraph.indoor.mesh import Mesh
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.raycast import RayCaster
+    from placegraph.indoor.refine import RefineOptions
+    from placegraph.indoor.render import Rendering
     from placegraph.indoor.surface import Surface
     from placegraph.indoor.tracker import Tracker
     from placegraph.indoor.visibility import VisibilityTable
@@ -262,6 +265,8 @@ class SceneMap:
         prior: Any = None,  # noqa: ANN401  # see `localize`
         encoder: Encoder | None = None,
         options: FilterOptions | None = None,
+        refine: bool | RefineOptions = True,
+        matcher: str | Matcher = "auto",
         seed: int = 0,
         device: str = "auto",
         progress: Callable[[str, int, int], None] | None = None,
@@ -274,8 +279,47 @@ class SceneMap:
 
         return localize(
             self, capture, frames=frames, prior=prior, encoder=encoder, options=options,
+            refine=refine, matcher=matcher, seed=seed, device=device, progress=progress,
+        )  # fmt: skip
+
+    def refine(
+        self,
+        capture: Capture,
+        map_from_camera: ArrayLike,
+        *,
+        frames: Any = None,  # noqa: ANN401  # see `localize`
+        matcher: str | Matcher = "auto",
+        options: RefineOptions | None = None,
+        seed: int = 0,
+        device: str = "auto",
+        progress: Callable[[str, int, int], None] | None = None,
+    ) -> PoseEstimate:
+        """The pose of the last frame, from where it is roughly known to have been taken.
+
+        Parameters, result and errors: `placegraph.indoor.refine.refine`.
+        """
+        from placegraph.indoor.refine import refine
+
+        return refine(
+            self, capture, map_from_camera, frames=frames, matcher=matcher, options=options,
             seed=seed, device=device, progress=progress,
         )  # fmt: skip
+
+    def render(
+        self,
+        map_from_camera: ArrayLike,
+        camera: Camera,
+        *,
+        samples: int = 4,
+        device: str = "auto",
+    ) -> Rendering:
+        """The map as a camera at a pose (4, 4) would see it.
+
+        Parameters, result and errors: `placegraph.indoor.render.render`.
+        """
+        from placegraph.indoor.render import render
+
+        return render(self, map_from_camera, camera, samples=samples, device=device)
 
     def tracker(self, camera: Camera, *, seed: int = 0, **options: Any) -> Tracker:  # noqa: ANN401
         """Localizer for one frame at a time; see `placegraph.indoor.tracker.Tracker`."""
