@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 OUT = ROOT / "benchmarks/results/indoor_refine.json"
-WORDS = ("auto", "none", *GICP)
+WORDS = ("auto", "guided", *GICP)
 """What refines without a matcher of its own being made."""
 
 
@@ -81,7 +81,7 @@ def run(
     open_ = [(k, w) for k, w in zip(keys, windows, strict=True) if k not in journal]
     task = tick.add_task(f"{job.name}, {length} frames", total=len(open_))
     if open_:
-        scene, by = bench.scene(job.place), matchers[job.by]
+        scene, by = bench.scene(job.place), matchers[job.matcher]
         ask(job, scene, windows[0], matcher=by, seed=seed + 1, device=device)  # compiled and warm
         for key, window in open_:
             result = ask(job, scene, window, matcher=by, seed=seed, device=device)

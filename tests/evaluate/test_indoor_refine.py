@@ -11,12 +11,13 @@ from typer.testing import CliRunner
 
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.evaluate.indoor_metrics import position_error, rotation_error
-from placegraph.evaluate.indoor_refine import MATCHERS, QUICK, ask, refine_jobs
+from placegraph.evaluate.indoor_refine import GICP, MATCHERS, QUICK, ask, refine_jobs
 from placegraph.evaluate.indoor_starts import disturbed
 from placegraph.evaluate.indoor_windows import Window
 from placegraph.formats.capture import Capture
 from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
+from placegraph.indoor.refine.options import RefineOptions
 
 ROOT = Path(__file__).resolve().parents[2]
 JOBS = {job.name: job for job in refine_jobs()}
@@ -39,8 +40,8 @@ class Scene:
         coarse = disturbed(self.truth, np.random.default_rng(options["seed"]), 0.3, 3.0)
         return self._estimate(coarse)
 
-    def refine(self, capture, map_from_camera, *, matcher):
-        self.asked.append((capture, {"start": map_from_camera, "matcher": matcher}))
+    def refine(self, capture, map_from_camera, **options):
+        self.asked.append((capture, {"start": map_from_camera, **options}))
         return self._estimate(map_from_camera)
 
     def _estimate(self, coarse):
@@ -64,12 +65,23 @@ def window():
 def test_every_row_has_a_name_of_its_own_and_something_to_refine_by():
     assert len(JOBS) == len(refine_jobs())
     assert all(job.depth or job.by != "none" for job in JOBS.values())
-    assert {job.by for job in JOBS.values()} == {*MATCHERS, "small_gicp, plane", "small_gicp, GICP"}
-    assert not JOBS["house found: semantic, sift"].depth
-    assert JOBS["house found: semantic + depth, none"].depth
+    papers = {"sift, paper's recipe", "xfeat, paper's recipe"}
+    assert {job.by for job in JOBS.values()} == {*MATCHERS, *GICP, *papers}
+    assert all(not job.depth for job in JOBS.values() if job.by in papers)
+    assert not JOBS["house found: semantic + colour, sift"].depth
+    assert JOBS["house found: all, none"].depth
+    assert all(job.coarse.options.colour for job in JOBS.values() if job.coarse)
     assert not JOBS["a in b disturbed: no depth, xfeat"].depth
     for name in QUICK:
         assert any(j == name or (name[-1] == "*" and j.startswith(name[:-1])) for j in JOBS)
+
+
+def test_a_matcher_that_is_named_takes_part():
+    options = {by: JOBS[f"house disturbed: depth, {by}"].options for by in MATCHERS}
+    assert [options[by].images for by in MATCHERS] == ["auto", False, True, True, True]
+    paper = JOBS["house disturbed: no depth, sift, paper's recipe"]
+    assert (paper.matcher, paper.options) == ("sift", RefineOptions.paper())
+    assert JOBS["house disturbed: depth, none"].matcher == "auto"
 
 
 def test_keys_tell_rows_windows_seeds_and_code_apart(window):
@@ -87,7 +99,7 @@ def test_a_found_pose_is_measured_before_and_after(window):
     )  # fmt: skip
     capture, options = scene.asked[0]
     assert capture is window.capture
-    assert options["refine"] is True
+    assert options["refine"].images is True
     assert (options["matcher"], options["seed"], options["encoder"]) == ("sift", 3, None)
     assert options["options"].depth
     assert got.before == pytest.approx((0.3, 3.0))
@@ -111,7 +123,7 @@ def test_a_disturbed_start_is_the_same_for_all_and_the_truth_is_not_told(window)
         assert got.before == pytest.approx((0.2, 10.0))
     (_, first), (_, second) = scene.asked
     assert (first["start"] == second["start"]).all()
-    assert (first["matcher"], second["matcher"]) == ("auto", "none")
+    assert (first["options"].images, second["options"].images) == ("auto", False)
     assert position_error(first["start"], TRUTH) == pytest.approx(0.2)
     assert rotation_error(first["start"], TRUTH) == pytest.approx(10.0)
 
@@ -147,7 +159,7 @@ def call(script, folder, *options):
 
 
 def test_the_script_goes_on_where_it_was_cut(script, tmp_path):
-    options = ("--only", "house disturbed: depth, auto; house found: semantic, auto")
+    options = ("--only", "house disturbed: depth, auto; house found: all, auto")
     first = call(script, tmp_path, *options, "--windows", "10,25")
     assert first.exit_code == 0, first.output
     assert len(script.asked) == 2 * (40 + 8 + 2)  # and one of each length to warm up
@@ -181,6 +193,6 @@ def test_a_quick_run_is_short_and_unknown_rows_are_refused(script, tmp_path):
 
 def test_matchers_are_made_once(script):
     made = script.Matchers(None)
-    assert (made["auto"], made["none"]) == ("auto", "none")
+    assert made["auto"] == "auto"
     assert made["sift"] is made["sift"]
     assert made["sift"].name == "sift"

@@ -41,10 +41,10 @@ def row(name, *results, length=10):
 
 def test_a_line_has_both_sides():
     text = refine_report(
-        [row("house found: semantic, sift", result(before=(0.06, 1.0)), result(position=0.3))]
+        [row("house found: all, sift", result(before=(0.06, 1.0)), result(position=0.3))]
     )
     assert "#### House, from the pose found, 10 frames" in text
-    (ours,) = lines(text, "semantic, sift")
+    (ours,) = lines(text, "all, sift")
     assert ours[1:8] == [
         "2", "13.0 cm, 5.5°", "15.5 cm, 0.2°", "13.0 cm, 5.5°", "15.5 cm, 0.2°",
         ".50/.50/.50/1.00", ".50/.50/.50/.50",
@@ -60,7 +60,7 @@ def test_a_line_has_both_sides():
         ".28/–/–/.73", ".49/.39/–/.79",
     ]  # fmt: skip
     assert paper[0][-2] == "5.5"
-    assert "- house found: semantic, sift, 10 frames: seq00 0:10 OK 0.20 m" in text
+    assert "- house found: all, sift, 10 frames: seq00 0:10 OK 0.20 m" in text
 
 
 def test_published_rows_belong_to_tables():
@@ -114,8 +114,8 @@ def test_covariances_are_shown_for_poses_refined_and_poses_left():
     assert refined[1:] == ["1", *["0.50"] * 6, "1.00/1.00/1.00", "1.00"]
     assert left[1:3] == ["1", "4.00"]
     assert left[8] == ".00/.00/.00"
-    assert "#### House, with depth, auto: errors over standard deviations, all axes" in text
-    assert "Office, with depth" not in text
+    bars = "#### Errors over standard deviations: House, depth (with depth), from 0.2 m"
+    assert text.count(bars) == text.count("```text") == 1
 
 
 def test_bars_are_as_long_as_shares(rng):

@@ -175,11 +175,11 @@ def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> Encoder 
 def ask(
     job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
 ) -> Answer:
-    """Localize a window and measure the answer."""
+    """Localize a window, without refining, and measure the answer."""
     encoder = encoder_of(job, scene, window, seed)
     start = time.perf_counter()
     estimate = scene.localize(
-        window.capture, encoder=encoder, options=job.options, seed=seed, device=device
+        window.capture, encoder=encoder, options=job.options, refine=False, seed=seed, device=device
     )
     seconds = time.perf_counter() - start
     return measure(

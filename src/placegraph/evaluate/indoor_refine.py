@@ -1,8 +1,9 @@
 """The rows of the refinement's benchmark: from where, by what, and asking for them.
 
 From where: from the pose that localizing finds ("found"), or from one 0.2 m and 10 degrees off the
-true one ("disturbed"), which shows the refiner alone. By what: the word for a matcher, `auto`,
-`none` (depth alone), or small_gicp, which aligns depth alone and knows no verdict.
+true one ("disturbed"), which shows the refiner alone. By what: `auto`, the default; the word for a
+matcher, whose matches then always take part; `none`, depth alone; a matcher with the paper's recipe;
+or small_gicp, which aligns depth alone and knows no verdict.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from placegraph.evaluate.indoor_gicp import align
 from placegraph.evaluate.indoor_jobs import ANSWERING, BARE, SEMANTIC, Job, encoder_of
 from placegraph.evaluate.indoor_refine_metrics import Refined, measure_pose, measure_refined
 from placegraph.evaluate.indoor_starts import start_of, without_depth
-from placegraph.evaluate.indoor_windows import HALVES
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.refine.options import RefineOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,8 +34,10 @@ REFINING = (
     "evaluate/indoor_starts.py", "evaluate/indoor_gicp.py", "evaluate/indoor_jobs.py",
 )  # fmt: skip
 """Code that decides what the answers are."""
-MATCHERS = ("auto", "none", "sift", "xfeat")
+MATCHERS = ("auto", "none", "guided", "sift", "xfeat")
 """What refines, if nothing else is asked for; `none` is depth alone."""
+PAPER = ", paper's recipe"
+"""What follows the word for a matcher where `RefineOptions.paper()` is meant: images alone."""
 GICP: dict[str, Kind] = {"small_gicp, plane": "PLANE_ICP", "small_gicp, GICP": "GICP"}
 PLACES = {
     "house": "House",
@@ -55,20 +58,20 @@ class RefineJob:
     """Key of `PLACES`."""
     start: Start
     seen: str
-    """What localizing looks at: `semantic + depth`; from a disturbed start `depth` or `no depth`."""
+    """What localizing looks at: `all`; from a disturbed start `depth` or `no depth`."""
     by: str
-    """Word for a matcher, or a key of `GICP`."""
+    """`auto`, `none`, the word for a matcher, the same with `PAPER` behind it, or a key of `GICP`."""
     coarse: Job | None = None
     """How the pose is found; None from a disturbed start."""
 
     @property
     def name(self) -> str:
-        """`house found: semantic + depth, sift`."""
+        """`house found: all, sift`."""
         return f"{self.place} {self.start}: {self.row}"
 
     @property
     def row(self) -> str:
-        """`semantic + depth, sift`."""
+        """`all, sift`."""
         return f"{self.seen}, {self.by}"
 
     @property
@@ -76,10 +79,22 @@ class RefineJob:
         """Whether the capture has depth."""
         return self.coarse.options.depth if self.coarse else self.seen == "depth"
 
+    @property
+    def matcher(self) -> str:
+        """Word for the matcher."""
+        return "auto" if self.by == "none" else self.by.removesuffix(PAPER)
+
+    @property
+    def options(self) -> RefineOptions:
+        """How to refine: a matcher that is named takes part even where depth would do."""
+        if self.by.endswith(PAPER):
+            return RefineOptions.paper()
+        return RefineOptions(images="auto" if self.by == "auto" else self.by != "none")
+
     def key(self, window: Window, seed: int, code: str) -> str:
         """What an answer depends on."""
         coarse = self.coarse.key(window, seed, code) if self.coarse else f"{code} {window.name}"
-        return f"{coarse} seed {seed} {self.name} depth {self.depth}"
+        return f"{coarse} seed {seed} {self.name} depth {self.depth} {self.options}"
 
 
 def refine_jobs(matchers: Sequence[str] = MATCHERS) -> list[RefineJob]:
@@ -92,21 +107,22 @@ def refine_jobs(matchers: Sequence[str] = MATCHERS) -> list[RefineJob]:
 
 
 def _found_jobs(place: str, matchers: Sequence[str]) -> list[RefineJob]:
-    """Labels only, and with depth, by all matchers; without labels, by the default."""
-    if place in HALVES:
-        ways = [(f"no labels: {row}", Job(place, row, _only(**BARE[row]), place, "none"))
-                for row in ("depth + colour", "colour")]  # fmt: skip
-        every = 1
-    else:
-        ways = [(row, Job("instances", row, _only(**SEMANTIC[row]), "house", "instances"))
-                for row in ("semantic", "semantic + depth")]  # fmt: skip
-        ways += [(f"no labels: {row}", Job("none", row, _only(**BARE[row]), "house", "none"))
-                 for row in ("depth + colour", "colour")]  # fmt: skip
-        every = 2
+    """By all matchers where most is known, with depth and without; else by the first.
+
+    A sense that localizing does without is not refined by either: colours are always on.
+    """
+    ways: list[tuple[Job, Sequence[str]]] = []
+    if place == "house":
+        for row in ("all", "semantic + colour"):
+            options = FilterOptions().only(**SEMANTIC[row])
+            ways.append((Job("instances", row, options, place, "instances"), matchers))
+    for row in ("depth + colour", "colour"):
+        job = Job("none", f"no labels: {row}", FilterOptions().only(**BARE[row]), place, "none")
+        ways.append((job, matchers[:1] if place == "house" else matchers))
     return [
-        RefineJob(place, "found", seen, by, coarse)
-        for i, (seen, coarse) in enumerate(ways)
-        for by in _allowed(matchers if i < every else matchers[:1], depth=coarse.options.depth)
+        RefineJob(place, "found", job.row, by, job)
+        for job, by_these in ways
+        for by in _allowed(by_these, depth=job.options.depth)
     ]
 
 
@@ -119,16 +135,16 @@ def _disturbed_jobs(place: str, matchers: Sequence[str]) -> list[RefineJob]:
 
 
 def _allowed(matchers: Sequence[str], *, depth: bool) -> list[str]:
-    """Without depth and without matches nothing is left to refine by."""
-    return [m for m in matchers if depth or m != "none"]
-
-
-def _only(**terms: bool) -> FilterOptions:
-    return FilterOptions().only(**terms)
+    """What can refine: without depth also by the paper's recipe, and never by nothing."""
+    if depth:
+        return list(matchers)
+    named = [m for m in matchers if m not in {"auto", "none", "guided"}]
+    default = [m for m in matchers if m == "auto"]  # without depth the same as `guided`
+    return [*default, *named, *(f"{m}{PAPER}" for m in named)]
 
 
 QUICK = (
-    "house found: semantic, auto", "house found: semantic + depth, auto",
+    "house found: all, auto", "house found: semantic + colour, auto",
     "house disturbed: *", "b in a disturbed: depth, *",
 )  # fmt: skip
 """Rows of a first impression."""
@@ -157,9 +173,9 @@ def ask(
     window
         Frames, and the truth.
     matcher
-        The matcher that `job.by` names: a word, or the matcher itself where it needs weights.
+        What `job.matcher` names: the word, or the matcher itself where it has weights.
     seed
-        Of the filter, of the label noise and of the disturbed starts.
+        Of the filter, of the label noise, of the disturbed starts and of the search there.
     device
         For the filter.
 
@@ -174,7 +190,7 @@ def ask(
             options=job.coarse.options,
             seed=seed,
             device=device,
-            refine=True,
+            refine=job.options,
             matcher=matcher,
         )
         return measure_refined(estimate, window, seconds=time.perf_counter() - began)
@@ -183,5 +199,5 @@ def ask(
     if job.by in GICP:
         pose = align(scene, list(capture), start, kind=GICP[job.by]).map_from_camera
         return measure_pose(pose, window, seconds=time.perf_counter() - began, start=start)
-    estimate = scene.refine(capture, start, matcher=matcher)
+    estimate = scene.refine(capture, start, matcher=matcher, options=job.options, seed=seed)
     return measure_refined(estimate, window, seconds=time.perf_counter() - began, start=start)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from placegraph.evaluate.indoor_metrics import AXES
-from placegraph.evaluate.indoor_refine import GICP, PLACES, STARTS, RefineJob
+from placegraph.evaluate.indoor_refine import GICP, PAPER, PLACES, STARTS, RefineJob, Start
 from placegraph.evaluate.indoor_refine_metrics import (
     EDGES,
     LIMITS,
@@ -109,7 +109,7 @@ def refine_report(rows: Sequence[RefineRow]) -> str:
     if house:
         parts += ["#### House, unchanged / changed scenes, 10 cm 5° after", changes_table(house)]
         parts += ["#### House, by sequence, 10 cm 5° after", sequences_table(house)]
-    own = [r for r in rows if r.job.by not in GICP]
+    own = [r for r in rows if is_ours(r.job)]
     if own:
         parts += ["#### Errors over standard deviations", spread_table(own)]
         parts += histograms(own)
@@ -233,24 +233,34 @@ def spread_line(head: str, s: Spread) -> list[str]:
 
 
 def histograms(rows: Sequence[RefineRow]) -> list[str]:
-    """Headings and bars of refined poses, by the first matcher alone so that none counts twice."""
+    """Headings and bars of refined poses.
+
+    By the first matcher and from one start alone, so that a window counts once a length.
+    """
     by = rows[0].job.by
     parts = []
     for title, office in (("House", False), ("Office", True)):
         for words, depth in (("with depth", True), ("without depth", False)):
-            pooled = [
-                r
+            mine = [
+                row
                 for row in rows
                 if row.job.by == by
                 and (row.job.place in HALVES) is office
                 and row.job.depth is depth
+            ]
+            start: Start = "found" if any(row.job.start == "found" for row in mine) else "disturbed"
+            seen = [row.job.seen for row in mine if row.job.start == start][:1]
+            pooled = [
+                r
+                for row in mine
+                if row.job.start == start and row.job.seen in seen
                 for r in row.results
                 if r.accepted
             ]
             s = spread(pooled)
             if s.count:
-                head = f"#### {title}, {words}, {by}: errors over standard deviations, all axes"
-                parts += [head, histogram(s)]
+                what = f"{title}, {seen[0]} ({words}), {STARTS[start]}, {by}"
+                parts += [f"#### Errors over standard deviations: {what}", histogram(s)]
     return parts
 
 
@@ -286,7 +296,7 @@ def aims_table(rows: Sequence[RefineRow]) -> str:
     """What issue 5 aims at beside what was reached; an empty string where nothing was asked."""
     lines: list[list[str]] = []
     for row in rows:
-        if row.job.start != "disturbed" or row.job.by in GICP:
+        if row.job.start != "disturbed" or not is_ours(row.job):
             continue
         head = f"{row.job.name}, {row.length} frames"
         if row.job.place in HALVES:
@@ -305,12 +315,16 @@ def aims_table(rows: Sequence[RefineRow]) -> str:
 def seconds_line(row: RefineRow) -> list[list[str]]:
     """The aim for the time of ten frames, where it applies."""
     learned = row.job.by == "xfeat"
-    if row.length != 10 or row.job.start != "disturbed" or row.job.by in GICP:
-        return []
-    if not learned and not row.job.depth:
+    with_depth = row.job.depth and row.job.by in {"auto", "none"}
+    if row.length != 10 or row.job.start != "disturbed" or not (learned or with_depth):
         return []
     text = f"{row.job.name}, 10 frames: seconds"
     return [[text, "≤ 3" if learned else "≤ 1", number(row.score.seconds, 2)]]
+
+
+def is_ours(job: RefineJob) -> bool:
+    """Whether it is neither small_gicp nor the paper's recipe."""
+    return job.by not in GICP and not job.by.endswith(PAPER)
 
 
 def harmful_list(rows: Sequence[RefineRow]) -> str:
@@ -318,5 +332,5 @@ def harmful_list(rows: Sequence[RefineRow]) -> str:
     return "\n".join(
         f"- {row.job.name}, {row.length} frames: {'; '.join(row.score.worst)}"
         for row in rows
-        if row.score.worst and row.job.by not in GICP
+        if row.score.worst and is_ours(row.job)
     )

@@ -9,6 +9,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
@@ -230,12 +231,13 @@ def localizing(
     stages: dict[str, float] = {}
     total = {"seconds": 0.0, "rays": 0.0, "poses": 0.0, "scoring": 0.0, "particles": 0.0}
     start = time.perf_counter()
-    opened.localize(open_capture(folders[0])[:FRAMES], options=options, seed=1, device=device)
+    ask = partial(opened.localize, options=options, refine=False, device=device)
+    ask(open_capture(folders[0])[:FRAMES], seed=1)
     first = time.perf_counter() - start
     for folder in folders:
         capture = open_capture(folder)[:FRAMES]
         start = time.perf_counter()
-        estimate = opened.localize(capture, options=options, seed=0, device=device)
+        estimate = ask(capture, seed=0)
         total["seconds"] += time.perf_counter() - start
         stats = estimate.stats
         for stage, seconds in stats["seconds"].items():
