@@ -189,6 +189,15 @@ def test_an_empty_picture_says_so(run, world, tmp_path):
     assert json.loads((tmp_path / "objects.json").read_text(encoding="utf-8")) == {}
 
 
+def test_what_is_too_far_for_sixteen_bits(run, world, tmp_path):
+    far = world.truth[0][:2, 3]
+    result = run("scene", "render", world.map, "-o", tmp_path, "--pose",
+                 f"{far[0] + 80},{far[1]},1.3,180", "--camera", world.camera, "--json")  # fmt: skip
+    assert result.json["depth_m"][0] > 65.5
+    assert read(tmp_path / "objects.png").any()
+    assert not read(tmp_path / "depth.png").any()
+
+
 def test_quiet_and_samples(run, world, tmp_path):
     shades = []
     for samples in (1, 16):

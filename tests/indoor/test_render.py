@@ -230,13 +230,13 @@ def test_fine_textures_become_their_mean(yaw_deg):
 
 def test_stripes_stay_on_a_slope():
     """Along the longer axis alone is a texture blurred: stripes that run away stay sharp."""
-    stripes = np.zeros((256, 256, 3), np.uint8)
+    stripes = np.zeros((1280, 256, 3), np.uint8)
     stripes[:, 128:] = 255
     floor = ((0, 4, 0), (0, -8, 0), (40, 0, 0), WHITE)
     drawn = render(scene_of(floor, texture=stripes), looking(0.0, 0.0, 1.0), CAMERA, samples=1)
     far = drawn.mask & (drawn.depth > 6.0) & (drawn.depth < 12.0)
     side = np.where(drawn.points[..., 1] < 0, 255, 0)
-    clear = far & (np.abs(drawn.points[..., 1]) > 0.4) & (np.abs(drawn.points[..., 1]) < 3.0)
+    clear = far & (np.abs(drawn.points[..., 1]) > 0.35) & (np.abs(drawn.points[..., 1]) < 3.0)
     assert clear.sum() > 50
     assert np.abs(drawn.colour[clear][:, 0] - side[clear].astype(float)).max() < 30
 
@@ -282,6 +282,13 @@ def test_where_the_map_ends_nothing_is_mixed_in():
     assert 0 < drawn.mask.mean() < 1
     assert (drawn.colour[drawn.mask] == (200, 100, 50)).all()
     assert (drawn.colour[~drawn.mask] == 0).all()
+    # where two things end together, edges are drawn anew
+    stripe = ((1.9, -1.5, -8), (0, -0.2, 0), (0, 3, 16), (200, 100, 250))
+    drawn = render(scene_of(((2, -1.5, -8), (0, -9, 0), (0, 3, 16), (200, 100, 50)), stripe),
+                   looking(), CAMERA, samples=16)  # fmt: skip
+    blue = drawn.colour[drawn.mask][:, 2]
+    assert ((blue > 60) & (blue < 240)).any()
+    assert (drawn.colour[drawn.mask][:, :2] == (200, 100)).all()
 
 
 def test_patterns():
