@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 OUT = ROOT / "benchmarks/results/indoor_matchers.json"
-MATCHERS = "sift; sift upright=False; xfeat; xfeat scale=2.0; xfeat dense=True"
+MATCHERS = "sift; sift upright=False; xfeat; xfeat least=0.82; xfeat dense=True"
 EVERY, OFFICE_EVERY = 5, 12
 
 

@@ -204,14 +204,14 @@ def solve(camera: Camera, pixels: Floats, points: Floats, seed: int) -> tuple[Fl
     Raises
     ------
     MissingExtraError
-        PoseLib is not installed.
+        PoseLib is not installed: it comes with placegraph where it has a wheel.
 
     """
     try:
         import poselib
     except ImportError as error:
         raise MissingExtraError(
-            "Poses from matches need PoseLib: pip install 'placegraph[refine]'."
+            "Poses from matches need PoseLib, which has no wheel here: pip install poselib."
         ) from error
     known = np.isfinite(points).all(axis=1)
     if known.sum() < FEWEST:

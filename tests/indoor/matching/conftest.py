@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-cv2 = pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[refine]'")
+cv2 = pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
 
 
 def _texture(rng, height=240, width=320):

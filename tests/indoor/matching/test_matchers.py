@@ -10,7 +10,7 @@ from placegraph.indoor.matching import MATCHERS, Matcher, matcher
 @pytest.fixture(scope="module", params=["sift", "xfeat", "xfeat dense"])
 def any_matcher(request):
     if request.param == "sift":
-        pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[refine]'")
+        pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
         return matcher("sift")
     pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[xfeat]'")
     weights = request.getfixturevalue("shared") / "weights/xfeat.pt"

@@ -6,7 +6,7 @@ import pytest
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.matching import matcher
 
-pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[refine]'")
+pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
 
 
 @pytest.fixture(scope="module")
@@ -79,5 +79,5 @@ def test_options_out_of_range_are_refused(options):
 
 def test_without_opencv_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(MissingExtraError, match=r"placegraph\[refine\]"):
+    with pytest.raises(MissingExtraError, match=r"placegraph\[sift\]"):
         matcher("sift")

@@ -104,7 +104,7 @@ class XFeatMatcher:
         dense: bool = False,
         features: int = 4096,
         threshold: float = 0.05,
-        least: float = 0.82,
+        least: float = 0.7,
         ratio: float = 1.0,
         scale: float = 1.0,
         sure: float = 0.25,
