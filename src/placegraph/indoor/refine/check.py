@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.matching.guided import lightness, resized
-from placegraph.indoor.refine.kernels import correlations, depth_scores
+from placegraph.indoor.raycast.layout import LANES
+from placegraph.indoor.refine.depth import distances
+from placegraph.indoor.refine.kernels import correlations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,21 +61,22 @@ def depth_gain(
     surfaces: Surfaces, held: Sequence[Readings | None], before: Floats, after: Floats
 ) -> Gain:
     """Gain of trajectories (T, 4, 4) on held-back readings of T frames; tiles are the samples."""
-    scores: list[list[Floats]] = [[], []]
-    for t, seen in enumerate(held):
-        if seen is None:
-            continue
-        for out, poses in zip(scores, (before, after), strict=True):
-            rotation = np.ascontiguousarray(poses[t, :3, :3])
-            position = np.ascontiguousarray(poses[t, :3, 3])
-            out.append(
-                depth_scores(surfaces, rotation, position, seen.directions, seen.depth, SCALE)
-            )
-    if not scores[0]:
-        return Gain.of(np.zeros(0), np.zeros(0))
-    first, second = (np.concatenate(s) for s in scores)
+    first, second = (_tile_scores(surfaces, held, poses) for poses in (before, after))
     told = np.isfinite(first)
     return Gain.of(first[told], second[told])
+
+
+def _tile_scores(surfaces: Surfaces, held: Sequence[Readings | None], poses: Floats) -> Floats:
+    """Mean score of each tile: 1 on the map's surface, 0 far from it; NaN without a reading."""
+    scores = [np.zeros((0, LANES))]
+    for seen, distance in zip(held, distances(surfaces, held, poses), strict=True):
+        if seen is not None:
+            scores.append((1.0 / (1.0 + (distance / SCALE) ** 2)).reshape(-1, LANES))
+    of_tiles = np.concatenate(scores)
+    read = np.isfinite(of_tiles)
+    counts = read.sum(axis=1)
+    means = np.where(read, of_tiles, 0.0).sum(axis=1) / np.maximum(counts, 1)
+    return np.where(counts > 0, means, np.nan)
 
 
 def held_back(pixels: Floats, width: int) -> NDArray[np.bool_]:

@@ -11,11 +11,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from placegraph.indoor.refine.kernels import plane_distances
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame
-    from placegraph.geometry import Camera
+    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.raycast.packets import Tracer
     from placegraph.indoor.scene_map import SceneMap
 
@@ -136,3 +140,22 @@ class Kernel(NamedTuple):
     facing: tuple[float, float]
     width: float
     """Residual, in standard deviations, at which a reading has a quarter of its say left."""
+
+
+def distances(surfaces: Surfaces, seen: Sequence[Readings | None], poses: Floats) -> list[Floats]:
+    """Distances (R,) [m] of the readings of each frame from the map's surface at poses (T, 4, 4).
+
+    NaN where there is no reading, infinite where the map shows nothing.
+    """
+    return [
+        np.zeros(0)
+        if one is None
+        else plane_distances(
+            surfaces,
+            np.ascontiguousarray(pose[:3, :3]),
+            np.ascontiguousarray(pose[:3, 3]),
+            one.directions,
+            one.depth,
+        )
+        for one, pose in zip(seen, poses, strict=True)
+    ]

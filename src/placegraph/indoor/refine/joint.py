@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.refine.pixels import Sights
 
-READINGS = 60.0
+READINGS = 200.0
 """Independent readings that the depth of one frame is worth: neighbours err together."""
 POINTS = 40.0
 """Independent points that the matches of one frame are worth at most."""

@@ -21,7 +21,9 @@ FARTHEST = (1.0, 0.6)
 BENT = 3.0
 """Root mean square of odometry's normalised errors beyond which the motion was not like that."""
 SURE = 1.0
-"""Standard errors by which the refined trajectory must explain held-back samples better."""
+"""Standard errors by which the refined trajectory must explain held-back samples better ..."""
+SURER = 3.0
+"""... and where images alone speak: they are wrong together more easily (benchmark)."""
 AGAINST = -2.5
 """Standard errors by which one sense may speak against it while the other speaks for it."""
 
@@ -67,7 +69,7 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     zs = [g.z for g in gains.values() if not np.isnan(g.before)]
     if not zs:
         return Judgement(False, "Not refined: no held-back pixel tells whether it helped.", stats)
-    if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < SURE:
+    if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < (SURE if refiner.has_depth else SURER):
         said = "held-back pixels are not explained better than by the coarse pose"
         return Judgement(False, f"Not refined: {said}.", stats)
     return Judgement(True, f"Refined by {_by(refiner, inliers)}.", stats)

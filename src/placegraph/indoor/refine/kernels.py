@@ -152,20 +152,21 @@ def pixel_system(rotation, position, points, rays, sigma, focal, width):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def depth_scores(surfaces, rotation, position, directions, depth, scale):
-    """Mean score of each tile's readings, NaN where it has none: 1 on the surface, 0 far from it."""
-    tiles = len(depth) // LANES
-    out = np.full(tiles, np.nan)
+def plane_distances(surfaces, rotation, position, directions, depth):
+    """Distances (R,) [m] of readings from the plane of what their rays hit, along its normal.
+
+    NaN where there is no reading, infinite where the map shows nothing.
+    """
+    out = np.full(len(depth), np.nan)
     packet, ints, valid = new_packet()
-    for tile in range(tiles):
+    for tile in range(len(depth) // LANES):
         aim_rotated(packet, rotation, position, directions, tile * LANES)
         trace16(surfaces.tracer, packet, ints, valid)
-        count, total = 0, 0.0
         for lane in range(LANES):
-            z = depth[tile * LANES + lane]
-            if z <= 0:
+            r = tile * LANES + lane
+            if depth[r] <= 0:
                 continue
-            count += 1
+            out[r] = np.inf
             triangle = ints[TRIANGLE, lane]
             if triangle >= 0:
                 nx, ny, nz = surfaces.normals[triangle]
@@ -174,10 +175,7 @@ def depth_scores(surfaces, rotation, position, directions, depth, scale):
                     + ny * packet[DIRECTION + 1, lane]
                     + nz * packet[DIRECTION + 2, lane]
                 )
-                e = slant * (z - packet[FAR, lane]) / scale
-                total += 1.0 / (1.0 + e * e)
-        if count:
-            out[tile] = total / count
+                out[r] = abs(slant * (depth[r] - packet[FAR, lane]))
     return out
 
 

@@ -122,6 +122,8 @@ def _told(
     matcher = refiner.matcher.name if refiner.matcher else "guided"
     seconds = {stage: round(value, 4) for stage, value in refiner.seconds.items()}
     stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
+    if fitted is not None and not judgement.accepted:
+        stats["candidate"] = fitted.poses[-1].tolist()  # what was refused
     return replace(
         estimate,
         modes=(best, *estimate.modes[1:]),
@@ -245,7 +247,7 @@ def _status(sequence: Sequence_, told: PoseEstimate) -> tuple[Status, str]:
 def _searched(sequence: Sequence_, given: Floats, options: RefineOptions, rng: Generator) -> Floats:
     """Trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
     way, turn = options.reach
-    pose, level = split_pose(given)
+    pose, _ = split_pose(given)
     fit = polish.refine(
         sequence.scorer,
         pose,

@@ -17,6 +17,7 @@ from placegraph.indoor.refine.depth import Readings, Surfaces, readings
 from placegraph.indoor.refine.images import look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.joint import Problem, Solution, solve
 from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.refine.uncertainty import covariance
 from placegraph.indoor.render import Renderer
 
 if TYPE_CHECKING:
@@ -38,10 +39,6 @@ FINE_WIDTHS = ((5.0, 6.0), (3.0, 3.0), (3.0, 2.0))
 """Kernels once matches are there."""
 UNSURE = 0.45
 """Mean robust cost of the depth readings from which on images are asked too."""
-WIDENED = 1.0
-"""Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
-SYSTEMATIC = (0.002, 0.002, 0.002, 0.0005, 0.0005, 0.0005)
-"""Standard deviations [m], [rad] of what no number of readings averages out."""
 FEW = 5
 """Most frames that a matcher which knows no neighbourhood is given: it takes its time."""
 
@@ -80,13 +77,8 @@ class Fitted:
     """None: nothing was there to go by."""
     sights: list[Sights]
     """(T,) matches used."""
-
-    @property
-    def covariance(self) -> Floats:
-        """(6, 6) of the last frame: the fit's own, and what all frames may be wrong by together."""
-        if self.solution is None:
-            return np.diag(np.square(SYSTEMATIC))
-        return WIDENED * self.solution.covariance() + np.diag(np.square(SYSTEMATIC))
+    covariance: Floats
+    """(6, 6) of the last frame, as `PoseMode.covariance`."""
 
 
 @dataclass(eq=False)
@@ -156,7 +148,7 @@ class Refiner:
                 solution = solve(self.problem(sights), led, FINE_WIDTHS)
             poses = solution.poses
         tell("checking", 0, 1)
-        return Fitted(poses, solution, sights)
+        return self._finished(poses, solution, sights)
 
     # ------------------------------------------------------------------------------- stages
 
@@ -237,7 +229,7 @@ class Refiner:
                 if found is not None and (best is None or found.count > best[0]):
                     best = found.count, found.pose, t
         if best is None:
-            return Fitted(poses, None, [Sights.none()] * len(sights))
+            return self._finished(poses, None, [Sights.none()] * len(sights))
         _, pose, t = best
         odometry = np.stack([f.odometry for f in self.frames])
         led = pose @ np.linalg.inv(odometry[t]) @ odometry
@@ -245,4 +237,9 @@ class Refiner:
         kept[t] = sights[t][sights[t].errors(pose) < self.options.inlier]
         self.stats["decided_by"] = self.frames[t].index
         solution = solve(self.problem(kept), led, FINE_WIDTHS[-1:], steps=1)
-        return Fitted(led, solution, kept)
+        return self._finished(led, solution, kept)
+
+    def _finished(self, poses: Floats, solution: Solution | None, sights: list[Sights]) -> Fitted:
+        if solution is None:
+            return Fitted(poses, None, sights, np.full((6, 6), np.nan))
+        return Fitted(poses, solution, sights, covariance(self.problem(sights), solution))
