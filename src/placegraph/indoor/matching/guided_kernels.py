@@ -62,10 +62,11 @@ def search(view, seen, query, at, half, radius, peak):
     on the rim of the window is none: the true one may lie beyond.
     """
     h, w = query.shape
-    side = 2 * half + 1
+    side, reach = 2 * half + 1, 2 * radius + 1
     patch = np.empty((side, side), np.float32)
     shown = np.empty((side, side), np.float32)
-    scores = np.empty((2 * radius + 1, 2 * radius + 1), np.float32)
+    scores = np.empty((reach, reach), np.float32)
+    rows = np.empty((3, reach), np.float32)
     out = np.empty((len(at), 4))
     for k in range(len(at)):
         row, column = int(at[k, 0]), int(at[k, 1])
@@ -74,36 +75,56 @@ def search(view, seen, query, at, half, radius, peak):
         if 2.0 * area < side * side or energy < area * _FLAT:
             continue
         scores[:] = -1.0
-        best, down, right = np.float32(-1.0), 0, 0
+        left = max(-radius, half - column)
+        width = min(radius, w - 1 - half - column) + 1 - left
         for j in range(max(-radius, half - row), min(radius, h - 1 - half - row) + 1):
-            for i in range(max(-radius, half - column), min(radius, w - 1 - half - column) + 1):
-                total = square = product = np.float32(0.0)
-                for y in range(side):
-                    for x in range(side):
-                        q = query[row + j - half + y, column + i - half + x]
-                        shade = q * shown[y, x]
-                        total += shade
-                        square += q * shade
-                        product += q * patch[y, x]
-                variance = square - total * total / area
-                if variance < area * _FLAT:
-                    continue
-                score = product / np.sqrt(variance * energy)
-                scores[j + radius, i + radius] = score
-                if score > best:
-                    best, down, right = score, j, i
-        j, i = down + radius, right + radius
-        if not (0 < j < 2 * radius and 0 < i < 2 * radius):
+            _slide(query, row + j - half, column + left - half, patch, shown, area, rows, width)
+            for i in range(width):
+                spread = rows[1, i] - rows[0, i] * rows[0, i] / area
+                if spread > area * _FLAT:
+                    scores[j + radius, left + i + radius] = rows[2, i] / np.sqrt(spread * energy)
+        best, rival, j, i = _peaks(scores, peak)
+        if best <= -1.0 or not (0 < j < 2 * radius and 0 < i < 2 * radius):
             continue
-        rival = np.float32(-1.0)
-        for y in range(2 * radius + 1):
-            for x in range(2 * radius + 1):
-                if (abs(y - j) > peak or abs(x - i) > peak) and scores[y, x] > rival:
-                    rival = scores[y, x]
-        out[k, 0] = row + down + _vertex(scores[j - 1, i], best, scores[j + 1, i])
-        out[k, 1] = column + right + _vertex(scores[j, i - 1], best, scores[j, i + 1])
+        out[k, 0] = row + j - radius + _vertex(scores[j - 1, i], best, scores[j + 1, i])
+        out[k, 1] = column + i - radius + _vertex(scores[j, i - 1], best, scores[j, i + 1])
         out[k, 2], out[k, 3] = best, rival
     return out
+
+
+@njit(cache=True, nogil=True, inline="always", fastmath=True)
+def _slide(query, top, left, patch, shown, area, rows, width):
+    """Sums, sums of squares and products with a patch (3, width) at `width` places in a row.
+
+    The innermost loop runs along the row of places, which is what processors are quick at.
+    """
+    side = len(patch)
+    rows[:, :width] = 0.0
+    whole = area == side * side
+    for y in range(side):
+        for x in range(side):
+            p, m = patch[y, x], shown[y, x]
+            if whole or m > 0.0:
+                for i in range(width):
+                    q = query[top + y, left + x + i]
+                    rows[0, i] += q
+                    rows[1, i] += q * q
+                    rows[2, i] += q * p
+
+
+@njit(cache=True, nogil=True, inline="always", fastmath=True)
+def _peaks(scores, peak):
+    """Best score, the best farther than `peak` from it, and the row and column of the first."""
+    best, rival, row, column = np.float32(-1.0), np.float32(-1.0), 0, 0
+    for y in range(scores.shape[0]):
+        for x in range(scores.shape[1]):
+            if scores[y, x] > best:
+                best, row, column = scores[y, x], y, x
+    for y in range(scores.shape[0]):
+        for x in range(scores.shape[1]):
+            if (abs(y - row) > peak or abs(x - column) > peak) and scores[y, x] > rival:
+                rival = scores[y, x]
+    return best, rival, row, column
 
 
 @njit(cache=True, nogil=True, inline="always", fastmath=True)

@@ -130,7 +130,8 @@ def solve_rig(
         pose, info = poselib.estimate_absolute_pose(pixels[0], points[0], cameras[0], ransac, {})
         inliers = [info["inliers"]]
     else:
-        mounts = [_camera_pose(poselib, np.linalg.inv(reference_from_camera[t])) for t in used]
+        inverses = [np.asarray(np.linalg.inv(reference_from_camera[t])) for t in used]
+        mounts = [_camera_pose(poselib, matrix) for matrix in inverses]
         pose, info = poselib.estimate_generalized_absolute_pose(
             pixels, points, mounts, cameras, ransac, {}
         )

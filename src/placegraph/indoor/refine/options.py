@@ -45,8 +45,9 @@ class RefineOptions:
     """Rendered views a frame is matched with, for matchers that know no neighbourhood (paper: 6)."""
     spread: float = 0.7853981633974483
     """Half width in yaw of these views [rad] (paper: 45 degrees)."""
-    frames: int = 12
-    """Most frames whose images are matched; they are spread over the sequence."""
+    frames: int | None = None
+    """Most frames whose images are matched, spread over the sequence; None: 12 for the guided
+    matcher, 5 for those that are slower."""
     readings: int = 1500
     """Depth readings of a frame that are aligned."""
     reach: tuple[float, float] = (0.15, 0.12)
@@ -66,7 +67,9 @@ class RefineOptions:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        check_whole(self, "views", "frames", "readings", "least")
+        check_whole(self, "views", "readings", "least")
+        if self.frames is not None:
+            check_whole(self, "frames")
         check_positive(self, "inlier", "tilt")
         if self.images not in {True, False, "auto"}:
             raise OptionError(f"images is {self.images!r}; it is True, False or 'auto'.")
@@ -77,5 +80,5 @@ class RefineOptions:
 
     @classmethod
     def paper(cls) -> RefineOptions:
-        """The paper's recipe: six views a frame, PnP frame by frame, most inliers decide."""
-        return cls(depth=False, images=True, joint=False, check=False)
+        """The paper's recipe: six views of every frame, PnP frame by frame, most inliers decide."""
+        return cls(depth=False, images=True, joint=False, check=False, frames=1000)

@@ -39,8 +39,8 @@ FINE_WIDTHS = ((5.0, 6.0), (3.0, 3.0), (3.0, 2.0))
 """Kernels once matches are there."""
 UNSURE = 0.45
 """Mean robust cost of the depth readings from which on images are asked too."""
-FEW = 5
-"""Most frames that a matcher which knows no neighbourhood is given: it takes its time."""
+MANY, FEW = 12, 5
+"""Most frames that the guided matcher is given, and one that knows no neighbourhood and is slow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,8 +197,8 @@ class Refiner:
 
     def looked(self) -> NDArray[np.int64]:
         """Rows of the frames whose images are used."""
-        most = self.options.frames if self.matcher is None else min(self.options.frames, FEW)
-        return spread(len(self.frames), most)
+        usual = MANY if self.matcher is None else FEW
+        return spread(len(self.frames), self.options.frames or usual)
 
     def _threads(self, stage: Stage) -> int:
         """Frames matched at once: networks have threads of their own."""
