@@ -11,6 +11,7 @@ from placegraph.errors import OptionError
 from placegraph.estimate import PassRecord, PoseEstimate
 from placegraph.geometry import between, compose
 from placegraph.indoor.clock import timed
+from placegraph.indoor.depth_unit import check_unit
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.filter import ParticleFilter, run_pass
 from placegraph.indoor.motion import level_poses
@@ -73,7 +74,16 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         options: FilterOptions,
         scorer: Scorer,
     ) -> Sequence_:
-        """Read and encode frames; raises where nothing can be compared with the map."""
+        """Read and encode frames.
+
+        Raises
+        ------
+        OptionError
+            Nothing can be compared with the map.
+        InputError
+            An image is broken, or depth is not in metres (`depth_unit.check_unit`).
+
+        """
         seconds: dict[str, float] = {}
         options = usable(scene, options)
         with timed(seconds, "reading"):
@@ -84,6 +94,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
                 "Nothing to compare: the frames have no depth and no labels that the map knows, and "
                 "the map has no colours (or these terms are switched off)."
             )
+        check_unit(float(np.linalg.norm(np.ptp(scene.bounds, axis=0))), sightings)
         return cls(scene, options, scorer, sightings, leveled(frames), seconds)
 
     def __len__(self) -> int:

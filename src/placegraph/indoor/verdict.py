@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.geometry import between, compose, pose_matrix
+from placegraph.indoor.depth_unit import hint
 from placegraph.indoor.evidence import Agreement, agreement, explain
 from placegraph.indoor.observe import FINE
 from placegraph.indoor.polish import covariance_of, probabilities
@@ -81,6 +82,8 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
         against = disagreement(newest, _PATCHES_TELL, _LENIENT)
         if against:
             status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
+    if status is not Status.OK:
+        reason = f"{reason} {_unit(sequence)}".rstrip()
     return PoseEstimate(
         status=status,
         modes=tuple(modes),
@@ -91,6 +94,12 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
 
 
 _EXPLAINED = 3  # modes that can be explained
+
+
+def _unit(sequence: Sequence_) -> str:
+    """That depth looks to be in another unit; empty where it does not."""
+    frame = sequence.sightings[-1].frame
+    return hint(sequence.views(FINE), sequence.table.background, frame)
 
 
 def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[Status, str]:
