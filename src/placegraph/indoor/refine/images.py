@@ -160,5 +160,8 @@ def _poselib() -> Any:  # noqa: ANN401  # PoseLib is untyped
     try:
         import poselib
     except ImportError as error:
-        raise MissingExtraError("poselib", "refine") from error
+        raise MissingExtraError(
+            "Poses from images need PoseLib, which has no wheel for every machine: "
+            "pip install poselib, or refine by depth alone."
+        ) from error
     return poselib
