@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 
 from placegraph import open_capture, open_map
-from placegraph.cli.scene_localize import chosen_frames, pose_words, show
-from placegraph.errors import OptionError
-from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Status
+from placegraph.cli.scene_answer import pose_words, refinement_words, show
+from placegraph.cli.scene_query import chosen_frames, matcher_of
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Refinement, Status
 from placegraph.formats.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.build import build_scene
@@ -153,6 +154,125 @@ def test_options_reach_the_filter(run, world):
     assert len(told["stats"]["particles"]) == 1, "one pass"
 
 
+# --- the refinement ---
+
+
+def off(told, truth):
+    """How far the answered pose lies from a true one [m]."""
+    return np.linalg.norm(np.array(told["map_from_camera"])[:3, 3] - truth[:3, 3])
+
+
+def test_a_pose_is_refined_and_every_frame_with_it(run, world, tmp_path):
+    tum, look = tmp_path / "a.tum", tmp_path / "look.png"
+    ask = ("scene", "localize", world.map, world.walk, "--frames", "1:6")
+    result = run(*ask, "--json", "--tum", tum, "--overlay", look)
+    assert (result.code, result.err) == (0, "")
+    told, refinement = result.json, result.json["refinement"]
+    assert refinement["accepted"], refinement["reason"]
+    assert refinement["stats"]["matcher"] == "guided"
+    best, coarse = told["modes"][0], refinement["coarse"]
+    assert np.shape(best["covariance"]) == np.shape(coarse["covariance"]) == (6, 6)
+    assert off(best, world.truth[-1]) < max(0.04, off(coarse, world.truth[-1]))
+    moved = np.subtract(best["map_from_camera"], coarse["map_from_camera"])[:3, 3]
+    assert np.linalg.norm(moved) == pytest.approx(refinement["stats"]["shift_m"], abs=1e-4)
+
+    written = read_tum(tum)
+    assert written.poses == pytest.approx(np.array(told["trajectory"]), abs=1e-6)
+    assert written.poses[-1] == pytest.approx(np.array(best["map_from_camera"]), abs=1e-6)
+    assert written.stamps == pytest.approx(read_tum(world.walk / "odometry.tum").stamps[1:])
+    apart = np.linalg.norm(written.poses[:, :3, 3] - world.truth[1:, :3, 3], axis=1)
+    assert apart.max() < 0.06, "all frames are refined, not the last alone"
+    assert refinement["reason"] in tum.read_text(encoding="utf-8").splitlines()[0]
+    with Image.open(look) as sheet:
+        rows = sheet.height / (90 + 20)
+    assert 3.0 <= rows < 4.0, "query and map, lines, and the same before"
+
+    without = run(*ask, "--json", "--no-refine", "--overlay", look).json
+    assert without["refinement"] is None
+    assert without["modes"][0]["map_from_camera"] == coarse["map_from_camera"]
+    with Image.open(look) as sheet:
+        assert sheet.height / (90 + 20) < 3.0, "nothing was before"
+
+
+def test_senses_that_are_off_are_off_for_the_refinement_too(run, world):
+    def stats(*options):
+        result = run(
+            "scene", "localize", world.map, world.walk, "--frames", ":4", "--json", *options
+        )
+        return result.json["refinement"]["stats"]
+
+    both = stats()
+    assert "depth_cost" in both
+    assert set(both["held_back"]) == {"depth", "images"}
+    images = stats("--no-depth")
+    assert images["matches"] > 0
+    assert "depth_cost" not in images
+    assert "depth" not in images.get("held_back", ())
+    depth = stats("--no-colour")
+    assert "matches" not in depth
+    assert set(depth["held_back"]) == {"depth"}
+    assert stats("--no-depth", "--no-colour")["inliers"] == 0
+
+
+def test_a_person_reads_what_became_of_it(run, world):
+    ask = ("scene", "localize", world.map, world.walk, "--frames", "2:6")
+    lines = run(*ask, "--quiet").out.splitlines()
+    (line,) = [line for line in lines if line.startswith("Refined by depth")]
+    assert "The pose moved by" in line
+    assert line.endswith("°.")
+    lines = run(*ask, "--quiet", "--no-depth", "--no-colour").out.splitlines()
+    (line,) = [line for line in lines if line.startswith("Not refined: ")]
+    assert line.endswith("The coarse pose stands.")
+    assert "efined" not in run(*ask, "--quiet", "--no-refine").out
+
+
+def test_steps_are_told(run, world, monkeypatch):
+    told = []
+
+    class Bar:
+        def __init__(self, *_, **__): ...
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_): ...
+        def add_task(self, *_, **__): ...
+        def update(self, _, description, **__):
+            told.append(description)
+
+    monkeypatch.setattr("placegraph.cli.scene_answer.Progress", Bar)
+    run("scene", "localize", world.map, world.walk, "--frames", ":3", "--no-depth")
+    for step in ("matching images", "checking", "drawing"):
+        assert step in told
+    assert told.index("matching images") < told.index("checking") < told.index("drawing")
+    told.clear()
+    run("scene", "localize", world.map, world.walk, "--frames", ":3")
+    assert "aligning depth" in told
+
+
+def test_an_image_feature_matcher(run, world):
+    pytest.importorskip("cv2", reason="needs OpenCV")
+    told = run(
+        "scene", "localize", world.map, world.walk, "--frames", ":2", "--json", "--no-depth",
+        "--matcher", "sift",
+    ).json  # fmt: skip
+    assert told["refinement"]["stats"]["matcher"] == "sift"
+
+
+def test_matchers_by_name(tmp_path):
+    assert matcher_of("auto", None, "cpu") == "auto"
+    assert matcher_of("guided", None, "cuda") == "guided"
+    with pytest.raises(OptionError, match="--matcher is 'orb'; there are auto, guided, sift, "):
+        matcher_of("orb", None, "cpu")
+    with pytest.raises(OptionError, match="--weights belongs to"):
+        matcher_of("auto", tmp_path / "a.pt", "cpu")
+
+
+def test_weights_reach_the_matcher(tmp_path):
+    pytest.importorskip("kornia", reason="needs kornia")
+    with pytest.raises(InputError, match=r"a\.pt"):
+        matcher_of("xfeat", tmp_path / "a.pt", "cpu")
+
+
 # --- frames ---
 
 
@@ -232,6 +352,29 @@ def test_much_evidence_and_many_modes(capsys):
     assert "62% of [the/] readings" in out
 
 
+@pytest.mark.parametrize(
+    ("accepted", "reason", "stats", "line"),
+    [
+        (
+            True, "Refined by depth.", {"shift_m": 0.0321, "turn_deg": 0.413},
+            "Refined by depth. The pose moved by 3.2 cm and 0.41°.",
+        ),
+        (
+            False, "Not refined: Bad.", {"shift_m": 0.25, "turn_deg": 3.0},
+            "Not refined: Bad. The pose given stands; the one refused lies 25.0 cm and 3.00° from it.",
+        ),
+        (False, "Not refined: dark.", {"shift_m": 0.0, "turn_deg": 0.0},
+         "Not refined: dark. The pose given stands."),
+        (False, "Not refined: PoseLib is missing.", {},
+         "Not refined: PoseLib is missing. The pose given stands."),
+    ],
+)  # fmt: skip
+def test_a_refinement_in_words(accepted, reason, stats, line):
+    coarse = estimate_of(Status.OK, 0.93).modes[0]
+    found = Refinement(accepted, reason, coarse, coarse.map_from_camera[None], stats)
+    assert refinement_words(found, "pose given") == line
+
+
 # --- what is refused ---
 
 
@@ -244,6 +387,10 @@ def test_much_evidence_and_many_modes(capsys):
         (("--near", "1,2", "--radius", "inf"), "--radius"), (("--yaw-deg", "90"), "--near"),
         (("--height", "nan"), "heights"), (("--device", "abacus"), "device"),
         (("--no-semantic", "--no-depth", "--no-colour"), "leave one on"),
+        (("--matcher", "orb"), "there are auto, guided"), (("--weights", "a.pt"), "--weights"),
+        (("--matcher", "guided", "--weights", "a.pt"), "guided has none"),
+        (("--no-refine", "--matcher", "sift"), "--no-refine"),
+        (("--no-refine", "--weights", "a.pt"), "--no-refine"),
     ],
 )  # fmt: skip
 def test_bad_options(options, word, run, world):
@@ -261,7 +408,7 @@ def test_what_is_no_map_or_no_capture(run, world, tmp_path):
 
 
 def test_pictures_that_cannot_be_written(run, world, tmp_path):
-    for option in ("--png", "--gif", "--tum"):
+    for option in ("--png", "--gif", "--tum", "--overlay"):
         out = tmp_path / "no" / "a"
         result = run(
             "scene", "localize", world.map, world.walk, "--frames", "0", "--quiet", option, out
@@ -281,7 +428,8 @@ def test_info_draws_the_room(run, world, tmp_path):
 def test_help(run):
     result = run("scene", "localize", "--help")
     assert result.code == 0
-    for word in ("--frames", "--near", "--png", "--tum", "AMBIGUOUS", "Example:"):
+    for word in ("--frames", "--near", "--png", "--tum", "--no-refine", "--overlay", "AMBIGUOUS",
+                 "Example:"):  # fmt: skip
         assert word in result.out
     assert "localize" in run("scene", "--help").out
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from placegraph import open_capture, open_map
-from placegraph.cli.scene_render import map_from_camera_of
+from placegraph.cli.scene_pose import map_from_camera_of
 from placegraph.errors import OptionError
 from placegraph.formats.tum import write_tum
 from placegraph.geometry import Camera, split_pose

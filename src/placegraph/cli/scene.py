@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from pathlib import Path
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from placegraph.cli.common import AsJson, Quiet, progress_bar, show_facts
 from placegraph.cli.scene_localize import localize
+from placegraph.cli.scene_query import MapFile  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene_refine import refine
 from placegraph.cli.scene_render import render
 
 if TYPE_CHECKING:
@@ -21,11 +23,8 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 app.command("localize")(localize)
+app.command("refine")(refine)
 app.command("render")(render)
-
-MapFile = Annotated[
-    Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
-]
 
 
 @app.command("build")

@@ -4,43 +4,43 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from math import degrees, hypot, isfinite, log, radians, sqrt
+from math import isfinite, log, radians, sqrt
 from pathlib import Path  # noqa: TC003  # Typer reads the annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene_answer import Files, progress_of, show
+from placegraph.cli.scene_query import (
+    CaptureFolder,
+    Device,
+    Frames,
+    MapFile,
+    MatcherName,
+    NoProgress,
+    OverlayFile,
+    Seed,
+    TumFile,
+    UseColour,
+    UseDepth,
+    Weights,
+    chosen_frames,
+    matcher_of,
+)
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate, PoseMode
-    from placegraph.formats.capture import Capture
+    from placegraph.indoor.matching import Matcher
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.search import Prior
 
-MOST_OBJECTS = 6
-"""Objects of the evidence that are printed."""
-LEAST = 0.001
-"""Probability of a mode that is printed; JSON has all."""
-
 
 def localize(
-    map_file: Annotated[
-        Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
-    ],
-    capture: Annotated[
-        Path,
-        typer.Argument(help="Folder with rgb/, camera.json, odometry.tum; depth/ and labels help."),
-    ],
-    frames: Annotated[
-        str | None,
-        typer.Option(help="Which frames, as in Python: 10:20, -5:, ::2; 7 is frame 7 alone."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same answer.")] = 0,
+    map_file: MapFile,
+    capture: CaptureFolder,
+    frames: Frames = None,
+    seed: Seed = 0,
     near: Annotated[
         str | None,
         typer.Option(help="X,Y or X,Y,Z [m, map] the first frame is known to be near."),
@@ -59,26 +59,28 @@ def localize(
     semantic: Annotated[
         bool, typer.Option("--semantic/--no-semantic", help="Use the labels of the frames.")
     ] = True,
-    depth: Annotated[bool, typer.Option("--depth/--no-depth", help="Use depth images.")] = True,
-    colour: Annotated[
-        bool, typer.Option("--colour/--no-colour", help="Use colours where the map has some.")
-    ] = True,
+    depth: UseDepth = True,
+    colour: UseColour = True,
     coarse: Annotated[
-        bool, typer.Option("--coarse", help="No polish: quicker, less exact: faster, less exact.")
+        bool, typer.Option("--coarse", help="No polish: the filter alone, faster, less exact.")
     ] = False,
+    refine: Annotated[
+        bool, typer.Option("--refine/--no-refine", help="Fit the pose to depth and images.")
+    ] = True,
+    matcher: MatcherName = "auto",
+    weights: Weights = None,
     every: Annotated[
         float, typer.Option(help="Keyframes: least time between frames [s]; 0 takes all.")
     ] = 0.0,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    device: Device = "auto",
     as_json: AsJson = False,
     png: Annotated[
         Path | None, typer.Option(help="Write a plan with the particles of every pass.")
     ] = None,
     gif: Annotated[Path | None, typer.Option(help="Write the plan as an animation.")] = None,
-    tum: Annotated[
-        Path | None, typer.Option(help="Write every frame's pose, map_from_camera, as TUM text.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+    overlay: OverlayFile = None,
+    tum: TumFile = None,
+    quiet: NoProgress = False,
 ) -> None:
     """Find the pose of a camera, from some frames of it, in a map of rooms.
 
@@ -86,7 +88,10 @@ def localize(
     way it looks, counter-clockwise from the map's x axis. OK is to be trusted; AMBIGUOUS names
     several places that fit, LOST says that none does. The map is only read.
 
-    Example: placegraph scene localize house.scene walk/ --frames 10:20 --png plan.png
+    The best pose is then refined: fitted to the map by depth, and by images where depth does not
+    fix it. It stands only where held-back pixels speak for it; a line says what became of it.
+
+    Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
     """
     from placegraph.formats.capture import open_capture
     from placegraph.indoor.scene_map import SceneMap
@@ -96,97 +101,21 @@ def localize(
         record=png is not None or gif is not None,
     )  # fmt: skip
     prior = _prior(near, radius, yaw_deg)
+    matching = _matching(matcher, weights, device, refine=refine)
     chosen = chosen_frames(open_capture(capture), frames)
     scene = SceneMap.open(map_file)
-    with _bar(hidden=quiet or as_json) as progress:
-        task = progress.add_task("starting", total=None)
+    title = f"{capture.name} {frames}" if frames else capture.name
+    with progress_of(hidden=quiet or as_json) as tell:
         estimate = scene.localize(
-            chosen,
-            prior=prior,
-            options=options,
-            seed=seed,
-            device=device,
-            progress=lambda step, done, total: progress.update(
-                task, description=step, completed=done, total=total
-            ),
-        )
-        progress.update(task, description="drawing")
-        if tum is not None:
-            _write_tum(estimate, chosen, tum)
-        if png is not None or gif is not None:
-            from placegraph.view import write_plan, write_plan_animation
-
-            title = f"{capture.name} {frames}" if frames else capture.name
-            if png is not None:
-                write_plan(scene, estimate, png, title=title, camera=chosen.camera)
-            if gif is not None:
-                write_plan_animation(scene, estimate, gif, title=title, camera=chosen.camera)
+            chosen, prior=prior, options=options, refine=refine, matcher=matching, seed=seed,
+            device=device, progress=tell,
+        )  # fmt: skip
+        tell("drawing", 0, 1)
+        Files(title, png, gif, tum, overlay).write(scene, estimate, chosen, device=device)
     if as_json:
         typer.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
     else:
         show(estimate)
-
-
-def chosen_frames(capture: Capture, frames: str | None) -> Capture:
-    """Frames of a capture by a text such as 10:20, -5:, ::2 or 7; all where there is none.
-
-    Raises
-    ------
-    OptionError
-        The text is no such thing, goes backwards, or selects nothing.
-
-    """
-    if frames is None:
-        return capture
-    parts = frames.split(":")
-    try:
-        numbers = [int(part) if part.strip() else None for part in parts]
-    except ValueError:
-        numbers = []
-    first, last, step = [*numbers, None, None, None][:3]
-    if not 1 <= len(numbers) <= 3 or (len(parts) == 1 and first is None):
-        raise OptionError(f"--frames is {frames!r}; give frames as 10:20, -5:, ::2 or 7.")
-    if step is not None and step < 1:
-        raise OptionError(f"--frames is {frames!r}; time runs forward, so the step is 1 or more.")
-    if len(parts) == 1 and first is not None:
-        last = first + 1 or None  # -1 is the last frame, and -1:0 would be none
-    chosen = capture[first:last:step]
-    if not len(chosen):
-        raise OptionError(
-            f"--frames {frames} selects none of the {len(capture)} frames of {capture.path}; "
-            f"they are 0 to {len(capture) - 1}."
-        )
-    return chosen
-
-
-def show(estimate: PoseEstimate) -> None:
-    """Print an estimate so that a person can read it."""
-    console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
-    console.print(f"{estimate.status.name}: {estimate.reason}")
-    for rank, mode in enumerate(estimate.modes, 1):
-        if rank == 1 or mode.probability >= LEAST:
-            console.print(f"{rank}. {pose_words(mode)}")
-    of_objects = [e for e in estimate.evidence if e.objects]
-    of_senses = [e for e in estimate.evidence if not e.objects]
-    if estimate.evidence:
-        table = Table("", "evidence", "nat", "", box=None, pad_edge=False)
-        for e in [*of_objects[:MOST_OBJECTS], *of_senses]:
-            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
-            table.add_row(sign, e.statement, f"{e.weight:+.1f}" if e.objects else "", e.note)
-        console.print(table)
-    if len(of_objects) > MOST_OBJECTS:
-        console.print(f"and {len(of_objects) - MOST_OBJECTS} more objects (--json names them)")
-
-
-def pose_words(mode: PoseMode) -> str:
-    """A mode in numbers: x, y, z [m], yaw [deg], probability, standard deviations."""
-    x, y, z, yaw = mode.pose.tolist()
-    sx, sy, *_, turn = (sqrt(max(v, 0.0)) for v in mode.covariance.diagonal().tolist())
-    scene = f"  in {mode.scene}" if mode.scene else ""
-    return (
-        f"x {x:.3f} m  y {y:.3f} m  z {z:.3f} m  yaw_deg {degrees(yaw):.2f}  "
-        f"{mode.probability:6.1%}  ±{100 * hypot(sx, sy):.1f} cm ±{degrees(turn):.2f}°{scene}"
-    )
 
 
 def _options(
@@ -209,6 +138,14 @@ def _options(
     )
 
 
+def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:
+    if not refine and (matcher != "auto" or weights is not None):
+        raise OptionError(
+            "--matcher and --weights belong to the refinement; leave out --no-refine, or these."
+        )
+    return matcher_of(matcher, weights, device)
+
+
 def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | None:
     from placegraph.indoor.search import Prior
 
@@ -228,24 +165,3 @@ def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | No
     yaw = None if yaw_deg is None else radians(yaw_deg)
     # half of a round Gaussian lies within 1.177 standard deviations
     return Prior(x, y, z[0] if z else None, yaw, spread=radius / sqrt(2.0 * log(2.0)))
-
-
-def _write_tum(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
-    """Write the pose of every frame; of a capture that is lost, nothing but the reason."""
-    from placegraph.formats.tum import write_tum
-
-    stamp_of = {frame.index: frame.stamp for frame in capture}
-    stamps = [stamp_of[row] for row in estimate.frames.tolist()]
-    said = f"map_from_camera, {estimate.status.name}: {estimate.reason}"
-    write_tum(path, stamps, estimate.trajectory, comment=said)
-
-
-def _bar(*, hidden: bool) -> Progress:
-    """Spinner, bar and time, on stderr; gone when done."""
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=28),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path  # noqa: TC003  # Typer reads the annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import typer
 
 from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene_pose import map_from_camera_of, pose_of_estimate, read_estimate
 from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
@@ -118,30 +118,6 @@ def render(
         typer.echo(_seen(told))
 
 
-def map_from_camera_of(text: str) -> Floats:
-    """Pose (4, 4) of a text X,Y,Z,YAW_DEG[,PITCH_DEG[,ROLL_DEG]].
-
-    The yaw is that of `geometry.split_pose`, as `scene localize` prints it. Raises `OptionError`.
-    """
-    from placegraph.geometry import level_from_camera, pose_matrix
-
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not (4 <= len(numbers) <= 6 and all(isfinite(number) for number in numbers)):
-        raise OptionError(
-            f"--pose is {text!r}; give x, y, z in metres and yaw in degrees, and pitch and roll if "
-            "need be, as 1.5,2,1.6,90 or 1.5,2,1.6,90,-10,0."
-        )
-    x, y, z = numbers[:3]
-    yaw, pitch, roll = np.deg2rad([*numbers[3:], 0.0, 0.0][:3])
-    if abs(pitch) > np.pi / 2:
-        raise OptionError(f"--pose is {text!r}; pitch_deg is from -90 to 90.")
-    gravity = [np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch), -np.sin(pitch)]
-    return pose_matrix([x, y, z, yaw], level_from_camera(gravity))
-
-
 def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: int | None) -> None:
     """Refuse options that contradict each other."""
     given = [source.pose, source.tum, source.estimate]
@@ -174,7 +150,7 @@ def _frame(clip: Capture, number: int | None, source: Source) -> Frame:
     if number is None:
         number = -1
         if source.estimate is not None:
-            number = _read_estimate(source.estimate)[1][-1]
+            number = read_estimate(source.estimate)[1][-1]
     if not -len(clip) <= number < len(clip):
         raise OptionError(
             f"--frame is {number}, but {clip.path} has {len(clip)} frames; they are 0 to "
@@ -189,7 +165,7 @@ def _pose(source: Source, frame: Frame | None, *, asked: bool) -> Floats:
     if source.tum is not None:
         return _pose_of_tum(source.tum, source.row, frame if asked else None)
     assert source.estimate is not None  # noqa: S101  # `_check` saw to it
-    return _pose_of_estimate(source.estimate, source.mode, frame if asked else None)
+    return pose_of_estimate(source.estimate, source.mode, frame if asked else None)
 
 
 def _pose_of_tum(path: Path, row: int | None, frame: Frame | None) -> Floats:
@@ -210,51 +186,6 @@ def _pose_of_tum(path: Path, row: int | None, frame: Frame | None) -> Floats:
         )
     pose: Floats = track.poses[row]
     return pose
-
-
-def _pose_of_estimate(path: Path, mode: int, frame: Frame | None) -> Floats:
-    modes, frames, trajectory = _read_estimate(path)
-    if not 1 <= mode <= len(modes):
-        raise OptionError(f"--mode is {mode}, but {path} has modes 1 to {len(modes)}.")
-    if frame is None or (frame.index == frames[-1]):
-        return modes[mode - 1]
-    if mode != 1:
-        raise OptionError(
-            f"--mode {mode} is known for the last frame alone, {frames[-1]}; leave --frame out."
-        )
-    if frame.index not in frames:
-        raise OptionError(
-            f"--frame is {frame.index}, but {path} tells of frames {', '.join(map(str, frames))}."
-        )
-    pose: Floats = trajectory[frames.index(frame.index)]
-    return pose
-
-
-def _read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
-    """Poses of the modes, rows of the frames and their poses (T, 4, 4) of an estimate's JSON."""
-    from placegraph.formats.camera import read_json
-
-    told = read_json(path)
-    try:
-        modes = [_matrix(mode["map_from_camera"]) for mode in told["modes"]]
-        frames = [int(row) for row in told["frames"]]
-        trajectory = np.array([_matrix(pose) for pose in told["trajectory"]]).reshape(-1, 4, 4)
-        reason, status = str(told["reason"]), str(told["status"])
-    except (TypeError, KeyError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{path} is not what `placegraph scene localize --json` prints "
-            f"({type(error).__name__}: {error}); write its output to a file and give that."
-        ) from error
-    if not modes or not frames or len(frames) != len(trajectory):
-        raise InputError(f"{path} holds no pose: it says {status}. {reason}")
-    return modes, frames, trajectory
-
-
-def _matrix(values: Any) -> Floats:  # noqa: ANN401  # whatever the file holds
-    matrix = np.array(values, np.float64)
-    if matrix.shape != (4, 4):
-        raise ValueError(f"map_from_camera has shape {matrix.shape}")
-    return matrix
 
 
 def _write(

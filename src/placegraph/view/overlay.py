@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from colorsys import hsv_to_rgb
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,10 +13,15 @@ from placegraph.errors import OptionError
 from placegraph.view.fonts import face_for
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
+    from placegraph.estimate import PoseEstimate
+    from placegraph.formats.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.render import Rendering
+    from placegraph.indoor.scene_map import SceneMap
 
 JUMP = 0.04
 """Share of the depth by which a pixel lies nearer than the surface beside it goes on: an outline."""
@@ -41,11 +47,70 @@ CAPTIONS = (
     "edges of the map on the query",
     "query and map in turn",
 )
+BEFORE = ("before the refinement: edges of the map", "before: query and map in turn")
 _GOLDEN = 0.618033988749895
 
 
+def write_overlay(
+    scene: SceneMap,
+    estimate: PoseEstimate,
+    capture: Iterable[Frame],
+    path: str | Path,
+    *,
+    samples: int = 4,
+    device: str = "auto",
+) -> Path:
+    """Draw the map over the last frame of an estimate, at its best pose, as a PNG.
+
+    Where a refinement was accepted, two pictures more show the pose before it.
+
+    Parameters
+    ----------
+    scene
+        The map the estimate was made on.
+    estimate
+        What to judge.
+    capture
+        Frames, among them the estimate's last.
+    path
+        Where to write.
+    samples, device
+        As of `scene.render`.
+
+    Raises
+    ------
+    OptionError
+        The estimate has no pose, or its last frame is not among the frames.
+    InputError
+        The image is broken.
+    """
+    from placegraph.indoor.render import Renderer  # compiled code: not for cities
+
+    best, refinement = estimate.best, estimate.refinement
+    if best is None:
+        raise OptionError(f"The estimate has no pose to show: {estimate.reason}")
+    row = int(estimate.frames[-1])
+    frame = next((frame for frame in capture if frame.index == row), None)
+    if frame is None:
+        raise OptionError(f"Frame {row}, the estimate's last, is not in the capture that is given.")
+    renderer = Renderer(scene, device=device)
+    drawn = []
+    coarse = [refinement.coarse] if refinement is not None and refinement.accepted else []
+    for mode in (best, *coarse):
+        pose = mode.map_from_camera
+        rendering = renderer.render(pose, frame.camera, samples=samples)
+        drawn.append((rendering, rendering.normals(scene.mesh, pose)))
+    sheet = overlay(frame.rgb(), *drawn[0], before=drawn[1] if coarse else None)
+    sheet.save(path, "PNG")
+    return Path(path)
+
+
 def overlay(
-    query: NDArray[np.uint8], rendering: Rendering, normals: NDArray[np.float32]
+    query: NDArray[np.uint8],
+    rendering: Rendering,
+    normals: NDArray[np.float32],
+    *,
+    before: tuple[Rendering, NDArray[np.float32]] | None = None,
 ) -> Image.Image:
     """Four pictures in one: query, map, the map's edges on the query, and both as a checkerboard.
 
@@ -59,12 +124,35 @@ def overlay(
         The map from the pose in question, of the same size.
     normals
         (H, W, 3) of the rendering (`Rendering.normals`).
+    before
+        Rendering and normals from the pose before it was refined: two pictures more, below.
 
     Raises
     ------
     OptionError
         The pictures are of different sizes.
     """
+    shown = _shown(query, rendering)
+    pictures = [query, shown, *_laid_over(query, rendering, normals)]
+    captions: tuple[str, ...] = CAPTIONS
+    if before is not None:
+        pictures += _laid_over(query, *before)
+        captions = (*CAPTIONS, *BEFORE)
+    height, width = query.shape[:2]
+    size = max(12.0, height / 22)
+    band = round(1.7 * size)
+    rows = len(pictures) // 2
+    sheet = Image.new("RGB", (2 * width + GAP, rows * (height + band + GAP) - GAP), "white")
+    pen, font = ImageDraw.Draw(sheet), face_for(captions).font(size)
+    for k, (picture, caption) in enumerate(zip(pictures, captions, strict=True)):
+        x, y = (k % 2) * (width + GAP), (k // 2) * (height + band + GAP)
+        pen.text((x + 0.4 * size, y + band / 2), caption, fill=(30, 30, 30), font=font, anchor="lm")
+        sheet.paste(Image.fromarray(picture), (x, y + band))
+    return sheet
+
+
+def _shown(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
+    """Colours of a rendering, of the query's size, dark where the map shows nothing."""
     if query.shape != rendering.colour.shape:
         raise OptionError(
             f"query: shape {query.shape}, but the rendering has {rendering.colour.shape}; render it "
@@ -72,18 +160,15 @@ def overlay(
         )
     shown = rendering.colour.copy()
     shown[~rendering.mask] = NOTHING
-    drawn = outlined(query, edges(rendering, normals), borders(rendering))
-    pictures = (query, shown, drawn, checkerboard(query, shown))
-    height, width = query.shape[:2]
-    size = max(12.0, height / 22)
-    band = round(1.7 * size)
-    sheet = Image.new("RGB", (2 * width + GAP, 2 * (height + band) + GAP), "white")
-    pen, font = ImageDraw.Draw(sheet), face_for(CAPTIONS).font(size)
-    for k, (picture, caption) in enumerate(zip(pictures, CAPTIONS, strict=True)):
-        x, y = (k % 2) * (width + GAP), (k // 2) * (height + band + GAP)
-        pen.text((x + 0.4 * size, y + band / 2), caption, fill=(30, 30, 30), font=font, anchor="lm")
-        sheet.paste(Image.fromarray(picture), (x, y + band))
-    return sheet
+    return shown
+
+
+def _laid_over(
+    query: NDArray[np.uint8], rendering: Rendering, normals: NDArray[np.float32]
+) -> list[NDArray[np.uint8]]:
+    """Edges of the map on the query, and both as a checkerboard."""
+    lines = outlined(query, edges(rendering, normals), borders(rendering))
+    return [lines, checkerboard(query, _shown(query, rendering))]
 
 
 def edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool_]:
