@@ -57,20 +57,12 @@ def look(
     """
     drawn = [renderer.render(pose, camera or frame.camera, samples=1) for pose in poses]
     found = matcher.match(query, [d.colour for d in drawn], masks=[d.mask for d in drawn])
-    points, pixels, objects = [np.zeros((0, 3))], [np.zeros((0, 2))], [np.zeros(0, np.int32)]
+    points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for picture, matches in zip(drawn, found, strict=True):
         lifted, whole = lift(picture, matches.rendered)
         points.append(lifted[whole])
         pixels.append(matches.query[whole])
-        x, y = np.floor(matches.rendered[whole]).astype(np.int64).T
-        objects.append(picture.objects[y, x])
-    return Sights.of(
-        np.concatenate(points),
-        np.concatenate(pixels),
-        frame.camera,
-        sigma,
-        np.concatenate(objects),
-    )
+    return Sights.of(np.concatenate(points), np.concatenate(pixels), frame.camera, sigma)
 
 
 def lift(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -27,8 +27,6 @@ class Sights:
     """(M,) standard deviation of the pixels [px]."""
     focal: float
     """[px]"""
-    things: NDArray[np.int64]
-    """(M,) what may move as one: same number, same object and same cubic metre."""
 
     @classmethod
     def of(
@@ -37,20 +35,16 @@ class Sights:
         pixels: NDArray[np.float64],
         camera: Camera,
         sigma: float,
-        objects: NDArray[np.int32],
     ) -> Sights:
-        """Sights of a camera, all of one standard deviation [px]; `objects`: (M,) rows of the map's."""
+        """Sights of a camera, all of one standard deviation [px]."""
         rays = camera.directions(pixels)[:, :2] if len(pixels) else np.zeros((0, 2))
         focal = 0.5 * (camera.fx + camera.fy)
-        things = _things(points, objects)
-        return cls(points, pixels, rays, np.full(len(points), float(sigma)), focal, things)
+        return cls(points, pixels, rays, np.full(len(points), float(sigma)), focal)
 
     @classmethod
     def none(cls) -> Sights:
         """No point."""
-        nothing = np.zeros(0)
-        two = np.zeros((0, 2))
-        return cls(np.zeros((0, 3)), two, two, nothing, 1.0, nothing.astype(np.int64))
+        return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -58,7 +52,7 @@ class Sights:
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Sights:
         """Some of them."""
         columns = (self.points, self.pixels, self.rays, self.sigma)
-        return Sights(*(c[rows] for c in columns), focal=self.focal, things=self.things[rows])
+        return Sights(*(c[rows] for c in columns), focal=self.focal)
 
     def errors(self, map_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
         """Reprojection errors (M,) [px] at a pose (4, 4); infinite behind the camera."""
@@ -67,9 +61,3 @@ class Sights:
         xy = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
         off = self.focal * np.linalg.norm(xy - self.rays, axis=1)
         return np.where(ahead, off, np.inf)
-
-
-def _things(points: NDArray[np.float64], objects: NDArray[np.int32]) -> NDArray[np.int64]:
-    """One number (M,) for each object and cubic metre: a wall does not move as one."""
-    x, y, z = (np.floor(points).astype(np.int64) & 0x3FF).T
-    return (objects.astype(np.int64) << 30) | (x << 20) | (y << 10) | z

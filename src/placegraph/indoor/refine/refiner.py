@@ -150,21 +150,6 @@ class Refiner:
         tell("checking", 0, 1)
         return self._finished(poses, solution, sights)
 
-    def without(self, fitted: Fitted, count: int) -> Fitted | None:
-        """Fit without the matches on the `count` things that most of them lie on; None: too few left.
-
-        What is left should say the same: a pose that hangs on one chair moves with the chair.
-        """
-        things = np.concatenate([s.things for s in fitted.sights])
-        names, counts = np.unique(things, return_counts=True)
-        most = names[np.argsort(-counts, kind="stable")[:count]]
-        left = [s[~np.isin(s.things, most)] for s in fitted.sights]
-        if sum(map(len, left)) < self.options.least:
-            return None
-        with timed(self.seconds, "check"):
-            solution = solve(self.problem(left), fitted.poses, FINE_WIDTHS)
-        return self._finished(solution.poses, solution, left)
-
     # ------------------------------------------------------------------------------- stages
 
     def _aligned(self, start: Floats) -> Solution | None:
