@@ -1,0 +1,153 @@
+"""Maps of a few triangles, and captures of them that are exact."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placegraph.formats.capture import Capture
+from placegraph.formats.frame import Frame
+from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
+from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.refine.depth import Surfaces, readings
+from placegraph.indoor.refine.joint import Problem
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.scene_map import SceneMap
+
+CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
+FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+
+
+def _boxes(boxes):
+    """Map of boxes {label: (low, high)}, each an object of six sides; the first is the hall."""
+    vertices, triangles, objects = [], [], []
+    for row, (low, high) in enumerate(boxes.values()):
+        corners = np.array([np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)])
+        faces = np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
+        triangles.append(faces + 8 * row)
+        vertices.append(corners)
+        objects += [row] * len(faces)
+    mesh = Mesh.plain(np.concatenate(vertices), np.concatenate(triangles), objects)
+    return SceneMap.create(mesh, list(map(str, range(len(boxes)))), list(boxes), floor=0.0)
+
+
+def _standing(x, y, yaw_deg, down_deg=8.0, z=1.5):
+    """map_from_camera (4, 4) of a camera that stands somewhere and looks down a little."""
+    down = np.radians(down_deg)
+    level = level_from_camera([0.0, np.cos(down), np.sin(down)])
+    return pose_matrix([x, y, z, np.radians(yaw_deg)], level)
+
+
+def _frames(scene, poses, camera=CAMERA, odometry=None):
+    """Capture of exact renderings at poses (T, 4, 4), with exact odometry if none is given."""
+    odometry = np.linalg.inv(poses[0]) @ poses if odometry is None else odometry
+    frames = []
+    for i, pose in enumerate(poses):
+        drawn = scene.render(pose, camera, samples=1)
+        frames.append(
+            Frame.from_arrays(
+                drawn.colour, camera, depth=drawn.depth, odometry=odometry[i],
+                gravity=-pose[2, :3], stamp=float(i), index=i,
+            )
+        )  # fmt: skip
+    return Capture.from_frames(frames)
+
+
+def _problem(scene, capture, options=None, *, sights=None, blind=(), gravity=None, phase=0):
+    """What the frames of a capture say; those in `blind` have no depth."""
+    options = options or RefineOptions()
+    seen = [
+        None if t in blind else readings(f, f.depth(), options.readings, phase)
+        for t, f in enumerate(capture)
+    ]
+    return Problem(
+        Surfaces.of(scene),
+        seen,
+        sights or [Sights.none()] * len(capture),
+        np.stack([f.odometry for f in capture]),
+        np.stack([f.gravity for f in capture]) if gravity is None else gravity,
+        len(scene),
+        options,
+    )
+
+
+def _moved(poses, shift=(0.0, 0.0, 0.0), turn_deg=(0.0, 0.0, 0.0)):
+    """Poses (..., 4, 4) as one rigid piece: turned about the last position, and shifted."""
+    poses = np.asarray(poses, float)
+    pivot = poses.reshape(-1, 4, 4)[-1, :3, 3]
+    turn = rotation_from_vector(np.radians(turn_deg))
+    out = poses.copy()
+    out[..., :3, :3] = turn @ poses[..., :3, :3]
+    out[..., :3, 3] = (poses[..., :3, 3] - pivot) @ turn.T + pivot + shift
+    return out
+
+
+def _off(pose, truth):
+    """Distance [m] and turn [deg] between two poses (4, 4)."""
+    delta = np.linalg.inv(truth) @ pose
+    turn = np.arccos(np.clip((np.trace(delta[:3, :3]) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(delta[:3, 3])), float(np.degrees(turn))
+
+
+@pytest.fixture(scope="session")
+def kit():
+    """Functions that make maps, poses, exact captures and problems: see those above."""
+    return SimpleNamespace(
+        boxes=_boxes, standing=_standing, frames=_frames, problem=_problem, moved=_moved, off=_off,
+        camera=CAMERA,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def hall():
+    """Bare hall of 6 x 4 x 3 m with a chest in it."""
+    return _boxes({"hall": ((0, 0, 0), (6, 4, 3)), "chest": ((3, 1.2, 0), (4.2, 1.9, 1))})
+
+
+@pytest.fixture(scope="session")
+def way():
+    """Poses (5, 4, 4) in the hall, that see a corner and the chest."""
+    return np.stack([_standing(1.2 + 0.1 * i, 2.2, -30 + 6 * i) for i in range(5)])
+
+
+@pytest.fixture(scope="session")
+def walked(hall, way):
+    """Exact capture of the hall."""
+    return _frames(hall, way)
+
+
+@pytest.fixture(scope="session")
+def exact(room, walk, truth):
+    """Exact capture of the drawn room along the walk's true way, and that way (T, 4, 4)."""
+    poses = truth(walk)
+    return SimpleNamespace(capture=_frames(room, poses), poses=poses)
+
+
+@pytest.fixture
+def in_memory():
+    """Rebuild a capture in memory: `in_memory(capture, rgb=function of the frame, ...)`."""
+
+    def rebuilt(capture, **change):
+        frames = []
+        for f in capture:
+            fields = {
+                "rgb": f.rgb(), "camera": f.camera, "depth": f.depth(), "labels": f.labels(),
+                "depth_camera": f.depth_camera, "label_camera": f.label_camera,
+                "label_kind": f.label_kind or "labels", "gravity": f.gravity,
+                "odometry": f.odometry, "stamp": f.stamp, "index": f.index,
+            }  # fmt: skip
+            frames.append(Frame.from_arrays(**fields | {k: made(f) for k, made in change.items()}))
+        return Capture.from_frames(frames)
+
+    return rebuilt
+
+
+@pytest.fixture(scope="session")
+def weights() -> Path:
+    """XFeat's weights of the shared folder; skipped without them."""
+    path = Path(__file__).resolve().parents[4] / "shared/weights/xfeat.pt"
+    if not path.is_file():
+        pytest.skip(f"needs {path}")
+    return path

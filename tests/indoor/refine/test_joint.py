@@ -1,0 +1,233 @@
+"""All frames in one fit: where it ends, and what each prior holds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.geometry import level_from_camera
+from placegraph.indoor.options import MotionNoise
+from placegraph.indoor.refine.joint import Problem, odometry_errors, solve
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.refine.refiner import DEPTH_WIDTHS
+
+HALL = ((0, 0, 0), (6, 4, 3))
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
+    """Sights of what the frames' depth shows at true poses, a share of them wrong."""
+    out = []
+    for frame, pose in zip(capture, poses, strict=True):
+        depth, camera = frame.depth(), frame.camera
+        v, u = (rng.integers(0, n, count) for n in depth.shape)
+        pixels = np.stack([u, v], axis=1) + 0.5
+        inside = camera.directions(pixels) * depth[v, u, None]
+        points = inside @ pose[:3, :3].T + pose[:3, 3]
+        pixels += noise * rng.normal(size=pixels.shape)
+        bad = rng.random(count) < wrong
+        pixels[bad] = rng.uniform(0, [camera.width, camera.height], (bad.sum(), 2))
+        good = np.isfinite(points).all(axis=1)
+        out.append(
+            Sights.of(points[good], pixels[good], camera, sigma, np.zeros(good.sum(), np.int32))
+        )
+    return out
+
+
+@settings(max_examples=8)
+@given(
+    st.tuples(*[st.floats(-0.1, 0.1)] * 2, st.floats(-0.04, 0.04)),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-4.0, 4.0)),
+)
+def test_a_disturbed_way_through_the_hall_is_found_again(kit, hall, walked, way, shift, turn):
+    solution = solve(kit.problem(hall, walked), kit.moved(way, shift, turn), DEPTH_WIDTHS, 6)
+    for pose, truth in zip(solution.poses, way, strict=True):
+        metres, degrees = kit.off(pose, truth)
+        assert metres < 0.005
+        assert degrees < 0.1
+
+
+def test_a_furnished_room(kit, room, exact):
+    """Ten frames of the drawn room, from 12 cm and 4 degrees off."""
+    start = kit.moved(exact.poses, (0.09, -0.08, 0.02), (0.5, -0.5, 4.0))
+    solution = solve(kit.problem(room, exact.capture), start, DEPTH_WIDTHS)
+    metres, degrees = kit.off(solution.poses[-1], exact.poses[-1])
+    assert metres < 0.005
+    assert degrees < 0.1
+    assert solution.cost < 0.2
+    assert 0 < solution.steps <= 12
+    for pose in solution.poses:
+        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_the_start_is_left_as_it_was(kit, hall, walked, way):
+    start = kit.moved(way, (0.05, 0, 0))
+    before = start.copy()
+    solve(kit.problem(hall, walked), start, DEPTH_WIDTHS)
+    np.testing.assert_array_equal(start, before)
+
+
+def test_one_frame(kit, hall, walked, way):
+    start = kit.moved(way[:1], (0.06, -0.05, 0.01), (0, 0, 3.0))
+    solution = solve(kit.problem(hall, walked[:1]), start, DEPTH_WIDTHS, 6)
+    assert kit.off(solution.poses[0], way[0])[0] < 0.005
+    assert solution.information.shape == (6, 6)
+
+
+def test_odometry_holds_a_frame_that_saw_nothing(kit, hall, walked, way):
+    """A blind frame goes along with those before and after it."""
+    start = kit.moved(way, (0.08, 0.04, 0), (0, 0, 3.0))
+    problem = kit.problem(hall, walked, blind={2, 4})
+    solution = solve(problem, start, DEPTH_WIDTHS, 6)
+    for t in (2, 4):
+        assert kit.off(solution.poses[t], way[t])[0] < 0.005
+        assert kit.off(start[t], way[t])[0] > 0.07
+    deviations = [np.sqrt(np.trace(solution.covariance(t)[:3, :3])) for t in range(5)]
+    assert deviations[2] > deviations[1]
+    assert deviations[4] > deviations[2]  # nothing behind it holds the last one
+    none = replace(problem, readings=[None] * 5)
+    np.testing.assert_allclose(solve(none, start, DEPTH_WIDTHS).poses, start, atol=1e-6)
+
+
+def test_drifting_odometry_bends(kit, hall, walked, way):
+    """What each frame sees outweighs a drift of centimetres."""
+    drift = np.stack([kit.moved(p, (0.01 * t, 0, 0)) for t, p in enumerate(way)])
+    bent = replace(kit.problem(hall, walked), odometry=np.linalg.inv(drift[0]) @ drift)
+    solution = solve(bent, kit.moved(drift, (0.02, 0.03, 0)), DEPTH_WIDTHS, 6)
+    for pose, truth in zip(solution.poses, way, strict=True):
+        assert kit.off(pose, truth)[0] < 0.012
+
+
+@pytest.mark.parametrize("tilt_deg", [0.4, 1.5])
+def test_gravity_is_a_prior_not_a_cage(kit, hall, walked, way, tilt_deg):
+    """Where depth says so, the camera stands otherwise than gravity says; else as gravity says."""
+    turn = level_from_camera([np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg)), 0.0])
+    turn = turn @ level_from_camera([0.0, 1.0, 0.0]).T
+    upright = np.stack([f.gravity for f in walked])
+    wrong = upright @ turn.T
+    lean = np.degrees(np.arccos(np.clip(np.sum(wrong * upright, axis=1), -1, 1)))
+    assert lean.min() > 0.1 * tilt_deg
+    problem = kit.problem(hall, walked, gravity=wrong)
+    solution = solve(problem, way, DEPTH_WIDTHS, 6)
+    assert kit.off(solution.poses[-1], way[-1])[1] < 0.4 * lean.min()
+    # without depth, gravity is all there is: half a degree of the start is put right
+    problem = kit.problem(hall, walked, blind=range(5))
+    start = kit.moved(way, turn_deg=(0.5, 0.5, 0.0))
+    found = solve(problem, start, DEPTH_WIDTHS, 6).poses
+    up = -np.einsum("tij,tj->ti", found[:, :3, :3], problem.gravity)
+    assert np.degrees(np.arccos(np.clip(up[:, 2], -1, 1))).max() < 0.05
+
+
+# ------------------------------------------------------------------------------- covariance
+
+
+def symmetric_and_positive(matrix):
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
+    return np.linalg.eigvalsh(matrix).min() > 0
+
+
+def test_covariances_are_positive_definite(kit, hall, walked, way):
+    solution = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS)
+    assert symmetric_and_positive(solution.information)
+    whole = np.linalg.inv(solution.information)
+    for t in range(5):
+        assert symmetric_and_positive(solution.covariance(t))
+        np.testing.assert_allclose(
+            solution.covariance(t), whole[6 * t : 6 * t + 6, 6 * t : 6 * t + 6], rtol=1e-6
+        )
+    np.testing.assert_array_equal(solution.covariance(), solution.covariance(4))
+
+
+def test_along_a_corridor_nobody_knows_how_far(kit):
+    """Its walls hold the camera across, and nothing holds it along."""
+    corridor = kit.boxes({"corridor": ((0, 0, 0), (60, 2, 2.5))})
+    poses = np.stack([kit.standing(30 + 0.1 * i, 0.4, 90.0, 25.0) for i in range(3)])
+    problem = kit.problem(corridor, kit.frames(corridor, poses))
+    solution = solve(problem, poses, DEPTH_WIDTHS)
+    along, across, up = np.sqrt(np.diag(solution.covariance())[:3])
+    assert along > 0.3
+    assert across < 0.01
+    assert up < 0.01
+    # a start that is off along it stays there; across, it is put right
+    found = solve(problem, kit.moved(poses, (0.1, 0.08, 0.0)), DEPTH_WIDTHS).poses[-1]
+    assert found[0, 3] == pytest.approx(poses[-1, 0, 3] + 0.1, abs=0.01)
+    assert found[1, 3] == pytest.approx(poses[-1, 1, 3], abs=0.003)
+
+
+def test_more_frames_know_better(kit, hall, walked, way):
+    one = solve(kit.problem(hall, walked[4:]), way[4:], DEPTH_WIDTHS).covariance()
+    five = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS).covariance()
+    assert np.trace(five[:3, :3]) < np.trace(one[:3, :3])
+
+
+# -------------------------------------------------------------------------- moved furniture
+
+
+@pytest.mark.parametrize(("metres", "within"), [(0.06, 0.035), (0.15, 0.01), (0.4, 0.01)])
+def test_moved_furniture_is_weighted_down(kit, way, metres, within):
+    changed = kit.boxes({"hall": HALL, "chest": ((3 + metres, 1.4, 0), (3.5 + metres, 1.8, 0.9))})
+    scene = kit.boxes({"hall": HALL, "chest": ((3, 1.4, 0), (3.5, 1.8, 0.9))})
+    problem = kit.problem(scene, kit.frames(changed, way))
+    solution = solve(problem, kit.moved(way, (0.03, 0.03, 0), (0, 0, 1.0)), DEPTH_WIDTHS, 6)
+    assert kit.off(solution.poses[-1], way[-1])[0] < within  # 6 cm is within the kernel
+    assert solution.shares[0] == 1.0
+    assert solution.told.shape == (2, 2)
+    if metres > 0.1:
+        assert solution.shares[1] < 0.9
+        still = solve(kit.problem(scene, kit.frames(scene, way)), way, DEPTH_WIDTHS)
+        assert still.shares.tolist() == [1.0, 1.0]
+
+
+# ----------------------------------------------------------------------------------- pixels
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.3])
+def test_points_alone(kit, hall, walked, way, rng, wrong):
+    sights = sights_of(walked, way, rng, wrong=wrong)
+    problem = kit.problem(hall, walked, sights=sights, blind=range(5))
+    start = kit.moved(way, (0.05, -0.04, 0.02), (0.2, 0.2, 2.0))
+    solution = solve(problem, start, ((10.0, 20.0), (5.0, 6.0), (3.0, 3.0)), 6)
+    metres, degrees = kit.off(solution.poses[-1], way[-1])
+    assert metres < 0.01
+    assert degrees < 0.2
+    assert np.isnan(solution.cost)
+
+
+def test_points_say_what_depth_cannot(kit, rng):
+    corridor = kit.boxes({"corridor": ((0, 0, 0), (60, 2, 2.5))})
+    poses = np.stack([kit.standing(30 + 0.1 * i, 0.4, 90.0, 25.0) for i in range(3)])
+    capture = kit.frames(corridor, poses)
+    problem = kit.problem(corridor, capture, sights=sights_of(capture, poses, rng))
+    solution = solve(problem, kit.moved(poses, (0.06, 0.0, 0.0)), DEPTH_WIDTHS, 6)
+    assert kit.off(solution.poses[-1], poses[-1])[0] < 0.005
+    assert np.sqrt(solution.covariance()[0, 0]) < 0.05
+
+
+# --------------------------------------------------------------------------------- odometry
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 99), st.floats(-3.0, 3.0))
+def test_errors_of_odometry_do_not_depend_on_the_frames_of_reference(kit, way, seed, yaw):
+    rng = np.random.default_rng(seed)
+    noise = MotionNoise(0.01, 0.1, 0.02, 0.2)
+    options = RefineOptions(motion=noise)
+    odometry = np.linalg.inv(way[0]) @ way
+    poses = np.stack([kit.moved(p, 0.02 * rng.normal(size=3), rng.normal(size=3)) for p in way])
+    elsewhere = kit.standing(3.0, 1.0, np.degrees(yaw))
+
+    def made(frames):
+        return Problem(None, (), (), frames, np.zeros((5, 3)), 0, options)
+
+    first, deviations = odometry_errors(made(odometry), poses)
+    second, same = odometry_errors(made(elsewhere @ odometry), poses)
+    np.testing.assert_allclose(first, second, atol=1e-9)
+    np.testing.assert_allclose(deviations, same, atol=1e-9)
+    nothing, _ = odometry_errors(made(odometry), kit.moved(way, (1, 2, 3), (0, 0, 40)))
+    np.testing.assert_allclose(nothing, 0.0, atol=1e-6)
+    way_of = np.linalg.norm(np.diff(way[:, :3, 3], axis=0), axis=1)
+    np.testing.assert_allclose(deviations[:, 0], 0.01 + 0.1 * way_of, atol=1e-9)
