@@ -363,10 +363,18 @@ def test_demo(run, tmp_path):
     assert [word for word in way.split() if word in ("AMBIGUOUS:", "OK:")] == (
         ["AMBIGUOUS:", "AMBIGUOUS:", "OK:"]
     )
+    off = {
+        name: float(line.split()[1])
+        for line in result.out.splitlines()
+        if line.split()[:1] in (["coarse"], ["refined"])
+        for name in line.split()[:1]
+    }
+    assert off["refined"] < off["coarse"], "centimetres, median of all frames"
+    assert off["refined"] < 1.0
     made = {p.name for p in (tmp_path / "new" / "demo").iterdir()}
     assert made >= {
         f"{n}.{e}" for n in ("clear", "ambiguous", "impossible") for e in ("html", "png")
     }
-    assert made >= {"altbau.glb", "altbau.scene", "walk", "walk.png", "walk.gif"}
+    assert made >= {"altbau.glb", "altbau.scene", "walk", "walk.png", "walk.gif", "overlay.png"}
     (tmp_path / "file").touch()
     fails(run("demo", "--out", tmp_path / "file"), 3, "file")

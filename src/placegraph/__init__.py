@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 from placegraph import errors
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Estimate, Status
+    from placegraph.estimate import Estimate, Refinement, Status
     from placegraph.formats.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
     from placegraph.indoor.build import build_scene
+    from placegraph.indoor.matching import matcher
     from placegraph.indoor.merge import merge_scenes
+    from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.maps import open_map
     from placegraph.outdoor.build import build_city
@@ -29,12 +31,15 @@ _HOME = {
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.estimate",
     "Frame": "placegraph.formats.capture",
+    "RefineOptions": "placegraph.indoor.refine",
+    "Refinement": "placegraph.estimate",
     "SceneGraph": "placegraph.graph",
     "SceneMap": "placegraph.indoor.scene_map",
     "Status": "placegraph.estimate",
     "build_city": "placegraph.outdoor.build",
     "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.describe",
+    "matcher": "placegraph.indoor.matching",
     "merge_scenes": "placegraph.indoor.merge",
     "open_capture": "placegraph.formats.capture",
     "open_map": "placegraph.maps",
@@ -45,6 +50,8 @@ __all__ = [
     "CityMap",
     "Estimate",
     "Frame",
+    "RefineOptions",
+    "Refinement",
     "SceneGraph",
     "SceneMap",
     "Status",
@@ -53,6 +60,7 @@ __all__ = [
     "build_scene",
     "describe",
     "errors",
+    "matcher",
     "merge_scenes",
     "open_capture",
     "open_map",

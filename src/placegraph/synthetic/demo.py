@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import vector_from_rotation
 from placegraph.synthetic.flats import Flat
 from placegraph.synthetic.towns import Town
 
@@ -42,7 +43,8 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
     """Locate sentences and a way in the town, a film in the flat; leave maps and pictures in `out`."""
     _town(out, say)
     _flat(out, say)
-    say(f"\nLook at {out}/clear.html, {out}/ambiguous.html, {out}/walk.png and {out}/walk.gif.")
+    pages = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png")
+    say(f"\nLook at {', '.join(f'{out}/{page}' for page in pages)}.")
 
 
 def _town(out: Path, say: Callable[[str], None]) -> None:
@@ -91,7 +93,7 @@ def _flat(out: Path, say: Callable[[str], None]) -> None:
     from placegraph.indoor.build import build_scene
     from placegraph.indoor.options import FilterOptions
     from placegraph.synthetic.walks import stroll, write_walk
-    from placegraph.view import draw_scene, write_plan, write_plan_animation
+    from placegraph.view import draw_scene, write_overlay, write_plan, write_plan_animation
 
     drawing, rng = Flat.load(FLAT), np.random.default_rng(0)
     interior = drawing.furnish(rng)
@@ -107,22 +109,43 @@ def _flat(out: Path, say: Callable[[str], None]) -> None:
     truth = walk.map_from_camera
     write_plan(scene, estimate, out / "walk.png", truth=truth, camera=capture.camera)
     write_plan_animation(scene, estimate, out / "walk.gif", truth=truth, camera=capture.camera)
-    _say_pose(estimate, truth[-1], say)
+    write_overlay(scene, estimate, capture, out / "overlay.png")
+    _say_pose(estimate, say)
+    _say_truth(estimate, truth, say)
 
 
-def _say_pose(
-    estimate: PoseEstimate,
-    truth: NDArray[np.float64],
-    say: Callable[[str], None],
-) -> None:
-    """Where the last frame was taken, why, and where it was taken in truth."""
-    from placegraph.geometry import split_pose
-
+def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:
+    """Where the last frame was taken, why, and what became of the refinement."""
     say(f"{estimate.status.name}: {estimate.reason}")
     for mode in estimate.modes[:3]:
         say(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
     _say_evidence(estimate, say)
-    say(f"  truth (known because we drew it): {_pose(split_pose(truth)[0])}")
+    if estimate.refinement is not None:
+        say(f"  {estimate.refinement.reason}")
+
+
+def _say_truth(
+    estimate: PoseEstimate, truth: NDArray[np.float64], say: Callable[[str], None]
+) -> None:
+    """How far all frames were off before the refinement and after it; truth: (T, 4, 4)."""
+    refinement = estimate.refinement
+    if refinement is None:
+        say(f"  off by {_errors(estimate.trajectory, truth)}")
+        return
+    say("Errors of all frames, median and largest (the truth is known because we drew it):")
+    say(f"  coarse   {_errors(refinement.coarse_trajectory, truth)}")
+    say(f"  refined  {_errors(estimate.trajectory, truth)}")
+
+
+def _errors(poses: NDArray[np.float64], truth: NDArray[np.float64]) -> str:
+    """Median and largest error of poses (T, 4, 4) in words."""
+    way = 100.0 * np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1)
+    between = np.swapaxes(poses[:, :3, :3], 1, 2) @ truth[:, :3, :3]
+    turn = np.degrees(np.linalg.norm(vector_from_rotation(between), axis=1))
+    return (
+        f"{np.median(way):4.1f} cm and {np.median(turn):.2f}°, "
+        f"{way.max():4.1f} cm and {turn.max():.2f}°"
+    )
 
 
 def _pose(pose: NDArray[np.float64]) -> str:
