@@ -1,11 +1,20 @@
 """Overlays: lines lie where the map's edges are, and nowhere else."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.geometry import Camera
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.render import Rendering
+from placegraph.synthetic.flats import Flat
+from placegraph.view import write_overlay
 from placegraph.view.overlay import (
+    BEFORE,
     CAPTIONS,
     FAINT,
     GAP,
@@ -144,3 +153,109 @@ def test_pictures_of_other_sizes_are_refused():
     drawn, normals = corner()
     with pytest.raises(OptionError, match="query's camera"):
         overlay(np.zeros((H, W - 1, 3), np.uint8), drawn, normals)
+
+
+def test_two_more_pictures_show_the_pose_before():
+    drawn, normals = corner()
+    query = np.full((H, W, 3), (10, 200, 30), np.uint8)
+    plain = np.asarray(overlay(query, drawn, normals))
+    before, before_normals = corner(objects=1)
+    before.colour[:] = 90
+    sheet = np.asarray(overlay(query, drawn, normals, before=(before, before_normals)))
+    tall = (len(plain) + GAP) // 2  # a row with its caption and the gap
+    assert len(sheet) == 3 * tall - GAP
+    captions = tall - GAP - H
+    np.testing.assert_array_equal(sheet[: tall + captions + H], plain[: tall + captions + H])
+    last = sheet[2 * tall + captions :]
+    assert (last[:, :W] == LINE).all(axis=-1).any()
+    assert {tuple(c) for c in last[:, W + GAP :].reshape(-1, 3)} == {(10, 200, 30), (90, 90, 90)}
+    assert len(BEFORE) == 2
+    with pytest.raises(OptionError, match="query's camera"):
+        overlay(query[:-1], drawn, normals, before=(before, before_normals))
+
+
+# --- of an estimate ---
+
+
+ROOM = """
+[flat]
+name = Cell
+height = 2.6
+[drawing]
+##########
+#BB    TT#
+#      TT#
+#   1    #
+##########
+[legend]
+1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
+B shelf: label=bookcase height=2.1
+T table: label=desk look=wood burlywood
+"""
+CAMERA = Camera(W, H, 60.0, 60.0, W / 2, H / 2)
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """A room, a pose in it and one beside it, and frames: the third shows the room from the pose."""
+    folder = tmp_path_factory.mktemp("overlay")
+    interior = Flat.parse(ROOM).furnish(np.random.default_rng(0))
+    scene = build_scene(interior.write_glb(folder / "room.glb"), None)
+    pose = np.eye(4)
+    pose[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # along y
+    pose[:3, 3] = (*scene.bounds[:, :2].mean(axis=0), 1.4)
+    beside = pose.copy()
+    beside[0, 3] += 0.15
+    picture = scene.render(pose, CAMERA).colour
+    frames = [
+        SimpleNamespace(index=k, camera=CAMERA, rgb=lambda k=k: picture if k == 2 else None)
+        for k in range(4)
+    ]
+    return SimpleNamespace(scene=scene, pose=pose, beside=beside, frames=frames)
+
+
+def estimate_at(pose, *, before=None, accepted=True):
+    def mode(matrix):
+        return PoseMode(matrix, np.zeros(4), np.eye(6), 1.0, "room", matrix)
+
+    refinement = None
+    if before is not None:
+        refinement = Refinement(accepted, "Drawn.", mode(before), before[None])
+    return PoseEstimate(
+        Status.OK, (mode(pose),), "Drawn.", trajectory=pose[None], frames=np.array([2]),
+        refinement=refinement,
+    )  # fmt: skip
+
+
+def read(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def test_an_estimate_is_laid_over_its_last_frame(seen, tmp_path):
+    def drawn(**how):
+        path = tmp_path / "look.png"
+        estimate = estimate_at(seen.pose, **how)
+        assert write_overlay(seen.scene, estimate, seen.frames, path) == path
+        return read(path)
+
+    plain = drawn()
+    assert plain.shape[1] == 2 * W + GAP
+    band = (len(plain) + GAP) // 2 - GAP - H
+    one, other = plain[band : band + H, :W], plain[band : band + H, W + GAP :]
+    assert np.abs(one.astype(int) - other).max() <= 2, "the map from the pose is what was seen"
+    moved = drawn(before=seen.beside)
+    tall = (len(plain) + GAP) // 2
+    assert len(moved) == len(plain) + tall
+    np.testing.assert_array_equal(moved[: len(plain)], plain)
+    assert (moved[2 * tall + band :] != plain[tall + band :]).any(), "from beside"
+    np.testing.assert_array_equal(drawn(before=seen.pose, accepted=False), plain)
+
+
+def test_what_cannot_be_shown(seen, tmp_path):
+    nowhere = PoseEstimate(Status.LOST, (), "It is dark.")
+    with pytest.raises(OptionError, match="no pose to show: It is dark"):
+        write_overlay(seen.scene, nowhere, seen.frames, tmp_path / "no.png")
+    with pytest.raises(OptionError, match="Frame 2"):
+        write_overlay(seen.scene, estimate_at(seen.pose), seen.frames[:2], tmp_path / "no.png")
+    assert not list(tmp_path.iterdir())
