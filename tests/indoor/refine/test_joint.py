@@ -32,9 +32,7 @@ def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
         bad = rng.random(count) < wrong
         pixels[bad] = rng.uniform(0, [camera.width, camera.height], (bad.sum(), 2))
         good = np.isfinite(points).all(axis=1)
-        out.append(
-            Sights.of(points[good], pixels[good], camera, sigma, np.zeros(good.sum(), np.int32))
-        )
+        out.append(Sights.of(points[good], pixels[good], camera, sigma))
     return out
 
 

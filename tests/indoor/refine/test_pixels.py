@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from placegraph.geometry import Camera, rotation_from_vector
 from placegraph.indoor.refine.pixels import Sights
 
-ROWS = np.arange(20, dtype=np.int32)
 BENT = Camera(320, 240, 250.0, 240.0, 158.0, 121.0, (-0.1, 0.02, 0.001, -0.001))
 
 
@@ -24,7 +23,7 @@ def scattered(seed, count=20):
 @given(st.integers(0, 999))
 def test_true_pixels_have_no_error_whatever_the_lens(seed):
     pose, points, pixels = scattered(seed)
-    sights = Sights.of(points, pixels, BENT, 1.5, ROWS)
+    sights = Sights.of(points, pixels, BENT, 1.5)
     assert len(sights) == 20
     np.testing.assert_allclose(sights.errors(pose), 0.0, atol=1e-4)
     assert sights.focal == 245.0
@@ -32,33 +31,21 @@ def test_true_pixels_have_no_error_whatever_the_lens(seed):
 
 
 def test_errors_are_in_pixels():
-    sights = Sights.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0, ROWS[:1])
+    sights = Sights.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0)
     assert sights.errors(np.eye(4))[0] == pytest.approx(5.0, rel=0.03)
 
 
 def test_behind_the_camera_the_error_is_infinite():
-    sights = Sights.of(
-        np.array([[0, 0, -2.0], [0, 0, 0.0]]), np.full((2, 2), 100.0), BENT, 1.0, ROWS[:2]
-    )
+    sights = Sights.of(np.array([[0, 0, -2.0], [0, 0, 0.0]]), np.full((2, 2), 100.0), BENT, 1.0)
     assert np.isinf(sights.errors(np.eye(4))).all()
 
 
 def test_some_of_them_and_none():
     _, points, pixels = scattered(3)
-    sights = Sights.of(points, pixels, BENT, 1.0, ROWS)
+    sights = Sights.of(points, pixels, BENT, 1.0)
     some = sights[np.arange(20) % 2 == 0]
     np.testing.assert_array_equal(some.points, points[::2])
     np.testing.assert_array_equal(some.pixels, pixels[::2])
-    np.testing.assert_array_equal(some.things, sights.things[::2])
     assert len(Sights.none()) == 0
-    assert len(Sights.of(np.zeros((0, 3)), np.zeros((0, 2)), BENT, 1.0, ROWS[:0])) == 0
+    assert len(Sights.of(np.zeros((0, 3)), np.zeros((0, 2)), BENT, 1.0)) == 0
     assert Sights.none().errors(np.eye(4)).shape == (0,)
-
-
-def test_a_thing_is_an_object_within_a_metre():
-    """Two ends of a wall do not move together, and two objects side by side do not either."""
-    points = np.array([[0.1, 0.1, 0.1], [0.9, 0.9, 0.9], [-0.1, 0.5, 0.5], [0.2, 0.2, 0.2]])
-    rows = np.array([3, 3, 3, 4], np.int32)
-    one, same, beyond, other = Sights.of(points, np.ones((4, 2)), BENT, 1.0, rows).things
-    assert one == same
-    assert len({one, beyond, other}) == 3

@@ -1,0 +1,237 @@
+"""Matches lifted to 3D, views turned, and poses that many matches agree on."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import MissingExtraError
+from placegraph.geometry import Camera, rotation_from_vector, vector_from_rotation
+from placegraph.indoor.matching import Matches
+from placegraph.indoor.refine.images import lift, look, solve_frame, solve_rig, turned
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.render import Renderer
+
+OPTIONS = RefineOptions()
+LENS = Camera(320, 240, 260.0, 260.0, 160.0, 120.0)
+
+
+# --------------------------------------------------------------------------------- lifting
+
+
+@pytest.fixture(scope="module")
+def picture(hall, way, kit):
+    return hall.render(way[0], kit.camera, samples=1)
+
+
+def test_points_are_depth_unprojected(picture, way, kit, rng):
+    """Also between pixel centres, where it is a plane's point to a tenth of a millimetre."""
+    h, w = picture.depth.shape
+    pixels = rng.uniform(1, [w - 1, h - 1], (500, 2))
+    points, sound = lift(picture, pixels)
+    assert sound.mean() > 0.9
+    at = np.floor(pixels).astype(int)
+    same = np.ptp(
+        [picture.objects[np.clip(at[:, 1] + j, 0, h - 1), np.clip(at[:, 0] + i, 0, w - 1)]
+         for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0) == 0  # fmt: skip
+    inside = (points - way[0][:3, 3]) @ way[0][:3, :3]
+    rays = kit.camera.directions(pixels)
+    off = np.linalg.norm(inside / inside[:, 2:] - rays, axis=1)
+    assert off[sound & same].max() < 2e-4
+    nearest = picture.depth[at[:, 1], at[:, 0]]
+    assert np.abs(inside[:, 2] - nearest)[sound & same].max() < 0.1
+
+
+def test_pixel_centres_are_the_renderings_own_points(picture):
+    h, w = picture.depth.shape
+    v, u = np.mgrid[0:h:7, 0:w:7].reshape(2, -1)
+    points, sound = lift(picture, np.stack([u, v], axis=1) + 0.5)
+    np.testing.assert_allclose(points[sound], picture.points[v, u][sound], atol=1e-6)
+
+
+def test_holes_and_edges_are_unsound(picture):
+    depth, points = picture.depth.copy(), picture.points.copy()
+    depth[:] = 2.0
+    depth[:, 80:] = 3.0  # another surface
+    depth[40:50, 20:30], points[40:50, 20:30] = np.nan, np.nan
+    torn = replace(picture, depth=depth, points=points)
+    pixels = np.array([[80.0, 20.5], [79.9, 20.5], [25.0, 45.0], [20.0, 45.0], [60.5, 60.5]])
+    _, sound = lift(torn, pixels)
+    assert sound.tolist() == [False, False, False, False, True]
+
+
+def test_nothing_to_lift(picture):
+    points, sound = lift(picture, np.zeros((0, 2)))
+    assert points.shape == (0, 3)
+    assert sound.shape == (0,)
+
+
+def test_the_rim_of_the_picture(picture):
+    h, w = picture.depth.shape
+    rim = np.array([[0.0, 0.0], [w, h], [w, 0.0], [0.0, h]], float)
+    points, sound = lift(picture, rim)
+    assert np.isfinite(points[sound]).all()
+
+
+# -------------------------------------------------------------------------------- turning
+
+
+@given(st.integers(1, 12), st.floats(0.05, 3.0))
+def test_views_are_turned_about_the_vertical(views, spread):
+    options = RefineOptions(views=views, spread=spread)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_from_vector([0.3, -1.0, 0.4]), (1, 2, 3)
+    poses = turned(pose, options)
+    assert len(poses) == views
+    np.testing.assert_array_equal(poses[0], pose)
+    turns = [vector_from_rotation(p[:3, :3] @ pose[:3, :3].T) for p in poses]
+    np.testing.assert_allclose(np.array(turns)[:, :2], 0.0, atol=1e-9)
+    yaws = np.array(turns)[1:, 2]
+    np.testing.assert_allclose(np.array(poses)[:, :3, 3], np.tile([1, 2, 3], (views, 1)))
+    if views > 2:
+        assert np.abs(yaws).max() == pytest.approx(spread)
+        np.testing.assert_allclose(np.diff(np.sort(yaws)), 2 * spread / (views - 2))
+        assert (np.diff(np.abs(yaws)) >= -1e-9).all()  # the nearest first
+
+
+# -------------------------------------------------------------------------------- looking
+
+
+class Told:
+    """Matcher that is told its matches."""
+
+    name = "told"
+
+    def __init__(self, *matches):
+        self.matches = matches
+
+    def match(self, query, views, *, masks=None):
+        assert len(views) == len(masks) == len(self.matches)
+        assert all(v.shape[:2] == m.shape for v, m in zip(views, masks, strict=True))
+        assert query.dtype == np.uint8
+        return list(self.matches)
+
+
+def test_matches_become_points_of_the_map(hall, way, walked, picture):
+    """Of all views; those on no surface are left out."""
+    some = np.array([[30.5, 40.5], [100.5, 80.5], [120.5, 30.5]])
+    told = Told(Matches.of(some, some, [0.9, 0.8, 0.7]), Matches.of(some[:1], some[:1], [0.5]))
+    frame = walked[0]
+    sights = look(Renderer(hall), frame, frame.rgb(), [way[0], way[0]], told, sigma=1.5)
+    assert len(sights) == 4
+    v, u = some.astype(int).T[::-1]
+    np.testing.assert_allclose(sights.points[:3], picture.points[v, u], atol=1e-6)
+    np.testing.assert_allclose(sights.errors(way[0]), 0.0, atol=1e-2)
+    assert (sights.sigma == 1.5).all()
+
+
+def test_matches_on_the_rim_are_no_trouble(hall, way, walked, kit):
+    width, height = kit.camera.width, kit.camera.height
+    rim = np.array([[0, 0], [width, height], [width, 10.5], [10.5, height]], float)
+    told = Told(Matches.of(rim, rim, np.ones(4)))
+    sights = look(Renderer(hall), walked[0], walked[0].rgb(), way[:1], told)
+    assert len(sights) <= 4
+
+
+def test_nothing_matched(hall, way, walked):
+    frame = walked[0]
+    assert len(look(Renderer(hall), frame, frame.rgb(), way[:1], Told(Matches.none()))) == 0
+
+
+# -------------------------------------------------------------------------------- solving
+
+
+def fabricated(seed, frames=3, count=60, wrong=0.7, noise=0.0):
+    """Poses of a rig in one place, and what its frames were matched with: most of it wrong."""
+    rng = np.random.default_rng(seed)
+    poses, sights = [], []
+    for t in range(frames):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_from_vector([0.1 * t, 0.3 * t, 0.0])
+        pose[:3, 3] = 0.2 * t, 0.05 * t, 0.0
+        inside = rng.uniform([-1, -1, 2], [1, 1, 6], (count, 3)) * [0.5, 0.4, 1.0]
+        pixels = LENS.project(inside) + noise * rng.normal(size=(count, 2))
+        bad = rng.random(count) < wrong
+        # what is wrong is wrong by 20 px at least
+        far = rng.uniform(20, 200, bad.sum())[:, None]
+        angle = rng.uniform(0, 2 * np.pi, bad.sum())
+        pixels[bad] += far * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        points = inside @ pose[:3, :3].T + pose[:3, 3]
+        poses.append(pose)
+        sights.append(Sights.of(points, pixels, LENS, 1.0))
+    return np.stack(poses), sights
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 999))
+def test_a_rig_is_found_among_seventy_percent_outliers(seed):
+    poses, sights = fabricated(seed)
+    mounts = np.linalg.inv(poses[-1]) @ poses
+    found = solve_rig(sights, list(mounts), OPTIONS)
+    np.testing.assert_allclose(found.pose, poses[-1], atol=1e-3)
+    right = [s.errors(p) < 1e-3 for s, p in zip(sights, poses, strict=True)]
+    assert found.count >= sum(r.sum() for r in right)
+    for inlier, true in zip(found.inliers, right, strict=True):
+        assert inlier[true].all()
+
+
+def test_frames_without_matches_take_no_part():
+    poses, sights = fabricated(4, frames=4)
+    sights[1] = Sights.none()
+    found = solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
+    np.testing.assert_allclose(found.pose, poses[-1], atol=1e-3)
+    assert [len(i) for i in found.inliers] == [60, 0, 60, 60]
+
+
+def test_one_frame_alone():
+    poses, sights = fabricated(5, frames=1)
+    found = solve_frame(sights[0], OPTIONS)
+    np.testing.assert_allclose(found.pose, poses[0], atol=1e-3)
+
+
+def test_the_only_frame_with_matches_may_be_any(kit):
+    """Its mount counts: the pose is the reference's."""
+    poses, sights = fabricated(6, frames=3)
+    seen = [Sights.none(), sights[1], Sights.none()]
+    found = solve_rig(seen, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
+    metres, degrees = kit.off(found.pose, poses[-1])
+    assert metres < 0.01
+    assert degrees < 0.5
+
+
+def test_noise_of_a_pixel_is_millimetres(kit):
+    poses, sights = fabricated(7, count=200, wrong=0.5, noise=1.0)
+    found = solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
+    assert kit.off(found.pose, poses[-1])[0] < 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_agrees_on_nothing_is_no_pose(seed):
+    _, sights = fabricated(seed, wrong=1.0)
+    assert solve_frame(sights[0], replace(OPTIONS, inlier=2.0)) is None
+
+
+def test_too_few_are_no_pose():
+    poses, sights = fabricated(1, frames=2, count=5, wrong=0.0)
+    assert solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS) is None
+    assert solve_rig([Sights.none()], [np.eye(4)], OPTIONS) is None
+
+
+def test_the_same_again():
+    poses, sights = fabricated(8)
+    a, b = (solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS) for _ in range(2))
+    np.testing.assert_allclose(a.pose, b.pose, atol=1e-12)  # PoseLib's last digits vary
+    for one, other in zip(a.inliers, b.inliers, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_without_poselib_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "poselib", None)
+    _, sights = fabricated(1)
+    with pytest.raises(MissingExtraError, match="pip install poselib") as raised:
+        solve_frame(sights[0], OPTIONS)
+    assert str(raised.value).endswith(".")
