@@ -1,0 +1,60 @@
+import math
+
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.indoor.refine.options import DepthNoise, RefineOptions
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"views": 0},
+        {"views": 2.5},
+        {"readings": -1},
+        {"least": 0},
+        {"frames": 0},
+        {"frames": 1.5},
+        {"inlier": 0.0},
+        {"inlier": math.nan},
+        {"tilt": 0.0},
+        {"tilt": -1.0},
+        {"spread": math.inf},
+        {"images": "sometimes"},
+        {"depth": False, "images": False},
+        {"reach": (-0.1, 0.1)},
+        {"reach": (0.1, -0.1)},
+    ],
+)
+def test_what_makes_no_sense_is_named(wrong):
+    with pytest.raises(OptionError) as raised:
+        RefineOptions(**wrong)
+    assert next(iter(wrong)) in str(raised.value)
+    assert str(raised.value).endswith(".")
+
+
+@pytest.mark.parametrize("facing", [(0.8, 0.5), (0.5, 0.5), (-2.0, 0.5), (0.5, 1.5)])
+def test_cosines_ascend(facing):
+    with pytest.raises(OptionError, match="facing"):
+        DepthNoise(facing=facing)
+
+
+@pytest.mark.parametrize("wrong", [{"floor": -0.01}, {"slope": math.nan}, {"surface": math.inf}])
+def test_noise_is_a_size(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        DepthNoise(**wrong)
+
+
+def test_the_papers_recipe_is_six_views_of_every_frame():
+    paper = RefineOptions.paper()
+    assert paper.views == 6
+    assert math.degrees(paper.spread) == pytest.approx(45.0)
+    assert not paper.depth
+    assert paper.images is True
+    assert not paper.joint
+    assert not paper.check
+
+
+def test_options_cannot_be_changed_by_accident():
+    with pytest.raises(AttributeError):
+        RefineOptions().views = 3
