@@ -171,9 +171,6 @@ def test_a_wrong_pose_is_not_trusted(run, world):
     assert reason
 
 
-@pytest.mark.xfail(
-    strict=True, reason="what no reading holds wanders off: the start's own precision has no say"
-)
 def test_what_nothing_holds_stays_where_it_was_given(run, world):
     """Walls alone do not tell the height; the one given is right."""
     start = near(world.truth[4], way=(0.06, 0.0, 0.0))

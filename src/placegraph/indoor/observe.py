@@ -337,4 +337,5 @@ def _patch_weights(
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
     """At most `most` of `count` rows, evenly spread, the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
+    first = 0 if most > 1 else count - 1
+    return np.unique(np.linspace(first, count - 1, min(most, count)).round().astype(np.int64))

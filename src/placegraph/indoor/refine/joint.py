@@ -52,6 +52,9 @@ class Problem:
     objects: int
     """Number of the map's objects."""
     options: RefineOptions
+    known: tuple[Floats, Floats] | None = None
+    """Poses (T, 4, 4) that were known before, and their standard deviations (6,) [m], [rad] in map
+    axes, common to all frames; None: `LOOSE` about the start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +104,7 @@ def solve(
             _add_sights(problem, poses, pixel_width, h, g)
             _add_odometry(problem, poses, h, g)
             _add_gravity(problem, poses, h, g)
-            _add_start(poses, start, h, g)
+            _add_known(problem, poses, start, h, g)
             step = -np.linalg.solve(h, g).reshape(count, 6)
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
@@ -212,9 +215,13 @@ def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
         g[rows] += j.T @ up[t, :2] / variance
 
 
-def _add_start(poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
-    shift = poses[:, :3, 3] - start[:, :3, 3]
-    turn = vector_from_rotation(poses[:, :3, :3] @ np.swapaxes(start[:, :3, :3], 1, 2))
-    weights = np.repeat(1.0 / np.square(LOOSE), 3)
+def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
+    known, deviations = start, np.repeat(LOOSE, 3)
+    if problem.known is not None:
+        # one and the same knowledge, not one of each frame
+        known, deviations = problem.known[0], problem.known[1] * np.sqrt(len(poses))
+    shift = poses[:, :3, 3] - known[:, :3, 3]
+    turn = vector_from_rotation(poses[:, :3, :3] @ np.swapaxes(known[:, :3, :3], 1, 2))
+    weights = 1.0 / np.square(deviations)
     g += (np.concatenate([shift, turn], axis=1) * weights).ravel()
     h[np.diag_indices(len(h))] += np.tile(weights, len(poses))

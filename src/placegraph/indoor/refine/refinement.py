@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.geometry import between, compose, pose_matrix, split_pose
+from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor import polish
 from placegraph.indoor.frames import chosen_frames
 from placegraph.indoor.observe import COARSE, FINE
@@ -225,6 +225,7 @@ def refine(
     if any(s.depth is not None for s in sequence.sightings):
         start = _searched(sequence, given, options, np.random.default_rng(seed))
     refiner = _refiner(scene, sequence.sightings, options, matching, device)
+    refiner.known = coarse, np.maximum(_reach(options), _SHARPEST)
     fitted, judgement = _tried(refiner, coarse, start, progress)
     told = _told(_given(scene, chosen, coarse, options), refiner, fitted, judgement)
     status, reason = _status(sequence, told)
@@ -246,35 +247,45 @@ def _status(sequence: Sequence_, told: PoseEstimate) -> tuple[Status, str]:
 
 def _searched(sequence: Sequence_, given: Floats, options: RefineOptions, rng: Generator) -> Floats:
     """Trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
-    way, turn = options.reach
     pose, _ = split_pose(given)
+    reach = _reach(options)[[0, 1, 2, 5]]
     fit = polish.refine(
         sequence.scorer,
         pose,
-        np.array([way, way, 0.3 * way, turn]),
+        reach,
         sequence.round(COARSE, rounds=4),
         rng,
     )
     spread = np.maximum(fit.spread, _NEARLY)
     fit = polish.refine(sequence.scorer, fit.pose, spread, sequence.round(FINE, rounds=2), rng)
+    # what no reading holds, such as the height between bare walls, wanders off
+    off = fit.pose - pose
+    off[3] = wrap(off[3])
+    found = pose + np.clip(off, -3.0 * reach, 3.0 * reach)
     levels = np.stack([s.level for s in sequence.sightings])
-    return pose_matrix(compose(fit.pose, between(sequence.poses[-1], sequence.poses)), levels)
+    return pose_matrix(compose(found, between(sequence.poses[-1], sequence.poses)), levels)
 
 
 _NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
+_SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]
+
+
+def _reach(options: RefineOptions) -> Floats:
+    """Standard deviations (6,) [m], [rad] of a pose that somebody gave."""
+    way, turn = options.reach
+    return np.array([way, way, 0.3 * way, turn, turn, turn])
 
 
 def _given(
     scene: SceneMap, frames: Sequence[Frame], coarse: Floats, options: RefineOptions
 ) -> PoseEstimate:
     """What is known before: a pose that somebody gave."""
-    way, turn = options.reach
     matrix = coarse[-1]
     row = scene.scene_at(matrix[:2, 3])
     mode = PoseMode(
         map_from_camera=matrix,
         pose=split_pose(matrix)[0],
-        covariance=np.diag(np.square([way, way, 0.3 * way, turn, turn, turn])),
+        covariance=np.diag(np.square(_reach(options))),
         probability=1.0,
         scene=scene.scenes[row],
         scene_from_camera=scene.scene_from_map[row] @ matrix,

@@ -95,6 +95,8 @@ class Refiner:
     matcher: Matcher | None
     """None: the guided matcher."""
     device: str = "auto"
+    known: tuple[Floats, Floats] | None = None
+    """As `Problem.known`."""
     stats: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -128,6 +130,7 @@ class Refiner:
             np.stack([f.gravity for f in self.frames]),
             len(self.scene),
             self.options,
+            self.known,
         )
 
     def fitted(self, start: Floats, progress: Progress | None = None) -> Fitted:

@@ -1,0 +1,298 @@
+"""From a coarse pose to centimetres, or to the reason why not."""
+
+import hashlib
+import sys
+
+import numpy as np
+import pytest
+
+from placegraph.errors import MissingExtraError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture import open_capture
+from placegraph.indoor.observe import sight
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+FIVE = slice(0, 5)
+WITHOUT_DEPTH = FilterOptions().only(semantic=True, colour=True)
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def refined(room, walk):
+    return room.localize(walk)
+
+
+@pytest.fixture(scope="module")
+def coarse(room, walk):
+    return room.localize(walk, refine=False)
+
+
+# ------------------------------------------------------------------------------- localizing
+
+
+def test_refined_is_nearer_the_truth(refined, coarse, exact, kit):
+    truth = exact.poses[-1]
+    assert refined.status is Status.OK
+    assert refined.refinement.accepted, refined.refinement.reason
+    after, before = (kit.off(e.best.map_from_camera, truth) for e in (refined, coarse))
+    assert after[0] < before[0]
+    assert after[0] < 0.01
+    assert after[1] < 0.3
+
+
+def test_what_it_was_before_is_told(refined, coarse):
+    """The same seed, refined or not: the filter's own answer stands in `coarse`."""
+    told = refined.refinement
+    np.testing.assert_array_equal(told.coarse.map_from_camera, coarse.best.map_from_camera)
+    np.testing.assert_array_equal(told.coarse_trajectory, coarse.trajectory)
+    np.testing.assert_array_equal(told.coarse.covariance, coarse.best.covariance)
+    assert coarse.refinement is None
+    assert refined.status is coarse.status
+    assert refined.reason == coarse.reason
+
+
+def test_pose_trajectory_and_scene_say_the_same(refined, kit, exact):
+    best = refined.best
+    np.testing.assert_array_equal(refined.trajectory[-1], best.map_from_camera)
+    assert refined.trajectory.shape == (10, 4, 4)
+    np.testing.assert_allclose(best.scene_from_camera, best.map_from_camera)
+    np.testing.assert_allclose(best.pose[:3], best.map_from_camera[:3, 3])
+    for pose, truth in zip(refined.trajectory, exact.poses, strict=True):
+        assert kit.off(pose, truth)[0] < 0.02
+    covariance = best.covariance
+    assert covariance.shape == (6, 6)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    error = best.map_from_camera[:3, 3] - exact.poses[-1][:3, 3]
+    assert error @ np.linalg.solve(covariance[:3, :3], error) < 25.0
+
+
+def test_stats_and_json(refined):
+    stats = refined.refinement.stats
+    assert {"inliers", "shift_m", "turn_deg", "motion", "held_back", "seconds"} <= set(stats)
+    assert stats["matcher"] == "guided"
+    assert all(v >= 0 for v in stats["seconds"].values())
+    assert "candidate" not in stats
+    told = refined.to_dict()["refinement"]
+    assert told["accepted"] is True
+    assert told["coarse"]["map_from_camera"]
+
+
+def test_a_flat_of_five_rooms(flat, flat_walk, truth, kit):
+    estimate = flat.localize(flat_walk, frames=FIVE)
+    right = truth(flat_walk)[4]
+    assert estimate.refinement.accepted, estimate.refinement.reason
+    metres, degrees = kit.off(estimate.best.map_from_camera, right)
+    assert metres < 0.02
+    assert degrees < 0.5
+    assert metres < kit.off(estimate.refinement.coarse.map_from_camera, right)[0]
+
+
+def test_images_alone(room, walk, exact, kit):
+    """Without depth the images are matched; whatever becomes of it, it is never worse by much."""
+    estimate = room.localize(walk, options=WITHOUT_DEPTH)
+    told = estimate.refinement
+    after = kit.off(estimate.best.map_from_camera, exact.poses[-1])
+    before = kit.off(told.coarse.map_from_camera, exact.poses[-1])
+    assert after[0] < before[0] + 0.02
+    assert after[0] < 0.15
+    assert "depth" not in told.stats["held_back"]
+    assert told.stats["matches"] > 100
+
+
+def test_the_same_seed_the_same_answer(refined, room, walk):
+    again = room.localize(walk)
+    np.testing.assert_array_equal(refined.trajectory, again.trajectory)
+    np.testing.assert_array_equal(refined.best.covariance, again.best.covariance)
+    assert refined.refinement.reason == again.refinement.reason
+
+
+def test_the_map_is_not_written(room_world, walk):
+    path = room_world.folder / "flat.scene"
+    before = digest(path)
+    room_world.scene.localize(walk, frames=slice(0, 2))
+    assert digest(path) == before
+
+
+def test_what_is_lost_is_not_refined(flat, walk):
+    """A room that is not on the map: there is nothing to refine."""
+    lost = flat.localize(walk, frames=FIVE)
+    assert lost.status is Status.LOST
+    assert lost.refinement is None
+    sightings = [sight(f, None, FilterOptions()) for f in list(walk)[:5]]
+    assert refine_estimate(lost, flat, sightings) is lost
+
+
+def test_sightings_of_the_newest_frames_are_enough(room, walk, coarse, exact, kit):
+    """Of a long capture only the last frames are refined; those before stay as they were."""
+    newest = [sight(f, None, FilterOptions()) for f in list(walk)[6:]]
+    estimate = refine_estimate(coarse, room, newest)
+    assert estimate.refinement.accepted
+    np.testing.assert_array_equal(estimate.trajectory[:6], coarse.trajectory[:6])
+    assert kit.off(estimate.trajectory[-1], exact.poses[-1])[0] < 0.01
+
+
+def test_a_refusal_leaves_the_coarse_pose(room, walk, monkeypatch):
+    from placegraph.indoor.refine import judge
+
+    monkeypatch.setattr(judge, "FARTHEST", (0.0, 0.0))
+    estimate = room.localize(walk, frames=FIVE)
+    told = estimate.refinement
+    assert not told.accepted
+    np.testing.assert_array_equal(estimate.best.map_from_camera, told.coarse.map_from_camera)
+    np.testing.assert_array_equal(estimate.trajectory, told.coarse_trajectory)
+    assert np.shape(told.stats["candidate"]) == (4, 4)
+
+
+def test_both_senses_off(room, walk):
+    with pytest.raises(OptionError, match="refine=False"):
+        room.localize(walk, refine=RefineOptions(depth=False, images=False))
+
+
+@pytest.mark.parametrize("name", ["surf", "", "GUIDED"])
+def test_unknown_matchers_are_refused_before_any_work(room, walk, name):
+    with pytest.raises(OptionError, match="sift"):
+        room.localize(walk, matcher=name)
+    # nobody matches anything where nothing is refined
+    room.localize(walk, frames=slice(0, 1), matcher=name, refine=False)
+
+
+def test_auto_and_guided_need_no_extra():
+    assert chosen_matcher("auto") is None
+    assert chosen_matcher("guided") is None
+    mine = object()
+    assert chosen_matcher(mine) is mine
+
+
+# ------------------------------------------------------------------------ from a rough pose
+
+
+@pytest.mark.parametrize(
+    ("shift", "degrees"), [((0.16, 0.12, 0), 10.0), ((-0.2, 0, 0), -10.0), ((0, 0, 0), 0.0)]
+)
+def test_from_two_decimetres_and_ten_degrees(room, walk, exact, kit, shift, degrees):
+    start = kit.moved(exact.poses[-1], shift, (0, 0, degrees))
+    before = start.copy()
+    estimate = room.refine(walk, start)
+    assert estimate.refinement.accepted, estimate.refinement.reason
+    assert estimate.status is Status.OK
+    metres, turn = kit.off(estimate.best.map_from_camera, exact.poses[-1])
+    assert metres < 0.03
+    assert turn < 0.5
+    np.testing.assert_allclose(estimate.refinement.coarse.map_from_camera, start, atol=1e-12)
+    np.testing.assert_array_equal(start, before)
+    np.testing.assert_array_equal(estimate.frames, np.arange(10))
+
+
+def test_what_nothing_holds_stays_where_it_was_given(room, walk, exact, kit):
+    """The first frames see walls between floor and ceiling: their height is the one given."""
+    for shift in ((0.05, -0.05, 0.0), (0.1, 0.1, 0.0)):
+        start = kit.moved(exact.poses[4], shift, (0, 0, 4.0))
+        best = room.refine(walk, start, frames=FIVE).best
+        assert kit.off(best.map_from_camera, exact.poses[4])[0] < 0.01
+        along, _, up = np.sqrt(np.diag(best.covariance)[:3])
+        assert along < 0.02
+        assert 0.03 < up < 0.06  # no more is known of it than before
+
+
+def test_one_frame_from_a_rough_pose(room, walk, exact, kit):
+    start = kit.moved(exact.poses[4], (0.1, -0.1, 0), (0, 0, 6.0))
+    estimate = room.refine(walk, start, frames=[4])
+    assert estimate.refinement.accepted, estimate.refinement.reason
+    assert kit.off(estimate.best.map_from_camera, exact.poses[4])[0] < 0.03
+
+
+def test_with_a_named_matcher(room, walk, exact, kit):
+    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
+    start = kit.moved(exact.poses[4], (0.05, -0.05, 0), (0, 0, 2.0))
+    options = RefineOptions(images=True, views=2)
+    estimate = room.refine(walk, start, frames=FIVE, matcher="sift", options=options)
+    assert estimate.refinement.stats["matcher"] == "sift"
+    assert kit.off(estimate.best.map_from_camera, exact.poses[4])[0] < 0.05
+
+
+def test_the_papers_recipe_runs(flat, flat_walk, truth, kit):
+    """Six views of every frame, PnP frame by frame: images alone, and no check."""
+    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
+    right = truth(flat_walk)[1]
+    estimate = flat.refine(
+        flat_walk, right, frames=slice(0, 2), matcher="sift", options=RefineOptions.paper()
+    )
+    stats = estimate.refinement.stats
+    assert stats["matcher"] == "sift"
+    assert "depth" not in stats["seconds"]
+    if estimate.refinement.accepted:
+        assert stats["decided_by"] in {0, 1}
+        assert "unchecked" in estimate.refinement.reason
+    assert kit.off(estimate.trajectory[-1], estimate.best.map_from_camera)[0] < 1e-6
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        np.eye(3),
+        np.full((4, 4), np.nan),
+        np.diag([2.0, 2.0, 2.0, 1.0]),
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        "here",
+        None,
+    ],
+)
+def test_what_is_no_pose(room, walk, pose):
+    with pytest.raises(OptionError, match="map_from_camera"):
+        room.refine(walk, pose)
+
+
+def test_no_frame(room, walk, exact):
+    with pytest.raises(OptionError, match="none chosen"):
+        room.refine(walk, exact.poses[-1], frames=[])
+
+
+# ------------------------------------------------------------------------- what is missing
+
+
+def test_without_poselib_depth_still_refines(room, walk, exact, kit, monkeypatch):
+    monkeypatch.setitem(sys.modules, "poselib", None)
+    start = kit.moved(exact.poses[4], (0.05, -0.05, 0), (0, 0, 2.0))
+    options = RefineOptions(images=True)
+    estimate = room.refine(walk, start, frames=FIVE, options=options)
+    assert estimate.refinement.accepted
+    assert estimate.refinement.reason == "Refined by depth."
+    assert kit.off(estimate.best.map_from_camera, exact.poses[4])[0] < 0.02
+
+
+def test_without_poselib_colours_alone_say_so(room, walk, monkeypatch):
+    monkeypatch.setitem(sys.modules, "poselib", None)
+    estimate = room.localize(walk, frames=FIVE, options=WITHOUT_DEPTH)
+    assert not estimate.refinement.accepted
+    assert "PoseLib" in estimate.refinement.reason
+    assert "pip install poselib" in estimate.refinement.reason
+
+
+def test_a_matcher_that_was_asked_for_is_not_passed_over(room, walk, exact, monkeypatch):
+    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
+    monkeypatch.setitem(sys.modules, "poselib", None)
+    options = RefineOptions(images=True, views=1)
+    with pytest.raises(MissingExtraError, match="PoseLib"):
+        room.refine(walk, exact.poses[1], frames=slice(0, 2), matcher="sift", options=options)
+
+
+# ------------------------------------------------------------------------ shared real data
+
+
+def test_the_shared_house_to_centimetres(shared, tmp_path, truth, kit):
+    from placegraph.indoor.build import build_scene
+
+    house = build_scene(shared / "data/house/map/house.glb", tmp_path / "house.scene")
+    capture = open_capture(shared / "data/house/seq00")
+    right = truth(capture)[9]
+    start = kit.moved(right, (0.15, -0.1, 0.0), (0, 0, 8.0))
+    estimate = house.refine(capture, start, frames=slice(5, 10))
+    assert estimate.refinement.accepted, estimate.refinement.reason
+    metres, degrees = kit.off(estimate.best.map_from_camera, right)
+    assert metres < 0.03
+    assert degrees < 0.5

@@ -1,0 +1,132 @@
+"""Which senses and which frames take part in a refinement."""
+
+import numpy as np
+import pytest
+
+from placegraph.indoor.matching import Matches
+from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.refine.check import held_back
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.refiner import FEW, MANY, Refiner, stages_of
+from placegraph.indoor.scene_map import SceneMap
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+class Nowhere:
+    """Matcher that finds nothing, and counts what it was asked."""
+
+    name = "nowhere"
+
+    def __init__(self):
+        self.views = []
+
+    def match(self, query, views, *, masks=None):
+        assert query.dtype == np.uint8
+        assert len(masks) == len(views)
+        self.views.append(len(views))
+        return [Matches.none() for _ in views]
+
+
+@pytest.fixture
+def refiner(room, walk):
+    def made(scene=room, matcher=None, depth=True, frames=slice(None), **options):
+        chosen = list(walk)[frames]
+        depths = [f.depth() if depth else None for f in chosen]
+        queries = [f.rgb() for f in chosen]
+        return Refiner(scene, chosen, depths, queries, RefineOptions(**options), matcher)
+
+    return made
+
+
+def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
+    one = refiner(depth=False, frames=slice(0, 4))
+    (stage, *_) = stages_of(None, near=False)
+    sights = one._looked(stage, exact.poses[:4])
+    width = one.frames[0].camera.width
+    assert sum(map(len, sights)) > 5
+    assert not any(held_back(s.pixels, width).any() for s in sights)
+    all_ = refiner(depth=False, frames=slice(0, 4), check=False)._looked(stage, exact.poses[:4])
+    assert sum(map(len, all_)) > sum(map(len, sights))
+    assert any(held_back(s.pixels, width).any() for s in all_)
+
+
+def test_readings_of_fit_and_check_are_other_pixels(refiner):
+    one = refiner(frames=slice(0, 2))
+    for fit, check in zip(one.readings(0), one.readings(1), strict=True):
+        a, b = (
+            {tuple(d) for d in np.round(r.directions[r.depth > 0], 5).tolist()}
+            for r in (fit, check)
+        )
+        assert a
+        assert b
+        assert not a & b
+    assert one.readings(0) is one.readings(0)  # cut once
+
+
+def test_where_depth_is_sure_no_image_is_matched(refiner, exact):
+    """`auto`: images where depth leaves doubts; `True`: always; without depth: always."""
+    nowhere = Nowhere()
+    refiner(matcher=nowhere).fitted(exact.poses)
+    assert nowhere.views == []
+    refiner(matcher=nowhere, images=True, views=3).fitted(exact.poses)
+    assert nowhere.views == [3] * FEW + [1] * FEW
+    nowhere.views.clear()
+    refiner(matcher=nowhere, depth=False, views=1, frames=slice(0, 2)).fitted(exact.poses[:2])
+    assert nowhere.views == [1] * 4
+    nowhere.views.clear()
+    refiner(matcher=nowhere, images=False).fitted(exact.poses)
+    assert nowhere.views == []
+
+
+def test_a_white_map_is_not_matched(refiner, exact, room):
+    mesh = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
+    white = SceneMap.create(mesh, room.graph.ids, room.graph.labels, floor=0.0)
+    nowhere = Nowhere()
+    fitted = refiner(white, nowhere, depth=False).fitted(exact.poses)
+    assert nowhere.views == []
+    assert fitted.solution is None
+    np.testing.assert_array_equal(fitted.poses, exact.poses)
+    assert refiner(white, nowhere, images=True).fitted(exact.poses).solution is not None
+
+
+def test_where_nothing_matches_depth_decides(refiner, exact, kit):
+    start = kit.moved(exact.poses, (0.05, 0.05, 0), (0, 0, 2.0))
+    fitted = refiner(matcher=Nowhere(), images=True, views=1).fitted(start)
+    assert kit.off(fitted.poses[-1], exact.poses[-1])[0] < 0.01
+    blind = refiner(matcher=Nowhere(), depth=False, views=1).fitted(start)
+    assert sum(map(len, blind.sights)) == 0
+    assert kit.off(blind.poses[-1], start[-1])[0] < 0.01
+
+
+@pytest.mark.parametrize(("count", "asked"), [(3, None), (10, 4), (10, 1), (10, 100)])
+def test_frames_that_are_looked_at(refiner, count, asked):
+    """Spread over the sequence, the last among them."""
+    for matcher, most in ((None, MANY), (Nowhere(), FEW)):
+        rows = refiner(matcher=matcher, frames=slice(0, count))
+        rows.options = RefineOptions(frames=asked)
+        looked = rows.looked()
+        assert looked[-1] == count - 1
+        assert len(looked) == min(count, asked or most)
+        assert (np.diff(looked) > 0).all()
+
+
+def test_the_guided_matcher_comes_from_wide_to_narrow():
+    wide = stages_of(None, near=False)
+    assert [s.matcher.radius for s in wide] == sorted(
+        (s.matcher.radius for s in wide), reverse=True
+    )
+    assert not any(s.turned for s in wide)
+    assert len(stages_of(None, near=True)) < len(wide)
+    mine = Nowhere()
+    assert [s.matcher for s in stages_of(mine, near=True)] == [mine] * len(
+        stages_of(mine, near=True)
+    )
+    assert stages_of(mine, near=True)[0].turned
+
+
+def test_progress_is_told(refiner, exact):
+    told = []
+    refiner(depth=False, frames=slice(0, 2)).fitted(exact.poses[:2], lambda *a: told.append(a))
+    assert {what for what, _, _ in told} == {"aligning depth", "matching images", "checking"}
+    assert all(0 <= done <= total for _, done, total in told)
