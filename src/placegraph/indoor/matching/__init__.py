@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["MATCHERS", "Matcher", "Matches", "matcher"]
 
 
+def _guided() -> Callable[..., Matcher]:
+    from placegraph.indoor.matching.guided import GuidedMatcher
+
+    return GuidedMatcher
+
+
 def _sift() -> Callable[..., Matcher]:
     from placegraph.indoor.matching.sift import SiftMatcher
 
@@ -45,6 +51,7 @@ def _romav2() -> Callable[..., Matcher]:
 
 
 MATCHERS: dict[str, Callable[[], Callable[..., Matcher]]] = {
+    "guided": _guided,
     "sift": _sift,
     "xfeat": _xfeat,
     "roma": _roma,

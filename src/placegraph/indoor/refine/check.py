@@ -14,6 +14,7 @@ import numpy as np
 from placegraph.indoor.matching.guided import lightness, resized
 from placegraph.indoor.raycast.layout import LANES
 from placegraph.indoor.refine.depth import distances
+from placegraph.indoor.refine.images import smaller
 from placegraph.indoor.refine.kernels import correlations
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame
-    from placegraph.geometry import Floats
+    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.refine.depth import Readings, Surfaces
     from placegraph.indoor.render import Renderer
 
@@ -30,8 +31,8 @@ SCALE = 0.03
 """Distance of a reading from the map's surface at which it counts half [m]."""
 BLOCKS = 9
 """Blocks in the width of an image; one of four is held back."""
-SMALL = 4
-"""Images are compared at this fraction of their size."""
+SMALL = 160
+"""Longer side at which images are compared [px]."""
 _HALF = 3
 _STEP = 5
 
@@ -79,9 +80,9 @@ def _tile_scores(surfaces: Surfaces, held: Sequence[Readings | None], poses: Flo
     return np.where(counts > 0, means, np.nan)
 
 
-def held_back(pixels: Floats, width: int) -> NDArray[np.bool_]:
-    """Which image points (N, 2) [px] lie in blocks that are kept for the check."""
-    block = np.floor(pixels / (width / BLOCKS)).astype(np.int64)
+def held_back(pixels: Floats, camera: Camera) -> NDArray[np.bool_]:
+    """Which image points (N, 2) [px] of a camera lie in blocks that are kept for the check."""
+    block = np.floor(pixels / (max(camera.width, camera.height) / BLOCKS)).astype(np.int64)
     return np.asarray((block % 2 == 1).all(axis=1))
 
 
@@ -99,10 +100,9 @@ def image_gain(
     """
     scores: list[list[Floats]] = [[], []]
     for t, (frame, query) in enumerate(zip(frames, queries, strict=True)):
-        camera = frame.camera
-        small = camera.resized(max(8, camera.width // SMALL), max(8, camera.height // SMALL))
+        small = smaller(frame.camera, SMALL)
         seen = lightness(resized(query, small.width, small.height))
-        at = _windows(seen)
+        at = _windows(small)
         for out, poses in zip(scores, (before, after), strict=True):
             drawn = renderer.render(poses[t], small, samples=1)
             out.append(correlations(seen, lightness(drawn.colour), drawn.mask, at, _HALF))
@@ -111,9 +111,9 @@ def image_gain(
     return Gain.of(first[told], second[told])
 
 
-def _windows(image: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Centres (N, 2) row, column of held-back windows of a query (H, W)."""
-    h, w = image.shape
-    rows, columns = np.arange(_HALF, h - _HALF, _STEP), np.arange(_HALF, w - _HALF, _STEP)
+def _windows(camera: Camera) -> NDArray[np.int64]:
+    """Centres (N, 2) row, column of the held-back windows of a camera's images."""
+    rows = np.arange(_HALF, camera.height - _HALF, _STEP)
+    columns = np.arange(_HALF, camera.width - _HALF, _STEP)
     at = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-    return at[held_back(at[:, ::-1] + 0.5, w)]
+    return at[held_back(at[:, ::-1].astype(np.float64) + 0.5, camera)]

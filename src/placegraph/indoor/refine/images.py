@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError
 from placegraph.geometry import rotation_z
+from placegraph.indoor.matching.guided import resized
 from placegraph.indoor.refine.pixels import Sights
 
 if TYPE_CHECKING:
@@ -47,22 +48,33 @@ def look(
     poses: Sequence[Floats],
     matcher: Matcher,
     *,
-    camera: Camera | None = None,
-    sigma: float = 1.0,
+    size: int,
+    sigma: float,
 ) -> Sights:
     """Points of the map that a frame (H, W, 3) shares with renderings from some poses (4, 4).
 
-    `camera`: of the renderings; the frame's own if not given. `sigma`: deviation of a match [px of
-    the frame].
+    `size`: longer side of the renderings [px]; the query is brought to theirs. `sigma`: deviation of
+    a match [px of an image `REFERENCE` wide].
     """
-    drawn = [renderer.render(pose, camera or frame.camera, samples=1) for pose in poses]
-    found = matcher.match(query, [d.colour for d in drawn], masks=[d.mask for d in drawn])
+    camera = smaller(frame.camera, size)
+    drawn = [renderer.render(pose, camera, samples=1) for pose in poses]
+    shown = resized(query, camera.width, camera.height)
+    found = matcher.match(shown, [d.colour for d in drawn], masks=[d.mask for d in drawn])
     points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for picture, matches in zip(drawn, found, strict=True):
         lifted, whole = lift(picture, matches.rendered)
         points.append(lifted[whole])
         pixels.append(matches.query[whole])
-    return Sights.of(np.concatenate(points), np.concatenate(pixels), frame.camera, sigma)
+    scale = np.array([frame.camera.width / camera.width, frame.camera.height / camera.height])
+    return Sights.of(np.concatenate(points), np.concatenate(pixels) * scale, frame.camera, sigma)
+
+
+def smaller(camera: Camera, size: int) -> Camera:
+    """The camera with images whose longer side is `size` [px]; as it is where that is longer."""
+    scale = size / max(camera.width, camera.height)
+    if scale >= 1.0:
+        return camera
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
 def lift(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -125,7 +137,8 @@ def solve_rig(
     pixels = [sights[t].rays * sights[t].focal for t in used]
     points = [sights[t].points for t in used]
     cameras = [_pinhole(sights[t].focal) for t in used]
-    ransac = {"max_reproj_error": options.inlier, "max_iterations": 5000, "seed": 0}
+    limit = options.inlier * max(sights[t].unit for t in used)
+    ransac = {"max_reproj_error": limit, "max_iterations": 5000, "seed": 0}
     if len(used) == 1 and np.allclose(reference_from_camera[used[0]], np.eye(4)):
         pose, info = poselib.estimate_absolute_pose(pixels[0], points[0], cameras[0], ransac, {})
         inliers = [info["inliers"]]

@@ -55,7 +55,7 @@ class RefineOptions:
     """How far off the start may be: standard deviations in the plane [m] and in yaw [rad]. Only of a
     start that is given (`scene.refine`); `localize` knows what its own poses are worth."""
     inlier: float = 8.0
-    """Reprojection error of an inlier of RANSAC [px of the colour image]."""
+    """Reprojection error of an inlier of RANSAC [px of an image 640 wide]."""
     least: int = 12
     """Fewest inliers of a frame, or of a sequence, that count as a pose."""
     noise: DepthNoise = field(default_factory=DepthNoise)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from placegraph.indoor.observe import REFERENCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,6 +29,8 @@ class Sights:
     """(M,) standard deviation of the pixels [px]."""
     focal: float
     """[px]"""
+    unit: float
+    """Pixels of this camera in one of an image `REFERENCE` wide: what tolerances are given in."""
 
     @classmethod
     def of(
@@ -36,23 +40,29 @@ class Sights:
         camera: Camera,
         sigma: float,
     ) -> Sights:
-        """Sights of a camera, all of one standard deviation [px]."""
+        """Sights of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide]."""
         rays = camera.directions(pixels)[:, :2] if len(pixels) else np.zeros((0, 2))
-        focal = 0.5 * (camera.fx + camera.fy)
-        return cls(points, pixels, rays, np.full(len(points), float(sigma)), focal)
+        unit = max(camera.width, camera.height) / REFERENCE
+        sigmas = np.full(len(points), sigma * unit)
+        return cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)
 
     @classmethod
     def none(cls) -> Sights:
         """No point."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
+        return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Sights:
         """Some of them."""
-        columns = (self.points, self.pixels, self.rays, self.sigma)
-        return Sights(*(c[rows] for c in columns), focal=self.focal)
+        return replace(
+            self,
+            points=self.points[rows],
+            pixels=self.pixels[rows],
+            rays=self.rays[rows],
+            sigma=self.sigma[rows],
+        )
 
     def errors(self, map_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
         """Reprojection errors (M,) [px] at a pose (4, 4); infinite behind the camera."""

@@ -45,26 +45,30 @@ MANY, FEW = 12, 5
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One round of matching: at which scale, how, and how well matches are placed."""
+    """One round of matching: at which size, how, and how well matches are placed."""
 
     matcher: Matcher
-    scale: int
-    """Renderings are this many times smaller than the query."""
+    size: int
+    """Longer side of renderings and queries [px]; images that are smaller stay so."""
     sigma: float
-    """Standard deviation of a right match [px of the query]."""
+    """Standard deviation of a right match [px of an image `REFERENCE` wide]."""
     turned: bool = False
     """Views turned in yaw are matched too."""
+
+
+LARGEST = 960
+"""Longer side [px] to which larger images are brought for feature matchers."""
 
 
 def stages_of(matcher: Matcher | None, *, near: bool) -> list[Stage]:
     """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
     if matcher is not None:
-        return [Stage(matcher, 1, 2.0, turned=True), Stage(matcher, 1, 2.0)]
-    fine = [Stage(GuidedMatcher(radius=10, half=7, cell=8), 4, 2.0)]
+        return [Stage(matcher, LARGEST, 2.0, turned=True), Stage(matcher, LARGEST, 2.0)]
+    fine = [Stage(GuidedMatcher(radius=10, half=7, cell=8), 160, 2.0)]
     if near:
         return fine
-    wide = [Stage(GuidedMatcher(radius=28, half=5, cell=8), 4, 3.0)]
-    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 2, 1.0)]
+    wide = [Stage(GuidedMatcher(radius=34, half=5, cell=8), 160, 3.0)]
+    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 320, 1.0)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,15 +186,12 @@ class Refiner:
         def one(t: int) -> Sights:
             frame, query = self.frames[t], self.queries[t]
             assert query is not None  # noqa: S101  chosen so
-            width, height = frame.camera.width, frame.camera.height
-            camera = frame.camera.resized(
-                max(8, width // stage.scale), max(8, height // stage.scale)
-            )
             views = turned(poses[t], self.options) if stage.turned else [poses[t]]
             seen = look(
-                self.renderer, frame, query, views, stage.matcher, camera=camera, sigma=stage.sigma
-            )
-            return seen[~held_back(seen.pixels, width)] if self.options.check else seen
+                self.renderer, frame, query, views, stage.matcher,
+                size=stage.size, sigma=stage.sigma,
+            )  # fmt: skip
+            return seen[~held_back(seen.pixels, frame.camera)] if self.options.check else seen
 
         with timed(self.seconds, "matching"), ThreadPoolExecutor(self._threads(stage)) as pool:
             for t, seen in zip(rows, pool.map(one, rows), strict=True):
@@ -237,7 +238,7 @@ class Refiner:
         odometry = np.stack([f.odometry for f in self.frames])
         led = pose @ np.linalg.inv(odometry[t]) @ odometry
         kept = [Sights.none()] * len(sights)
-        kept[t] = sights[t][sights[t].errors(pose) < self.options.inlier]
+        kept[t] = sights[t][sights[t].errors(pose) < self.options.inlier * sights[t].unit]
         self.stats["decided_by"] = self.frames[t].index
         solution = solve(self.problem(kept), led, FINE_WIDTHS[-1:], steps=1)
         return self._finished(led, solution, kept)
