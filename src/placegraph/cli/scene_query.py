@@ -56,7 +56,7 @@ OverlayFile = Annotated[
 ]
 NoProgress = Annotated[bool, typer.Option("--quiet", help="No progress.")]
 
-_OWN = ("auto", "guided")
+_OWN = ("auto", "guided")  # without weights; the refiner makes them as each round wants them
 
 
 def matcher_of(name: str, weights: Path | None, device: str) -> str | Matcher:
@@ -66,8 +66,9 @@ def matcher_of(name: str, weights: Path | None, device: str) -> str | Matcher:
     """
     from placegraph.indoor.matching import MATCHERS, matcher
 
-    if name not in {*_OWN, *MATCHERS}:
-        raise OptionError(f"--matcher is {name!r}; there are {', '.join([*_OWN, *MATCHERS])}.")
+    known = dict.fromkeys([*_OWN, *MATCHERS])
+    if name not in known:
+        raise OptionError(f"--matcher is {name!r}; there are {', '.join(known)}.")
     if name in _OWN:
         if weights is not None:
             raise OptionError(
