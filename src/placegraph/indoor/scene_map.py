@@ -198,6 +198,13 @@ class SceneMap:
 
         return Surface.of(self.mesh)
 
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """(T, 3) float32 unit normals of the mesh's triangles, zero of those without area."""
+        doubled = self.mesh.normals()
+        lengths = np.maximum(np.linalg.norm(doubled, axis=1, keepdims=True), 1e-12)
+        return (doubled / lengths).astype(np.float32)
+
     def visibility(self, options: FilterOptions) -> VisibilityTable:
         """What is visible from where, for cameras at `options.heights`; made once for each."""
         from placegraph.indoor.visibility import build_table

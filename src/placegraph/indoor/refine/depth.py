@@ -125,10 +125,7 @@ class Surfaces(NamedTuple):
     @classmethod
     def of(cls, scene: SceneMap) -> Surfaces:
         """Surfaces of a map."""
-        normals = scene.mesh.normals()
-        lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        unit = (normals / lengths).astype(np.float32)
-        return cls(scene.caster.tracer, unit, scene.mesh.object_of)
+        return cls(scene.caster.tracer, scene.normals, scene.mesh.object_of)
 
 
 class Kernel(NamedTuple):
