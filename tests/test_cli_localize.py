@@ -194,6 +194,28 @@ def test_a_pose_is_refined_and_every_frame_with_it(run, world, tmp_path):
         assert sheet.height / (90 + 20) < 3.0, "nothing was before"
 
 
+def test_of_a_tracked_capture_the_newest_frames_are_refined(run, world, tmp_path):
+    """33 frames: the first three as they were tracked, 30 refined, all of them in the file."""
+    rng, drawing = np.random.default_rng(3), Flat.parse(ROOM)
+    interior = drawing.furnish(rng)
+    walk = stroll(drawing, rng, frames=33, through="123")
+    camera = Camera(96, 54, 69.0, 69.0, 48.0, 27.0)
+    folder = write_walk(interior, walk, tmp_path / "long", rng, camera=camera)
+    tum = tmp_path / "a.tum"
+    told = run("scene", "localize", world.map, folder, "--json", "--tum", tum).json
+    assert told["refinement"]["accepted"], told["refinement"]["reason"]
+    written = read_tum(tum).poses
+    assert len(written) == len(told["trajectory"]) == 33
+    assert written == pytest.approx(np.array(told["trajectory"]), abs=1e-6)
+    assert written[-1] == pytest.approx(np.array(told["modes"][0]["map_from_camera"]), abs=1e-6)
+    coarse = run("scene", "localize", world.map, folder, "--json", "--no-refine").json
+    moved = np.linalg.norm(np.subtract(coarse["trajectory"], written)[:, :3, 3], axis=1)
+    assert moved[:3].max() < 1e-6
+    assert moved[3:].min() > 1e-6
+    off = np.linalg.norm(written[:, :3, 3] - walk.map_from_camera[:, :3, 3], axis=1)
+    assert np.median(off[3:]) < 0.02
+
+
 def test_senses_that_are_off_are_off_for_the_refinement_too(run, world):
     def stats(*options):
         result = run(
@@ -363,7 +385,7 @@ def test_much_evidence_and_many_modes(capsys):
             False, "Not refined: Bad.", {"shift_m": 0.25, "turn_deg": 3.0},
             "Not refined: Bad. The pose given stands; the one refused lies 25.0 cm and 3.00° from it.",
         ),
-        (False, "Not refined: dark.", {"shift_m": 0.0, "turn_deg": 0.0},
+        (False, "Not refined: dark.", {"shift_m": 0.001, "turn_deg": 0.04},
          "Not refined: dark. The pose given stands."),
         (False, "Not refined: PoseLib is missing.", {},
          "Not refined: PoseLib is missing. The pose given stands."),

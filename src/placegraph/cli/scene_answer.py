@@ -108,7 +108,7 @@ def refinement_words(refinement: Refinement, before: str = "coarse pose") -> str
     way = f"{100 * shift:.1f} cm and {turn:.2f}°"
     if refinement.accepted:
         return f"{refinement.reason} The pose moved by {way}."
-    away = f"; the one refused lies {way} from it" if shift or turn else ""
+    away = f"; the one refused lies {way} from it" if shift > 0.002 or turn > 0.1 else ""
     return f"{refinement.reason} The {before} stands{away}."
 
 
