@@ -127,9 +127,8 @@ def hint(views: Sequence[View], background: Background, frame: Frame) -> str:
 
 def _mend(frame: Frame, factor: float) -> str:
     """What is wrong, where, and what would fit."""
-    looks = f"about {factor:.3g} times too long" if factor > 1 else ""
-    looks = looks or f"about {1 / factor:.3g} times too short"
-    said = f"The depth readings look {looks}"
+    times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
+    said = f"The depth readings look about {times:.{0 if times > 9 else 1}f} times too {direction}"
     if not isinstance(frame.images, FileImages):
         return f"{said}; give depth in metres."
     file = frame.images.cameras

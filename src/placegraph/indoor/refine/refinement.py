@@ -14,7 +14,7 @@ from placegraph.indoor import polish
 from placegraph.indoor.frames import chosen_frames
 from placegraph.indoor.observe import COARSE, FINE
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.refine.judge import Judgement, judged
+from placegraph.indoor.refine.judge import BENT, Judgement, judged
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
 from placegraph.indoor.render import checked_pose
@@ -124,14 +124,24 @@ def _told(
     stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
     if fitted is not None and not judgement.accepted:
         stats["candidate"] = fitted.poses[-1].tolist()  # what was refused
+    status, reason = estimate.status, estimate.reason
+    if status is Status.OK and stats.get("motion", 0.0) > BENT:
+        status, reason = Status.AMBIGUOUS, _BENT
     return replace(
         estimate,
+        status=status,
+        reason=reason,
         modes=(best, *estimate.modes[1:]),
         trajectory=trajectory,
         refinement=Refinement(
             judgement.accepted, judgement.reason, coarse, estimate.trajectory, stats
         ),
     )
+
+
+_BENT = (
+    "One place fits, but there the frames contradict the odometry, or the camera's intrinsics do."
+)
 
 
 def _tried(
