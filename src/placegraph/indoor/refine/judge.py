@@ -10,6 +10,7 @@ import numpy as np
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.clock import timed
 from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
+from placegraph.indoor.refine.focal import better_focal
 from placegraph.indoor.refine.joint import odometry_errors
 
 if TYPE_CHECKING:
@@ -36,46 +37,73 @@ class Judgement:
     reason: str
     """One sentence."""
     stats: dict[str, Any]
+    doubt: str = ""
+    """What speaks against the coarse pose too, as half a sentence."""
 
 
 def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     """Compare a refined trajectory with the coarse one (T, 4, 4)."""
-    options = refiner.options
     inliers = sum(map(len, fitted.sights))
+    stats: dict[str, Any] = {"inliers": inliers}
+    against = _implausible(refiner, coarse, fitted, stats)
+    if against:
+        return Judgement(False, f"Not refined: {against}.", stats)
+    by = _by(refiner, inliers)
+    if not refiner.options.check:
+        return Judgement(True, f"Refined by {by}, unchecked.", stats)
+    with timed(refiner.seconds, "check"):
+        doubt = _wrong_focal(refiner, fitted, stats)
+        against = doubt or _unconfirmed(refiner, coarse, fitted.poses, stats)
+    if against:
+        return Judgement(False, f"Not refined: {against}.", stats, doubt)
+    return Judgement(True, f"Refined by {by}.", stats)
+
+
+def _implausible(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[str, Any]) -> str:
+    """What rules a trajectory out before any pixel is looked at; empty: nothing."""
     shift, turn = moved(coarse[-1], fitted.poses[-1])
-    stats: dict[str, Any] = {
-        "inliers": inliers,
-        "shift_m": round(shift, 4),
-        "turn_deg": round(float(np.degrees(turn)), 3),
-    }
-    if fitted.solution is None or (not refiner.has_depth and inliers < options.least):
-        said = f"only {inliers} matches of images with the map agree" if inliers else NOTHING
-        return Judgement(False, f"Not refined: {said}.", stats)
+    stats["shift_m"], stats["turn_deg"] = round(shift, 4), round(float(np.degrees(turn)), 3)
+    inliers = stats["inliers"]
+    if fitted.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
+        return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
     bent = _bent(refiner, fitted.poses)
     stats["motion"] = round(bent, 2)
     if shift > FARTHEST[0] or turn > FARTHEST[1]:
-        said = f"it ended {shift:.1f} m and {np.degrees(turn):.0f} degrees away"
-        return Judgement(False, f"Not refined: {said}, which is another place.", stats)
-    if bent > BENT:
-        return Judgement(False, "Not refined: it contradicts the odometry.", stats)
-    if not options.check:
-        return Judgement(True, f"Refined by {_by(refiner, inliers)}, unchecked.", stats)
-    with timed(refiner.seconds, "check"):
-        gains = _gains(refiner, coarse, fitted.poses)
+        away = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees away"
+        return f"it ended {away}, which is another place"
+    return "it contradicts the odometry" if bent > BENT else ""
+
+
+NOTHING = "the frames show nothing that could be matched with the map"
+
+
+def _wrong_focal(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
+    """Whether the images were taken with another focal length than their camera says."""
+    factor = better_focal(refiner.problem(fitted.sights), fitted.poses)
+    if factor == 1.0:
+        return ""
+    stats["focal_factor"] = factor
+    how = "longer" if factor > 1.0 else "shorter"
+    return (
+        f"the images fit a focal length about {abs(factor - 1.0):.0%} {how} clearly better; check the "
+        "intrinsics in camera.json"
+    )
+
+
+def _unconfirmed(refiner: Refiner, coarse: Floats, refined: Floats, stats: dict[str, Any]) -> str:
+    """Whether held-back samples fail to speak for the refined trajectory."""
+    gains = _gains(refiner, coarse, refined)
     stats["held_back"] = {
         name: {"before": _rounded(g.before), "after": _rounded(g.after), "z": round(g.z, 2)}
         for name, g in gains.items()
     }
     zs = [g.z for g in gains.values() if not np.isnan(g.before)]
     if not zs:
-        return Judgement(False, "Not refined: no held-back pixel tells whether it helped.", stats)
-    if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < (SURE if refiner.has_depth else SURER):
-        said = "held-back pixels are not explained better than by the coarse pose"
-        return Judgement(False, f"Not refined: {said}.", stats)
-    return Judgement(True, f"Refined by {_by(refiner, inliers)}.", stats)
-
-
-NOTHING = "the frames show nothing that could be matched with the map"
+        return "no held-back pixel tells whether it helped"
+    needed = SURE if refiner.has_depth else SURER
+    if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < needed:
+        return "held-back pixels are not explained better than by the coarse pose"
+    return ""
 
 
 def moved(before: Floats, after: Floats) -> tuple[float, float]:

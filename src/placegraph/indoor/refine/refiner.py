@@ -140,7 +140,8 @@ class Refiner:
     def fitted(self, start: Floats, progress: Progress | None = None) -> Fitted:
         """Best trajectory from a start (T, 4, 4) that is known to a hand's breadth or two."""
         tell = progress or (lambda *_: None)
-        tell("aligning depth", 0, 1)
+        if self.has_depth:
+            tell("aligning depth", 0, 1)
         solution = self._aligned(start)
         poses = start if solution is None else solution.poses
         sights: list[Sights] = [Sights.none()] * len(self.frames)
