@@ -93,6 +93,7 @@ def localize(
     chosen = [chosen[i] for i in kept]
     refining = RefineOptions() if refine is True else refine or None
     matching = chosen_matcher(matcher, device) if refining else None
+    sequence = None
     if len(chosen) > WINDOW:
         from placegraph.indoor.tracker import follow
 
@@ -108,5 +109,5 @@ def localize(
         return coarse
     return refine_estimate(
         coarse, scene, sightings, matcher=matching, options=refining, device=device,
-        progress=progress,
+        progress=progress, sequence=sequence,
     )  # fmt: skip

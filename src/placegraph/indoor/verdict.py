@@ -15,8 +15,10 @@ from placegraph.indoor.observe import FINE
 from placegraph.indoor.polish import covariance_of, probabilities
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from placegraph.estimate import Evidence
+    from placegraph.geometry import Floats
     from placegraph.indoor.polish import Fit
     from placegraph.indoor.sequence import Sequence_
 
@@ -91,6 +93,13 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
         trajectory=pose_matrix(compose(fits[0].pose, steps), levels),
         frames=np.array([s.frame.index for s in sequence.sightings]),
     )
+
+
+def evidence_at(sequence: Sequence_, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
+    """Finds what the newest frames say of a pose (4,) of the last one; the frames are let go."""
+    newest = sequence.round(FINE, rounds=0)
+    agreed = agreement(sequence.scorer, pose, newest.views, newest.steps)
+    return partial(explain, sequence.scene, agreed)
 
 
 _EXPLAINED = 3  # modes that can be explained

@@ -20,7 +20,7 @@ from placegraph.indoor.refine.refiner import Fitted, Refiner
 from placegraph.indoor.render import checked_pose
 from placegraph.indoor.scorer import Scorer
 from placegraph.indoor.sequence import Sequence_
-from placegraph.indoor.verdict import verdict
+from placegraph.indoor.verdict import evidence_at, verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -64,6 +64,7 @@ def refine_estimate(
     options: RefineOptions | None = None,
     device: str = "auto",
     progress: Progress | None = None,
+    sequence: Sequence_ | None = None,
 ) -> PoseEstimate:
     """The estimate with its best mode refined, or with the reason why the coarse pose stands.
 
@@ -79,6 +80,8 @@ def refine_estimate(
         `RefineOptions`; what measured best if not given.
     device, progress
         As of `localize`.
+    sequence
+        Finds the evidence of the refined pose; without it, that of the coarse one stands.
 
     """
     best = estimate.best
@@ -88,7 +91,7 @@ def refine_estimate(
     coarse = estimate.trajectory[-len(kept) :]
     refiner = _refiner(scene, kept, options or RefineOptions(), matcher, device)
     fitted, judgement = _tried(refiner, coarse, coarse, progress)
-    return _told(estimate, refiner, fitted, judgement)
+    return _told(estimate, refiner, fitted, judgement, sequence)
 
 
 def _refiner(
@@ -110,7 +113,11 @@ def _refiner(
 
 
 def _told(
-    estimate: PoseEstimate, refiner: Refiner, fitted: Fitted | None, judgement: Judgement
+    estimate: PoseEstimate,
+    refiner: Refiner,
+    fitted: Fitted | None,
+    judgement: Judgement,
+    sequence: Sequence_ | None,
 ) -> PoseEstimate:
     """The estimate with what became of its best mode."""
     coarse, trajectory = estimate.modes[0], estimate.trajectory
@@ -119,6 +126,8 @@ def _told(
         before = trajectory[: len(trajectory) - len(fitted.poses)]
         trajectory = np.concatenate([before, fitted.poses])
         best = _moved_to(coarse, fitted)
+        if sequence is not None:
+            best = replace(best, explain=evidence_at(sequence, best.pose))
     matcher = refiner.matcher.name if refiner.matcher else "guided"
     seconds = {stage: round(value, 4) for stage, value in refiner.seconds.items()}
     stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
@@ -237,7 +246,7 @@ def refine(
     refiner = _refiner(scene, sequence.sightings, options, matching, device)
     refiner.known = coarse, np.maximum(_reach(options), _SHARPEST)
     fitted, judgement = _tried(refiner, coarse, start, progress)
-    told = _told(_given(scene, chosen, coarse, options), refiner, fitted, judgement)
+    told = _told(_given(scene, chosen, coarse, options), refiner, fitted, judgement, sequence)
     status, reason = _status(sequence, told)
     return replace(told, status=status, reason=reason)
 
