@@ -19,13 +19,15 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def test_a_quarter_of_an_image_is_held_back_in_blocks(width, seed):
     rng = np.random.default_rng(seed)
     pixels = rng.uniform(0, [width, 0.75 * width], (2000, 2))
-    held = held_back(pixels, width)
+    camera = Camera(width, max(1, 3 * width // 4), 100.0, 100.0, 10.0, 10.0)
+    held = held_back(pixels, camera)
     assert 0.1 < held.mean() < 0.35
     # neighbours of a held-back point, a hundredth of a block away, mostly are too
-    near = held_back(pixels + 0.01 * width / BLOCKS, width)
+    near = held_back(pixels + 0.01 * width / BLOCKS, camera)
     assert np.mean(near[held]) > 0.95
     # the same share of the image whatever its size
-    np.testing.assert_array_equal(held, held_back(pixels / width * 640.0, 640))
+    large = Camera(640, 480, 100.0, 100.0, 10.0, 10.0)
+    np.testing.assert_array_equal(held, held_back(pixels / width * 640.0, large))
 
 
 @given(st.floats(0.001, 0.3), st.integers(20, 400), st.integers(0, 99))
@@ -108,7 +110,7 @@ def test_only_held_back_blocks_are_looked_at(room, exact, kit):
     (frame,) = kit.frames(room, pose, camera)
     query = frame.rgb()
     v, u = np.mgrid[:360, :640]
-    held = held_back(np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5, 640).reshape(360, 640)
+    held = held_back(np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5, camera).reshape(360, 640)
     near = held.copy()  # windows reach a little beyond their block
     for j in range(-20, 21, 4):
         for i in range(-20, 21, 4):

@@ -121,25 +121,48 @@ def test_matches_become_points_of_the_map(hall, way, walked, picture):
     some = np.array([[30.5, 40.5], [100.5, 80.5], [120.5, 30.5]])
     told = Told(Matches.of(some, some, [0.9, 0.8, 0.7]), Matches.of(some[:1], some[:1], [0.5]))
     frame = walked[0]
-    sights = look(Renderer(hall), frame, frame.rgb(), [way[0], way[0]], told, sigma=1.5)
+    sights = look(Renderer(hall), frame, frame.rgb(), [way[0], way[0]], told, size=160, sigma=1.5)
     assert len(sights) == 4
     v, u = some.astype(int).T[::-1]
     np.testing.assert_allclose(sights.points[:3], picture.points[v, u], atol=1e-6)
     np.testing.assert_allclose(sights.errors(way[0]), 0.0, atol=1e-2)
-    assert (sights.sigma == 1.5).all()
+    assert (sights.sigma == 1.5 * 160 / 640).all()
+
+
+def test_smaller_renderings_keep_the_frames_pixels(hall, way, walked):
+    """Matched at half the size, matches stand in pixels of the frame."""
+    some = np.array([[30.5, 40.5], [40.5, 20.5], [60.5, 30.5]])
+    told = Told(Matches.of(some, some, np.ones(3)))
+    frame = walked[0]
+    sights = look(Renderer(hall), frame, frame.rgb(), way[:1], told, size=80, sigma=1.0)
+    np.testing.assert_allclose(sights.pixels, 2 * some)
+    np.testing.assert_allclose(sights.errors(way[0]), 0.0, atol=0.05)
 
 
 def test_matches_on_the_rim_are_no_trouble(hall, way, walked, kit):
     width, height = kit.camera.width, kit.camera.height
     rim = np.array([[0, 0], [width, height], [width, 10.5], [10.5, height]], float)
     told = Told(Matches.of(rim, rim, np.ones(4)))
-    sights = look(Renderer(hall), walked[0], walked[0].rgb(), way[:1], told)
+    sights = look(Renderer(hall), walked[0], walked[0].rgb(), way[:1], told, size=160, sigma=1.0)
     assert len(sights) <= 4
 
 
 def test_nothing_matched(hall, way, walked):
     frame = walked[0]
-    assert len(look(Renderer(hall), frame, frame.rgb(), way[:1], Told(Matches.none()))) == 0
+    assert (
+        len(
+            look(
+                Renderer(hall),
+                frame,
+                frame.rgb(),
+                way[:1],
+                Told(Matches.none()),
+                size=80,
+                sigma=1.0,
+            )
+        )
+        == 0
+    )
 
 
 # -------------------------------------------------------------------------------- solving

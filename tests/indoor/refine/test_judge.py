@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.geometry import Camera
 from placegraph.indoor.refine.judge import BENT, FARTHEST, NOTHING, judged, moved
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.pixels import Sights
@@ -35,10 +36,8 @@ def refiner(room, walk):
 def fitted(poses, matches=0):
     """A trajectory as if it had been fitted, with some matches in its first frame."""
     seen = [Sights.none()] * len(poses)
-    seen[0] = Sights(
-        np.zeros((matches, 3)), np.zeros((matches, 2)), np.zeros((matches, 2)),
-        np.ones(matches), 100.0,
-    )  # fmt: skip
+    camera = Camera(100, 100, 100.0, 100.0, 50.0, 50.0)
+    seen[0] = Sights.of(np.zeros((matches, 3)), np.zeros((matches, 2)), camera, 1.0)
     return Fitted(poses, SOME, seen, np.eye(6))
 
 

@@ -27,7 +27,9 @@ def test_true_pixels_have_no_error_whatever_the_lens(seed):
     assert len(sights) == 20
     np.testing.assert_allclose(sights.errors(pose), 0.0, atol=1e-4)
     assert sights.focal == 245.0
-    assert (sights.sigma == 1.5).all()
+    # tolerances are meant for images 640 wide; this one has half as many pixels
+    assert (sights.sigma == 0.75).all()
+    assert sights.unit == 0.5
 
 
 def test_errors_are_in_pixels():

@@ -43,12 +43,12 @@ def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
     one = refiner(depth=False, frames=slice(0, 4))
     (stage, *_) = stages_of(None, near=False)
     sights = one._looked(stage, exact.poses[:4])
-    width = one.frames[0].camera.width
+    camera = one.frames[0].camera
     assert sum(map(len, sights)) > 5
-    assert not any(held_back(s.pixels, width).any() for s in sights)
+    assert not any(held_back(s.pixels, camera).any() for s in sights)
     all_ = refiner(depth=False, frames=slice(0, 4), check=False)._looked(stage, exact.poses[:4])
     assert sum(map(len, all_)) > sum(map(len, sights))
-    assert any(held_back(s.pixels, width).any() for s in all_)
+    assert any(held_back(s.pixels, camera).any() for s in all_)
 
 
 def test_readings_of_fit_and_check_are_other_pixels(refiner):
