@@ -56,15 +56,15 @@ def honest(estimate, truth=None):
 
 
 def same(a, b):
-    """Two estimates in every number."""
+    """Two estimates in every number, but for the last digits of linear algebra."""
     assert a.status is b.status
     assert a.reason == b.reason
-    np.testing.assert_array_equal(a.trajectory, b.trajectory)
+    np.testing.assert_allclose(a.trajectory, b.trajectory, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(a.frames, b.frames)
     assert len(a.modes) == len(b.modes)
     for one, other in zip(a.modes, b.modes, strict=True):
-        np.testing.assert_array_equal(one.map_from_camera, other.map_from_camera)
-        np.testing.assert_array_equal(one.covariance, other.covariance)
+        np.testing.assert_allclose(one.map_from_camera, other.map_from_camera, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=0, atol=1e-12)
         assert one.probability == other.probability
 
 
@@ -89,10 +89,6 @@ def test_each_cue_finds_the_pose(cues, room, walk, truth):
         assert estimate.status is Status.OK, estimate.reason
 
 
-COLOURS = "verdict: colours alone are believed where they are wrong (since they weigh 180)"
-
-
-@pytest.mark.xfail(reason=COLOURS, strict=True)
 def test_colours_alone_are_not_believed_too_soon(room, walk, truth):
     """Small, noisy pictures of one room: whatever is found, `OK` must mean it."""
     honest(room.localize(walk, options=OPTIONS.only(colour=True)), truth(walk)[-1])
@@ -158,7 +154,11 @@ def test_the_answer_is_whole(answer, room, walk, truth):
     assert answer.status is Status.OK
     best = answer.best
     np.testing.assert_array_equal(answer.trajectory[-1], best.map_from_camera)
-    matrix = pose_matrix(best.pose, level_from_camera(walk[5].gravity))
+    pose, level = split_pose(best.map_from_camera)
+    np.testing.assert_allclose(best.pose, pose, atol=1e-12)
+    # gravity is a prior of the refinement: the tilt may differ from it by a fraction of a degree
+    assert np.abs(level - level_from_camera(walk[5].gravity)).max() < 0.01
+    matrix = pose_matrix(best.pose, level)
     np.testing.assert_allclose(best.map_from_camera, matrix, atol=1e-12)
     assert answer.frames.tolist() == list(range(6))
     shares = [m.probability for m in answer.modes]

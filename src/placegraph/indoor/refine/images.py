@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import MissingExtraError
-from placegraph.geometry import rotation_z
+from placegraph.geometry import rotation_from_vector, rotation_z, vector_from_rotation
 from placegraph.indoor.matching.guided import resized
 from placegraph.indoor.refine.pixels import Sights
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.render import Renderer, Rendering
 
+_DIGITS = 7  # a tenth of a micrometre
 _STEEP = 0.15
 """A match is not lifted where depth changes by more than this share within a pixel or two: which of
 the two surfaces was meant, nobody knows."""
@@ -153,7 +154,9 @@ def solve_rig(
     for t, inlier in zip(used, inliers, strict=True):
         agreed[t] = np.asarray(inlier, bool)
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = pose.R.T, -pose.R.T @ pose.t
+    # PoseLib's last digits vary from call to call; ours must not
+    matrix[:3, :3] = rotation_from_vector(np.round(vector_from_rotation(pose.R.T), _DIGITS))
+    matrix[:3, 3] = np.round(-pose.R.T @ pose.t, _DIGITS)
     found = Consensus(matrix, agreed)
     sound = np.isfinite(matrix).all() and found.count >= options.least
     return found if sound else None

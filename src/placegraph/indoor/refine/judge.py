@@ -12,6 +12,7 @@ from placegraph.indoor.clock import timed
 from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
 from placegraph.indoor.refine.focal import better_focal
 from placegraph.indoor.refine.joint import odometry_errors
+from placegraph.indoor.refine.scale import scales
 
 if TYPE_CHECKING:
     from placegraph.geometry import Floats
@@ -52,7 +53,7 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     if not refiner.options.check:
         return Judgement(True, f"Refined by {by}, unchecked.", stats)
     with timed(refiner.seconds, "check"):
-        doubt = _wrong_focal(refiner, fitted, stats)
+        doubt = _wrong_focal(refiner, fitted, stats) or _wrong_scale(refiner, fitted, stats)
         against = doubt or _unconfirmed(refiner, coarse, fitted.poses, stats)
     if against:
         return Judgement(False, f"Not refined: {against}.", stats, doubt)
@@ -88,6 +89,20 @@ def _wrong_focal(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str
         f"the images fit a focal length about {abs(factor - 1.0):.0%} {how} clearly better; check the "
         "intrinsics in camera.json"
     )
+
+
+def _wrong_scale(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
+    """Whether depth, or the image it belongs to, is larger or smaller than its camera says."""
+    for what, scale in scales(refiner.scene, refiner.problem(), fitted.poses).items():
+        if scale.wrong:
+            stats[f"{what}_scale"] = round(1.0 + scale.share, 3)
+            how = "larger" if scale.share > 0 else "smaller"
+            thing = {"depth": "depth readings", "image": "depth images"}[what]
+            return (
+                f"the map fits clearly better if the {thing} are {abs(scale.share):.0%} {how}; check "
+                "scale and intrinsics in camera.json"
+            )
+    return ""
 
 
 def _unconfirmed(refiner: Refiner, coarse: Floats, refined: Floats, stats: dict[str, Any]) -> str:
