@@ -91,6 +91,8 @@ def localize(
     stamps = np.array([frame.stamp for frame in chosen])
     kept = keyframes(stamps, leveled(chosen), options.every, options.every_metre)
     chosen = [chosen[i] for i in kept]
+    if not isinstance(refine, bool | RefineOptions):
+        raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
     refining = RefineOptions() if refine is True else refine or None
     matching = chosen_matcher(matcher, device) if refining else None
     sequence = None

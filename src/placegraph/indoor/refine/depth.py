@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.indoor.refine.kernels import plane_distances
+from placegraph.indoor.render import camera_rays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame
-    from placegraph.geometry import Camera, Floats
+    from placegraph.geometry import Floats
     from placegraph.indoor.raycast.packets import Tracer
     from placegraph.indoor.scene_map import SceneMap
 
@@ -53,7 +54,8 @@ def readings(frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 
     inside = (v >= 0) & (u >= 0)
     v, u = np.maximum(v, 0), np.maximum(u, 0)
     kept = inside & np.isfinite(depth[v, u]) & ~_edges(depth)[v, u]
-    rays = _directions(camera, h, w)
+    flat = camera_rays(camera)
+    rays = np.concatenate([flat, np.ones((h, w, 1), np.float32)], axis=2)
     return Readings(
         rays[v, u],
         np.where(kept, np.nan_to_num(depth[v, u]), 0.0).astype(np.float32),
@@ -106,11 +108,6 @@ def _edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
 def _low(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     low = np.minimum(np.roll(depth, -1, axis), depth)
     return low[:-1] if axis == 0 else low[:, :-1]
-
-
-def _directions(camera: Camera, h: int, w: int) -> NDArray[np.float32]:
-    v, u = np.mgrid[:h, :w]
-    return camera.directions(np.stack([u, v], axis=-1) + 0.5).astype(np.float32)
 
 
 class Surfaces(NamedTuple):

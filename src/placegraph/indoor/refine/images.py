@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MissingExtraError
+from placegraph.errors import MissingExtraError, OptionError
 from placegraph.geometry import rotation_from_vector, rotation_z, vector_from_rotation
+from placegraph.indoor.matching import Matches
 from placegraph.indoor.matching.guided import resized
 from placegraph.indoor.refine.pixels import Sights
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.render import Renderer, Rendering
 
+MOST = 5000
+"""Matches of a view that are used, the surest."""
 _DIGITS = 7  # a tenth of a micrometre
 _STEEP = 0.15
 """A match is not lifted where depth changes by more than this share within a pixel or two: which of
@@ -61,6 +63,7 @@ def look(
     drawn = [renderer.render(pose, camera, samples=1) for pose in poses]
     shown = resized(query, camera.width, camera.height)
     found = matcher.match(shown, [d.colour for d in drawn], masks=[d.mask for d in drawn])
+    found = _checked(found, matcher, len(drawn), camera)
     points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for picture, matches in zip(drawn, found, strict=True):
         lifted, whole = lift(picture, matches.rendered)
@@ -68,6 +71,26 @@ def look(
         pixels.append(matches.query[whole])
     scale = np.array([frame.camera.width / camera.width, frame.camera.height / camera.height])
     return Sights.of(np.concatenate(points), np.concatenate(pixels) * scale, frame.camera, sigma)
+
+
+def _checked(
+    found: Sequence[Matches], matcher: Matcher, count: int, camera: Camera
+) -> list[Matches]:
+    """Matches of each view that lie in both images; `OptionError` where a matcher gives none."""
+    if not isinstance(found, Sequence) or len(found) != count:
+        raise OptionError(
+            f"The matcher {matcher.name!r} must return one Matches for each of {count} views."
+        )
+    return [_inside(matches, matcher, camera) for matches in found]
+
+
+def _inside(matches: Matches, matcher: Matcher, camera: Camera) -> Matches:
+    if not isinstance(matches, Matches):
+        raise OptionError(f"The matcher {matcher.name!r} returned {type(matches).__name__}.")
+    both = np.concatenate([matches.query, matches.rendered], axis=1)
+    size = np.array([camera.width, camera.height] * 2)
+    rows = np.flatnonzero(((both >= 0) & (both <= size)).all(axis=1))[:MOST]
+    return Matches(matches.query[rows], matches.rendered[rows], matches.confidence[rows])
 
 
 def smaller(camera: Camera, size: int) -> Camera:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.errors import InputError
 from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.depth import Kernel
 from placegraph.indoor.refine.kernels import depth_system, pixel_system
@@ -31,6 +32,7 @@ POINTS = 40.0
 LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
 stays where it is."""
+_LEAST = 1e-4  # no odometry is truer [m, rad]
 _STILL = 2e-4  # a step so small [m, rad] is the last
 _TELLING = 20  # readings of an object from which on it may be found to have moved
 _MOVED = 0.05  # share that a moved object keeps
@@ -106,6 +108,11 @@ def solve(
             _add_gravity(problem, poses, h, g)
             _add_known(problem, poses, start, h, g)
             step = -np.linalg.solve(h, g).reshape(count, 6)
+            if not np.isfinite(step).all():  # a ray that is no number would never come back
+                raise InputError(
+                    "The poses of the frames cannot be fitted: their odometry, gravity, depth or "
+                    "matches hold numbers that are not finite or absurdly large."
+                )
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
             taken += 1
@@ -186,6 +193,7 @@ def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
         ],
         axis=1,
     )
+    deviations = np.maximum(deviations, _LEAST)
     return np.concatenate([shift, turn], axis=1), np.repeat(deviations, 3, axis=1)
 
 

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.refiner import Fitted, Refiner
 
 FARTHEST = (1.0, 0.6)
-"""A refinement that moves the pose farther than this [m], [rad] has found another place."""
+"""A refinement that moves the pose farther than this [m], [rad] has found another place ..."""
+FARTHEST_BLIND = (0.6, 0.4)
+"""... and so has one without depth."""
 BENT = 3.0
 """Root mean square of odometry's normalised errors beyond which the motion was not like that."""
 SURE = 1.0
@@ -69,7 +71,8 @@ def _implausible(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[s
         return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
     bent = _bent(refiner, fitted.poses)
     stats["motion"] = round(bent, 2)
-    if shift > FARTHEST[0] or turn > FARTHEST[1]:
+    way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
+    if shift > way or turn > angle:
         away = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees away"
         return f"it ended {away}, which is another place"
     return "it contradicts the odometry" if bent > BENT else ""
@@ -80,6 +83,8 @@ NOTHING = "the frames show nothing that could be matched with the map"
 
 def _wrong_focal(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
     """Whether the images were taken with another focal length than their camera says."""
+    if refiner.has_depth:  # which says more of scales: see below
+        return ""
     factor = better_focal(refiner.problem(fitted.sights), fitted.poses)
     if factor == 1.0:
         return ""

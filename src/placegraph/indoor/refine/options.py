@@ -5,8 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from placegraph.errors import OptionError
 from placegraph.indoor.options import MotionNoise, check_numbers, check_positive, check_whole
+
+_LEAST = 1e-4  # m, rad: less would make one witness silence all others
+_FAR = 5.0
+_MOST = 72
+
+
+def _two(name: str, pair: object) -> tuple[float, float]:
+    """Two numbers, or `OptionError`."""
+    if not (isinstance(pair, tuple | list) and len(pair) == 2):
+        raise OptionError(f"{name} is {pair!r}; it is two numbers.")
+    return float(pair[0]), float(pair[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +38,9 @@ class DepthNoise:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        low, high = self.facing
+        if self.surface < _LEAST:
+            raise OptionError(f"surface is {self.surface} m; no map is truer than {_LEAST} m.")
+        low, high = _two("facing", self.facing)
         if not -1.0 <= low < high <= 1.0:
             raise OptionError(f"facing is {self.facing}; give two ascending cosines.")
 
@@ -71,13 +86,24 @@ class RefineOptions:
         check_whole(self, "views", "readings", "least")
         if self.frames is not None:
             check_whole(self, "frames")
-        check_positive(self, "inlier", "tilt")
-        if self.images not in {True, False, "auto"}:
+        check_positive(self, "inlier")
+        if self.tilt < _LEAST or self.spread > np.pi or self.views > _MOST:
+            raise OptionError(
+                f"tilt, spread, views are {self.tilt}, {self.spread}, {self.views}; they must be at "
+                f"least {_LEAST} rad, at most pi, and at most {_MOST}."
+            )
+        for name in ("depth", "joint", "check"):
+            if not isinstance(getattr(self, name), bool):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; it is True or False.")
+        if not (isinstance(self.images, bool) or self.images == "auto"):
             raise OptionError(f"images is {self.images!r}; it is True, False or 'auto'.")
+        if not (isinstance(self.noise, DepthNoise) and isinstance(self.motion, MotionNoise)):
+            raise OptionError("noise and motion: give a DepthNoise and a MotionNoise.")
         if not (self.depth or self.images):
             raise OptionError("depth and images are both off; leave one on, or refine=False.")
-        if min(self.reach) < 0:
-            raise OptionError(f"reach is {self.reach}; it is a way and a turn, not below 0.")
+        way, turn = _two("reach", self.reach)
+        if not (0 <= way <= _FAR and 0 <= turn <= np.pi):
+            raise OptionError(f"reach is {self.reach}; a way to {_FAR:g} m and a turn to pi.")
 
     @classmethod
     def paper(cls) -> RefineOptions:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import MissingExtraError
+from placegraph.errors import MissingExtraError, OptionError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor import polish
 from placegraph.indoor.frames import chosen_frames
+from placegraph.indoor.matching import Matcher
 from placegraph.indoor.observe import COARSE, FINE
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine.judge import BENT, Judgement, judged
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from placegraph.formats.capture import Capture
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.matching import Matcher
     from placegraph.indoor.observe import Sighting
     from placegraph.indoor.scene_map import SceneMap
 
@@ -47,6 +47,10 @@ def chosen_matcher(matcher: str | Matcher, device: str = "auto") -> Matcher | No
     Raises as `placegraph.indoor.matching.matcher` does.
     """
     if not isinstance(matcher, str):
+        if not isinstance(matcher, Matcher):
+            raise OptionError(
+                f"matcher is {matcher!r}; give a name, or an object with name and match."
+            )
         return matcher
     if matcher in {"auto", "guided"}:
         return None
@@ -208,7 +212,8 @@ def refine(
     capture, frames, seed, device, progress
         As of `localize`.
     map_from_camera
-        (4, 4) of the last frame chosen, to about 0.3 m and 15 degrees.
+        (4, 4) of the last frame chosen, to about 0.3 m and 15 degrees. Of more than 30 frames the
+        newest 30 are used.
     matcher
         How images are matched with renderings: ``auto`` or ``guided`` (no extra needed), ``sift``,
         ``xfeat``, ``roma``, ``romav2`` (extras of these names), or a `Matcher`.
@@ -232,6 +237,8 @@ def refine(
 
     """
     options = options or RefineOptions()
+    if seed < 0:
+        raise OptionError(f"seed is {seed}; a seed is not negative.")
     given = checked_pose(map_from_camera)
     matching = chosen_matcher(matcher, device)
     chosen = chosen_frames(capture, frames)[-MOST:]

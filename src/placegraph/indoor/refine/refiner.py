@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +40,12 @@ FINE_WIDTHS = ((5.0, 6.0), (3.0, 3.0), (3.0, 2.0))
 """Kernels once matches are there."""
 UNSURE = 0.45
 """Mean robust cost of the depth readings from which on images are asked too."""
+LOST = 0.97
+"""Mean robust cost from which on depth has not even brought the pose near."""
+READ = 60
+"""Least readings of depth a frame, on average, that count as depth."""
+SHARE = 0.05
+"""`Stage.share` of feature matchers."""
 MANY, FEW = 12, 5
 """Most frames that the guided matcher is given, and one that knows no neighbourhood and is slow."""
 
@@ -54,6 +61,11 @@ class Stage:
     """Standard deviation of a right match [px of an image `REFERENCE` wide]."""
     turned: bool = False
     """Views turned in yaw are matched too."""
+    rigid: bool = True
+    """Only matches count that agree on one pose of all frames, tied together by odometry; where all
+    lie near already, the robust kernel tells better."""
+    share: float = 0.0
+    """Least share of the matches that must agree: features do so by chance if few do."""
 
 
 LARGEST = 960
@@ -63,12 +75,13 @@ LARGEST = 960
 def stages_of(matcher: Matcher | None, *, near: bool) -> list[Stage]:
     """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
     if matcher is not None:
-        return [Stage(matcher, LARGEST, 2.0, turned=True), Stage(matcher, LARGEST, 2.0)]
+        first = Stage(matcher, LARGEST, 2.0, turned=True, share=SHARE)
+        return [first, replace(first, turned=False)]
     fine = [Stage(GuidedMatcher(radius=10, half=7, cell=8), 160, 2.0)]
     if near:
         return fine
     wide = [Stage(GuidedMatcher(radius=34, half=5, cell=8), 160, 3.0)]
-    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 320, 1.0)]
+    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 320, 1.0, rigid=False)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +122,11 @@ class Refiner:
         self.seconds: dict[str, float] = {}
         self._readings: dict[int, list[Readings | None]] = {}
 
-    @property
+    @cached_property
     def has_depth(self) -> bool:
-        """Whether depth takes part."""
-        return self.options.depth and any(d is not None for d in self.depths)
+        """Whether depth takes part: a handful of readings is none."""
+        read = sum(int((r.depth > 0).sum()) for r in self.readings() if r is not None)
+        return read >= READ * len(self.frames)
 
     def readings(self, phase: int = 0) -> list[Readings | None]:
         """Depth readings (T,) of a phase: 0 for the fit, 1 for the check; cut once."""
@@ -151,7 +165,7 @@ class Refiner:
             found = self._looked(stage, poses)
             if not self.options.joint:
                 return self._best_frame(found, poses)
-            sights, led = self._agreed(found, poses, robust=number + 1 < len(stages) or number == 0)
+            sights, led = self._agreed(stage, found, poses)
             with timed(self.seconds, "solving"):
                 solution = solve(self.problem(sights), led, FINE_WIDTHS)
             poses = solution.poses
@@ -166,18 +180,18 @@ class Refiner:
             return None
         with timed(self.seconds, "depth"):
             solution = solve(self.problem(), start, DEPTH_WIDTHS)
-        self.stats["depth_cost"] = round(solution.cost, 3)
+        self.stats["depth_cost"] = None if np.isnan(solution.cost) else round(solution.cost, 3)
         return solution
 
     def _stages(self, solution: Solution | None) -> list[Stage]:
         """Rounds of matching that are wanted and may help."""
         wanted = self.options.images
         if solution is not None and wanted == "auto":
-            wanted = solution.cost > UNSURE
+            wanted = not solution.cost <= UNSURE
         coloured = self.scene.coloured and any(q is not None for q in self.queries)
         if not wanted or not coloured:
             return []
-        return stages_of(self.matcher, near=solution is not None)
+        return stages_of(self.matcher, near=solution is not None and solution.cost <= LOST)
 
     def _looked(self, stage: Stage, poses: Floats) -> list[Sights]:
         """Matches of the frames that are looked at, those in held-back blocks left out."""
@@ -210,20 +224,25 @@ class Refiner:
         return processors() if stage.matcher.name == GuidedMatcher.name else 1
 
     def _agreed(
-        self, sights: list[Sights], poses: Floats, *, robust: bool
+        self, stage: Stage, sights: list[Sights], poses: Floats
     ) -> tuple[list[Sights], Floats]:
         """Matches that agree on one pose of the rig, and the trajectory that follows from it."""
-        if not robust:
+        if not stage.rigid:
             return sights, poses
         with timed(self.seconds, "ransac"):
             mounts = np.linalg.inv(poses[-1]) @ poses
             consensus = solve_rig(sights, list(mounts), self.options)
-        if consensus is None:
+        if consensus is None or consensus.count < stage.share * sum(map(len, sights)):
             return [Sights.none()] * len(sights), poses
         kept = [seen[inlier] for seen, inlier in zip(sights, consensus.inliers, strict=True)]
         # depth has said where the poses are; without it the consensus does
         led = poses if self.has_depth else consensus.pose @ mounts
         return kept, led
+
+    def _inliers(self, sights: list[Sights], poses: Floats) -> list[Sights]:
+        """Matches (T,) that the poses explain."""
+        limit = self.options.inlier
+        return [s[s.errors(p) < limit * s.unit] for s, p in zip(sights, poses, strict=True)]
 
     def _best_frame(self, sights: list[Sights], poses: Floats) -> Fitted:
         """Sec. 3.6: PnP frame by frame, the one with most inliers decides."""
@@ -245,6 +264,7 @@ class Refiner:
         return self._finished(led, solution, kept)
 
     def _finished(self, poses: Floats, solution: Solution | None, sights: list[Sights]) -> Fitted:
+        agreed = self._inliers(sights, poses)
         if solution is None:
-            return Fitted(poses, None, sights, np.full((6, 6), np.nan))
-        return Fitted(poses, solution, sights, covariance(self.problem(sights), solution))
+            return Fitted(poses, None, agreed, np.full((6, 6), np.nan))
+        return Fitted(poses, solution, agreed, covariance(self.problem(sights), solution))
