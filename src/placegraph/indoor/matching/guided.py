@@ -13,17 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.matching.guided_kernels import corners, search
-from placegraph.indoor.matching.matches import Matches, blank, check_range, colours, pairs
+from placegraph.indoor.matching.matches import Matches, ViewByView, blank, check_range
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
 _PEAK = 3  # pixels around the best place that are no rivals of it
 
 
-class GuidedMatcher:
+class GuidedMatcher(ViewByView):
     """Corners of the rendering, sought in the query within `radius` of the same place.
 
     Query and views show nearly the same from nearly the same place; the query is brought to a
@@ -66,31 +64,21 @@ class GuidedMatcher:
         self.radius, self.half, self.cell = int(radius), int(half), int(cell)
         self.least, self.lead = least, lead
 
-    def match(
-        self,
-        query: NDArray[np.uint8],
-        views: Sequence[NDArray[np.uint8]],
-        *,
-        masks: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> list[Matches]:
-        """Matches of the query with each view; see `Matcher.match`."""
-        shown = pairs(views, masks)
-        return [self._match(colours(query, "query"), view, mask) for view, mask in shown]
-
-    def _match(
-        self, query: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+    def matched(
+        self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
+        """Matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         height, width = view.shape[:2]
         side = 2 * self.half + 3
-        if blank(query) or blank(view) or min(height, width) < side + 2:
+        if blank(ours) or blank(view) or min(height, width) < side + 2:
             return Matches.none()
-        sought = lightness(resized(query, width, height))
+        sought = lightness(resized(ours, width, height))
         drawn = lightness(view)
         seen = np.ones(drawn.shape, bool) if mask is None else mask
         at = corners(drawn, seen, self.half + 1, self.cell)
         found = search(drawn, seen, sought, at, self.half, self.radius, _PEAK)
         good = (found[:, 2] >= self.least) & (found[:, 2] - found[:, 3] >= self.lead)
-        scale = np.array(query.shape[1::-1]) / (width, height)
+        scale = np.array(ours.shape[1::-1]) / (width, height)
         # rows and columns count from the centre of the first pixel, points from its corner
         return Matches.of((found[good, 1::-1] + 0.5) * scale, at[good, ::-1] + 0.5, found[good, 2])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -87,6 +87,38 @@ class Matcher(Protocol):
             An image or a mask is of another type or shape, or there is not one mask a view.
 
         """
+
+
+class ViewByView:
+    """Matcher that compares a query with one view after the other.
+
+    What it needs of the query is found once.
+    """
+
+    def match(
+        self,
+        query: NDArray[np.uint8],
+        views: Sequence[NDArray[np.uint8]],
+        *,
+        masks: Sequence[NDArray[np.bool_]] | None = None,
+    ) -> list[Matches]:
+        """Matches of the query with each view; see `Matcher.match`."""
+        shown = pairs(views, masks)
+        ours = self.prepared(colours(query, "query"))
+        return [self.matched(ours, view, mask) for view, mask in shown]
+
+    def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # the matcher's own
+        """What `matched` needs of the query (H, W, 3) uint8: features, or the image itself."""
+        return query
+
+    def matched(
+        self,
+        ours: Any,  # noqa: ANN401  # the matcher's own
+        view: NDArray[np.uint8],
+        mask: NDArray[np.bool_] | None,
+    ) -> Matches:
+        """Matches of the prepared query with one view."""
+        raise NotImplementedError
 
 
 def colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:

@@ -15,12 +15,10 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.matching.dense import Warp, thinned
-from placegraph.indoor.matching.matches import Matches, blank, check_range, colours, pairs
+from placegraph.indoor.matching.matches import Matches, ViewByView, blank, check_range
 from placegraph.indoor.matching.network import device_for, fitting, read_state, torch_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
 KINDS = ("indoor", "outdoor", "tiny")
@@ -28,7 +26,7 @@ _PATCH = 14  # DINOv2's
 _SMALLEST = 32  # the tiny one sees nothing smaller
 
 
-class RomaMatcher:
+class RomaMatcher(ViewByView):
     """Dense matches, the surest of each block of pixels.
 
     Parameters
@@ -103,27 +101,16 @@ class RomaMatcher:
         self._network.eval()
         self._longest = size if kind == "tiny" else 0  # the others resize by themselves
 
-    def match(
-        self,
-        query: NDArray[np.uint8],
-        views: Sequence[NDArray[np.uint8]],
-        *,
-        masks: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> list[Matches]:
-        """Matches of the query with each view; see `Matcher.match`."""
-        shown = pairs(views, masks)
-        image = colours(query, "query")
-        return [self._match(image, view, mask) for view, mask in shown]
-
-    def _match(
-        self, query: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+    def matched(
+        self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
+        """Matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         from PIL import Image
 
-        sizes = query.shape[:2], view.shape[:2]
-        if blank(query) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
+        sizes = ours.shape[:2], view.shape[:2]
+        if blank(ours) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
             return Matches.none()
-        both = [Image.fromarray(np.ascontiguousarray(image)) for image in (query, view)]
+        both = [Image.fromarray(np.ascontiguousarray(image)) for image in (ours, view)]
         if self._longest:
             for image in both:
                 image.thumbnail((self._longest, self._longest))

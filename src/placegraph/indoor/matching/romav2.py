@@ -16,12 +16,12 @@ import numpy as np
 
 from placegraph.errors import OptionError, ServiceError
 from placegraph.indoor.matching.dense import Warp, thinned
-from placegraph.indoor.matching.matches import Matches, blank, check_range, colours, pairs
+from placegraph.indoor.matching.matches import Matches, ViewByView, blank, check_range
 from placegraph.indoor.matching.network import device_for, fitting, read_state, torch_for
 from placegraph.indoor.matching.roma import imported, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -30,7 +30,7 @@ _SMALLEST = 32
 """In smaller images there is nothing to match [px]."""
 
 
-class RomaV2Matcher:
+class RomaV2Matcher(ViewByView):
     """Dense matches, the surest of each block of pixels.
 
     Parameters
@@ -94,25 +94,14 @@ class RomaV2Matcher:
         self._network.apply_setting(setting)
         self._network.eval()
 
-    def match(
-        self,
-        query: NDArray[np.uint8],
-        views: Sequence[NDArray[np.uint8]],
-        *,
-        masks: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> list[Matches]:
-        """Matches of the query with each view; see `Matcher.match`."""
-        shown = pairs(views, masks)
-        image = colours(query, "query")
-        return [self._match(image, view, mask) for view, mask in shown]
-
-    def _match(
-        self, query: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+    def matched(
+        self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
-        sizes = query.shape[:2], view.shape[:2]
-        if blank(query) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
+        """Matches of the query (H, W, 3) with one view; see `Matcher.match`."""
+        sizes = ours.shape[:2], view.shape[:2]
+        if blank(ours) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
             return Matches.none()
-        answer = self._network.match(query.copy(), view.copy())
+        answer = self._network.match(ours.copy(), view.copy())
         return thinned(
             directions(answer),
             *sizes,

@@ -13,7 +13,7 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError
 from placegraph.indoor.matching.features import Features
-from placegraph.indoor.matching.matches import Matches, blank, check_range, colours, grey, pairs
+from placegraph.indoor.matching.matches import Matches, ViewByView, blank, check_range, grey
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +24,7 @@ _SMALLEST = 8
 """OpenCV finds no feature in smaller images, and its pyramid may fail there [px]."""
 
 
-class SiftMatcher:
+class SiftMatcher(ViewByView):
     """RootSIFT features, nearest to each other both ways and clearly so.
 
     Parameters
@@ -80,22 +80,16 @@ class SiftMatcher:
         )
         self._clahe = cv2.createCLAHE(equalise, (8, 8)) if equalise else None
 
-    def match(
-        self,
-        query: NDArray[np.uint8],
-        views: Sequence[NDArray[np.uint8]],
-        *,
-        masks: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> list[Matches]:
-        """Matches of the query with each view; see `Matcher.match`."""
-        shown = pairs(views, masks)
-        ours = self.features(colours(query, "query"))
-        return [
-            ours.matched(
-                self.features(view).within(mask, self.margin), ratio=self.ratio, apart=self.apart
-            )
-            for view, mask in shown
-        ]
+    def prepared(self, query: NDArray[np.uint8]) -> Features:
+        """Features of the query."""
+        return self.features(query)
+
+    def matched(
+        self, ours: Features, view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+    ) -> Matches:
+        """Matches of the query's features with one view; see `Matcher.match`."""
+        theirs = self.features(view).within(mask, self.margin)
+        return ours.matched(theirs, ratio=self.ratio, apart=self.apart)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """RootSIFT features of an image (H, W, 3) uint8."""

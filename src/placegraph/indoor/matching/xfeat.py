@@ -14,19 +14,10 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.indoor.matching.features import Features, mutual
-from placegraph.indoor.matching.matches import (
-    Matches,
-    blank,
-    check_range,
-    colours,
-    inside,
-    pairs,
-)
+from placegraph.indoor.matching.matches import Matches, ViewByView, blank, check_range, inside
 from placegraph.indoor.matching.network import device_for, fitting, read_state, torch_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
@@ -53,7 +44,7 @@ class _Cells:
         return _Cells(features, self.raw[rows], self.scales[rows])
 
 
-class XFeatMatcher:
+class XFeatMatcher(ViewByView):
     """XFeat features, nearest to each other both ways.
 
     Parameters
@@ -125,28 +116,22 @@ class XFeatMatcher:
         self._device = device_for(self._torch, device)
         self._xfeat = _network(self._torch, weights).to(self._device).eval()
 
-    def match(
+    def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
+        """Features of the query: at points, or of its cells."""
+        return self._cells(query) if self.dense else self.features(query)
+
+    def matched(
         self,
-        query: NDArray[np.uint8],
-        views: Sequence[NDArray[np.uint8]],
-        *,
-        masks: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> list[Matches]:
-        """Matches of the query with each view; see `Matcher.match`."""
-        shown = pairs(views, masks)
-        image = colours(query, "query")
-        if not self.dense:
-            ours = self.features(image)
-            return [
-                ours.matched(
-                    self.features(view).within(mask, self.margin),
-                    ratio=self.ratio,
-                    least=self.least,
-                )
-                for view, mask in shown
-            ]
-        cells = self._cells(image)
-        return [self._match_cells(cells, view, mask) for view, mask in shown]
+        ours: Any,  # noqa: ANN401  # of `prepared`
+        view: NDArray[np.uint8],
+        mask: NDArray[np.bool_] | None,
+    ) -> Matches:
+        """Matches of the query's features with one view; see `Matcher.match`."""
+        if self.dense:
+            return self._match_cells(ours, view, mask)
+        theirs = self.features(view).within(mask, self.margin)
+        matches: Matches = ours.matched(theirs, ratio=self.ratio, least=self.least)
+        return matches
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features at points of an image (H, W, 3) uint8."""
