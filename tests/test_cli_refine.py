@@ -211,6 +211,7 @@ def test_options_that_contradict(run, world):
         ((*pose, "--weights", "a.pt"), "--weights"),
         ((*pose, "--no-depth", "--no-colour"), "leave one on"),
         ((*pose, "--device", "abacus"), "device"),
+        ((*pose, "--seed", "-1"), "seed is -1"),
     ):
         fails(run("scene", "refine", world.map, world.walk, "--quiet", *options), 7, *words)
 

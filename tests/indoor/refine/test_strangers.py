@@ -1,0 +1,217 @@
+"""Matchers of one's own: what they may return, and that chance persuades nobody."""
+
+import json
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.indoor.matching import Matches
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.refine import RefineOptions, refinement
+from placegraph.indoor.refine.images import MOST, look
+from placegraph.indoor.refine.judge import Judgement
+from placegraph.indoor.render import Renderer
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+FIVE = slice(0, 5)
+BLIND = RefineOptions(depth=False)
+BOTH = RefineOptions(images=True)
+
+
+class Mine:
+    """Matcher that returns what a function of the image's size and the number of views makes."""
+
+    name = "mine"
+
+    def __init__(self, made):
+        self.made = made
+
+    def match(self, query, views, *, masks=None):
+        assert len(masks) == len(views)
+        return self.made(query.shape[1::-1], len(views))
+
+
+def told(estimate):
+    """The estimate, which can be written as strict JSON."""
+    json.dumps(estimate.to_dict(), allow_nan=False)
+    return estimate
+
+
+@pytest.fixture
+def start(exact, kit):
+    """A hand's breadth off."""
+    return kit.moved(exact.poses[4], (0.1, -0.08, 0.0))
+
+
+def pairs(value, which, count=200):
+    """Right places, one of them no number."""
+    rng = np.random.default_rng(0)
+
+    def made(size, views):
+        query = rng.uniform(0, 1, (count, 2)) * size
+        rendered = query.copy()
+        (query if which == "query" else rendered)[5] = value
+        return [Matches.of(query, rendered, np.ones(count)) for _ in range(views)]
+
+    return Mine(made)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("which", ["query", "rendered"])
+def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, value, which):
+    frame = walked[0]
+    sights = look(
+        Renderer(hall), frame, frame.rgb(), way[:1], pairs(value, which), size=160, sigma=1.0
+    )
+    assert 150 < len(sights) <= 199
+    assert np.isfinite(sights.points).all()
+    assert np.isfinite(sights.rays).all()
+    errors = sights.errors(way[0])
+    assert np.quantile(errors, 0.95) < 0.01
+    assert errors.max() < 1.0  # edges between pixel centres
+
+
+@pytest.mark.parametrize("options", [BLIND, BOTH], ids=["images", "both"])
+@pytest.mark.parametrize("which", ["query", "rendered"])
+def test_points_that_are_no_numbers_end(room, walk, start, options, which):
+    """They would keep a solver turning for ever."""
+    estimate = room.refine(walk, start, frames=FIVE, matcher=pairs(np.nan, which), options=options)
+    assert np.isfinite(told(estimate).trajectory).all()
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (lambda _, views: [(1, 2)] * views, "returned tuple"),
+        (lambda *_: None, "one Matches for each"),
+        (lambda *_: [], "one Matches for each"),
+        (lambda _, views: [Matches.none()] * (views + 1), "one Matches for each"),
+        (lambda _, views: (Matches.none() for _ in range(views)), "one Matches for each"),
+    ],
+    ids=["other things", "None", "too few", "too many", "a generator"],
+)
+def test_what_is_no_answer_is_named(room, walk, start, made, says):
+    with pytest.raises(OptionError, match="'mine'") as raised:
+        room.refine(walk, start, frames=[4], matcher=Mine(made), options=BLIND)
+    assert says in str(raised.value)
+
+
+@pytest.mark.parametrize("wrong", [3, None, object(), ["sift"]])
+def test_what_is_no_matcher_is_named(room, walk, start, wrong):
+    with pytest.raises(OptionError, match="matcher is"):
+        room.refine(walk, start, frames=[4], matcher=wrong)
+
+
+def test_the_surest_of_too_many_are_used(hall, way, walked, rng):
+    count = MOST + 700
+    at = rng.uniform([1, 1], [159, 119], (count, 2))
+    sure = rng.random(count)
+    crowd = Mine(lambda _, views: [Matches.of(at, at, sure)] * views)
+    frame = walked[0]
+    sights = look(Renderer(hall), frame, frame.rgb(), way[:1], crowd, size=160, sigma=1.0)
+    assert 0.8 * MOST < len(sights) <= MOST
+    surest = {tuple(p) for p in at[np.argsort(-sure)[:MOST]].tolist()}
+    assert all(tuple(p) in surest for p in sights.pixels.tolist())
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("count", "low", "high"), [(200, 0, 1), (2000, 0, 1), (500, -3, 4)])
+def test_chance_is_not_believed(room, walk, start, seed, count, low, high):
+    rng = np.random.default_rng(seed)
+
+    def scattered(size, views):
+        both = rng.uniform(low, high, (2, views, count, 2)) * size
+        return [Matches.of(q, r, np.ones(count)) for q, r in zip(*both, strict=True)]
+
+    estimate = told(room.refine(walk, start, frames=FIVE, matcher=Mine(scattered), options=BLIND))
+    assert not estimate.refinement.accepted, estimate.refinement.reason
+    np.testing.assert_allclose(estimate.best.map_from_camera, start, atol=1e-9)
+
+
+def test_the_same_pixels_everywhere_are_the_pose_that_was_given(room, walk, start):
+    """Who says that the rendering is the photograph moves nothing, and is no witness for it."""
+
+    def same(size, views):
+        at = np.random.default_rng(0).uniform(0, 1, (2000, 2)) * size
+        return [Matches.of(at, at, np.ones(2000)) for _ in range(views)]
+
+    estimate = told(room.refine(walk, start, frames=FIVE, matcher=Mine(same), options=BLIND))
+    assert not estimate.refinement.accepted
+
+
+# ------------------------------------------------------------------------ depth that is hardly any
+
+
+def few(frame):
+    """Depth of 16 x 20 pixels."""
+    depth = np.full_like(frame.depth(), np.nan)
+    depth[40:56, 70:90] = frame.depth()[40:56, 70:90]
+    return depth
+
+
+def handful(frame):
+    """Depth of three pixels in a corner."""
+    corner = np.add.outer(*map(np.arange, frame.depth().shape)) < 2
+    return np.where(corner, frame.depth(), np.nan).astype(np.float32)
+
+
+@pytest.mark.parametrize("depth", [few, handful, lambda f: np.full_like(f.depth(), np.nan)])
+def test_a_few_pixels_of_depth_do_not_switch_images_off(
+    room, walk, start, in_memory, exact, kit, depth
+):
+    some = room.refine(in_memory(walk[:5], depth=depth), start)
+    stats = told(some).refinement.stats
+    assert stats["matches"] > 100
+    assert "depth_cost" not in stats
+    none = room.refine(in_memory(walk[:5], depth=lambda _: None), start)
+    assert some.refinement.accepted == none.refinement.accepted
+    away, as_far = (kit.off(e.best.map_from_camera, exact.poses[4])[0] for e in (some, none))
+    assert away < as_far + 0.05
+
+
+def test_enough_depth_is_depth(room, walk, start):
+    stats = told(room.refine(walk, start, frames=FIVE)).refinement.stats
+    assert "matches" not in stats
+    assert 0 <= stats["depth_cost"] <= 1
+
+
+# ---------------------------------------------------------------------------------------- doubt
+
+
+FORGOTTEN = pytest.mark.xfail(strict=True, reason="nobody reads the judge's doubt yet")
+
+
+@pytest.mark.parametrize("doubt", ["", pytest.param("the camera is a liar", marks=FORGOTTEN)])
+def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch, doubt):
+    """What speaks against camera or depth speaks against the filter's pose as well."""
+    before = room.localize(walk, frames=FIVE, refine=False)
+    assert before.status is Status.OK
+    verdict = Judgement(False, "Not refined: so it is.", {}, doubt)
+    monkeypatch.setattr(refinement, "judged", lambda *_: verdict)
+    after = told(room.localize(walk, frames=FIVE))
+    assert not after.refinement.accepted
+    np.testing.assert_array_equal(after.best.map_from_camera, before.best.map_from_camera)
+    if doubt:
+        assert after.status is Status.AMBIGUOUS
+        assert doubt in after.reason
+        assert after.reason.endswith(".")
+    else:
+        assert (after.status, after.reason) == (before.status, before.reason)
+
+
+# ---------------------------------------------------------------------------------------- seeds
+
+
+@pytest.mark.parametrize("call", ["refine", "localize"])
+def test_seeds_are_not_negative(room, walk, start, call):
+    given = (start,) if call == "refine" else ()
+    with pytest.raises(OptionError, match="seed is -1"):
+        getattr(room, call)(walk, *given, frames=[4], seed=-1)
+
+
+@pytest.mark.parametrize("wrong", ["yes", 1, {}, FilterOptions()])
+def test_refine_is_yes_no_or_how(room, walk, wrong):
+    with pytest.raises(OptionError, match="refine is"):
+        room.localize(walk, frames=[4], refine=wrong)
