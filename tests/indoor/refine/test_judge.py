@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.geometry import Camera
-from placegraph.indoor.refine.judge import BENT, FARTHEST, NOTHING, judged, moved
+from placegraph.indoor.refine.judge import BENT, FARTHEST, FARTHEST_BLIND, NOTHING, judged, moved
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.pixels import Sights
 from placegraph.indoor.refine.refiner import Fitted, Refiner
@@ -77,6 +77,26 @@ def test_another_place_is_no_refinement(refiner, exact, kit, shift, turn, says):
     assert says in found.reason
     near = kit.moved(exact.poses, 0.9 * np.array(shift), 0.9 * np.array(turn))
     assert judged(refiner(check=False), near, fitted(exact.poses)).accepted
+
+
+@pytest.mark.parametrize("axis", ["shift", "turn"])
+def test_images_alone_do_not_carry_as_far(refiner, exact, kit, axis):
+    """0.6 m or 0.4 rad are another place without depth; with it they are not."""
+    way, turn = FARTHEST_BLIND
+    assert way < FARTHEST[0]
+    assert turn < FARTHEST[1]
+
+    def found(share, *, depth):
+        off = (share * way, 0, 0) if axis == "shift" else (0, 0, 0)
+        turned = (0, 0, share * np.degrees(turn)) if axis == "turn" else (0, 0, 0)
+        one = refiner(depth=depth, check=False)
+        return judged(one, kit.moved(exact.poses, off, turned), fitted(exact.poses, 40))
+
+    refused = found(1.05, depth=False)
+    assert not refused.accepted
+    assert "another place" in refused.reason
+    assert found(0.95, depth=False).accepted
+    assert found(1.05, depth=True).accepted
 
 
 def test_a_bent_way_is_refused(refiner, exact, kit):

@@ -24,6 +24,22 @@ from placegraph.indoor.refine.options import DepthNoise, RefineOptions
         {"depth": False, "images": False},
         {"reach": (-0.1, 0.1)},
         {"reach": (0.1, -0.1)},
+        {"reach": 0.1},
+        {"reach": (0.1,)},
+        {"reach": (0.1, 0.1, 0.1)},
+        {"reach": (math.inf, 0.1)},
+        {"reach": (math.nan, 0.1)},
+        {"reach": (0.1, 4.0)},
+        {"images": [1]},
+        {"images": 1},
+        {"noise": None},
+        {"motion": DepthNoise()},
+        {"depth": "no"},
+        {"joint": 1},
+        {"check": None},
+        {"tilt": 1e-200},
+        {"spread": 4.0},
+        {"views": 1000},
     ],
 )
 def test_what_makes_no_sense_is_named(wrong):
@@ -33,13 +49,25 @@ def test_what_makes_no_sense_is_named(wrong):
     assert str(raised.value).endswith(".")
 
 
-@pytest.mark.parametrize("facing", [(0.8, 0.5), (0.5, 0.5), (-2.0, 0.5), (0.5, 1.5)])
+@pytest.mark.parametrize(
+    "facing",
+    [(0.8, 0.5), (0.5, 0.5), (-2.0, 0.5), (0.5, 1.5), (0.1,), 0.5, (math.nan, 0.9), (0, 0.5, 1)],
+)
 def test_cosines_ascend(facing):
     with pytest.raises(OptionError, match="facing"):
         DepthNoise(facing=facing)
 
 
-@pytest.mark.parametrize("wrong", [{"floor": -0.01}, {"slope": math.nan}, {"surface": math.inf}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"floor": -0.01},
+        {"slope": math.nan},
+        {"surface": math.inf},
+        {"surface": 0.0},
+        {"surface": 1e-200},
+    ],
+)
 def test_noise_is_a_size(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         DepthNoise(**wrong)

@@ -9,6 +9,7 @@ import pytest
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.estimate import Status
 from placegraph.formats.capture import open_capture
+from placegraph.indoor.matching.guided import GuidedMatcher
 from placegraph.indoor.observe import sight
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
@@ -164,7 +165,7 @@ def test_unknown_matchers_are_refused_before_any_work(room, walk, name):
 def test_auto_and_guided_need_no_extra():
     assert chosen_matcher("auto") is None
     assert chosen_matcher("guided") is None
-    mine = object()
+    mine = GuidedMatcher(radius=8)
     assert chosen_matcher(mine) is mine
 
 
