@@ -47,10 +47,20 @@ class Judgement:
 def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     """Compare a refined trajectory with the coarse one (T, 4, 4)."""
     inliers = sum(map(len, fitted.sights))
-    stats: dict[str, Any] = {"inliers": inliers}
-    against = _implausible(refiner, coarse, fitted, stats)
+    shift, turn = moved(coarse[-1], fitted.poses[-1])
+    stats: dict[str, Any] = {
+        "inliers": inliers,
+        "shift_m": round(shift, 4),
+        "turn_deg": round(float(np.degrees(turn)), 3),
+    }
+    against = _unfounded(refiner, fitted, inliers)
+    doubt = "" if against else _elsewhere(refiner, shift, turn)
+    against = against or doubt or _bent(refiner, fitted.poses, stats)
     if against:
-        return Judgement(False, f"Not refined: {against}.", stats)
+        # what depth backs, images alone do not shake
+        return Judgement(
+            False, f"Not refined: {against}.", stats, "" if refiner.has_depth else doubt
+        )
     by = _by(refiner, inliers)
     if not refiner.options.check:
         return Judgement(True, f"Refined by {by}, unchecked.", stats)
@@ -62,20 +72,19 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     return Judgement(True, f"Refined by {by}.", stats)
 
 
-def _implausible(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[str, Any]) -> str:
-    """What rules a trajectory out before any pixel is looked at; empty: nothing."""
-    shift, turn = moved(coarse[-1], fitted.poses[-1])
-    stats["shift_m"], stats["turn_deg"] = round(shift, 4), round(float(np.degrees(turn)), 3)
-    inliers = stats["inliers"]
+def _unfounded(refiner: Refiner, fitted: Fitted, inliers: int) -> str:
+    """Whether there was nothing to go by."""
     if fitted.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
         return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
-    bent = _bent(refiner, fitted.poses)
-    stats["motion"] = round(bent, 2)
+    return ""
+
+
+def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
+    """Whether the fit ended at another place."""
     way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
-    if shift > way or turn > angle:
-        away = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees away"
-        return f"it ended {away}, which is another place"
-    return "it contradicts the odometry" if bent > BENT else ""
+    if shift <= way and turn <= angle:
+        return ""
+    return f"the fit ended {shift:.1f} m and {np.degrees(turn):.0f} degrees away, at another place"
 
 
 NOTHING = "the frames show nothing that could be matched with the map"
@@ -144,12 +153,13 @@ def _gains(refiner: Refiner, coarse: Floats, refined: Floats) -> dict[str, Gain]
     return gains
 
 
-def _bent(refiner: Refiner, poses: Floats) -> float:
-    """Root mean square of the normalised errors of odometry; 0 of a single frame."""
-    if len(poses) < 2:
-        return 0.0
-    errors, deviations = odometry_errors(refiner.problem(), poses)
-    return float(np.sqrt(np.mean((errors / deviations) ** 2)))
+def _bent(refiner: Refiner, poses: Floats, stats: dict[str, Any]) -> str:
+    """Whether the frames would have moved otherwise than odometry says."""
+    stats["motion"] = 0.0
+    if len(poses) > 1:
+        errors, deviations = odometry_errors(refiner.problem(), poses)
+        stats["motion"] = round(float(np.sqrt(np.mean((errors / deviations) ** 2))), 2)
+    return "it contradicts the odometry" if stats["motion"] > BENT else ""
 
 
 def _by(refiner: Refiner, inliers: int) -> str:

@@ -140,6 +140,8 @@ def _told(
     status, reason = estimate.status, estimate.reason
     if status is Status.OK and stats.get("motion", 0.0) > BENT:
         status, reason = Status.AMBIGUOUS, _BENT
+    if status is Status.OK and judgement.doubt:
+        status, reason = Status.AMBIGUOUS, f"One place fits, but {judgement.doubt}."
     return replace(
         estimate,
         status=status,
