@@ -193,7 +193,7 @@ def test_a_swapped_size_is_refused(walk):
     [
         0.2,
         1 / 3.281,
-        pytest.param(0.8, marks=CONSISTENT),
+        0.8,
         1.25,
         3.281,
         5.0,
