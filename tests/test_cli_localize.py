@@ -17,50 +17,19 @@ from placegraph.formats.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
-from placegraph.synthetic.flats import Flat
 from placegraph.synthetic.walks import stroll, write_walk
 from placegraph.view import write_plan
 
-ROOM = """
-[flat]
-name = Study
-height = 2.6
-[drawing]
-######====##########
-#SSS         pp  BB#
-#SSS             BB#
-#SSS  tt      1  BB#
-#SSS  tt         BB#
-#                  #
-#LL  3             #
-#LL       hhTTT  2 +
-#         hhTTT    +
-#CCCCCC     TTT    #
-####################
-[legend]
-1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
-2 spot:
-3 spot:
-S sofa: look=fabric darkred trim=fabric firebrick
-B shelf: label=bookcase height=2.1
-t roundtable: label=side table height=0.45
-T table: label=desk look=wood burlywood
-h chair: faces=T look=plain teal trim=plain darkslategrey
-C cabinet: label=sideboard height=0.8 look=wood peru
-L lamp:
-p picture:
-"""
 FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def world(tmp_path_factory, study):
     """Map file, capture folder and true poses of a walk through the room."""
     folder, rng = tmp_path_factory.mktemp("localize"), np.random.default_rng(3)
-    drawing = Flat.parse(ROOM)
-    interior = drawing.furnish(rng)
+    interior = study.furnish(rng)
     build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
-    walk = stroll(drawing, rng, frames=FRAMES, through="123")
+    walk = stroll(study, rng, frames=FRAMES, through="123")
     write_walk(
         interior, walk, folder / "walk", rng, camera=Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
     )
@@ -194,11 +163,11 @@ def test_a_pose_is_refined_and_every_frame_with_it(run, world, tmp_path):
         assert sheet.height / (90 + 20) < 3.0, "nothing was before"
 
 
-def test_of_a_tracked_capture_the_newest_frames_are_refined(run, world, tmp_path):
+def test_of_a_tracked_capture_the_newest_frames_are_refined(run, world, tmp_path, study):
     """33 frames: the first three as they were tracked, 30 refined, all of them in the file."""
-    rng, drawing = np.random.default_rng(3), Flat.parse(ROOM)
-    interior = drawing.furnish(rng)
-    walk = stroll(drawing, rng, frames=33, through="123")
+    rng = np.random.default_rng(3)
+    interior = study.furnish(rng)
+    walk = stroll(study, rng, frames=33, through="123")
     camera = Camera(96, 54, 69.0, 69.0, 48.0, 27.0)
     folder = write_walk(interior, walk, tmp_path / "long", rng, camera=camera)
     tum = tmp_path / "a.tum"

@@ -11,52 +11,21 @@ from placegraph.cli.scene_pose import map_from_camera_of
 from placegraph.formats.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, split_pose
 from placegraph.indoor.build import build_scene
-from placegraph.synthetic.flats import Flat
 from placegraph.synthetic.walks import stroll, write_walk
 
-ROOM = """
-[flat]
-name = Study
-height = 2.6
-[drawing]
-######====##########
-#SSS         pp  BB#
-#SSS             BB#
-#SSS  tt      1  BB#
-#SSS  tt         BB#
-#                  #
-#LL  3             #
-#LL       hhTTT  2 +
-#         hhTTT    +
-#CCCCCC     TTT    #
-####################
-[legend]
-1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
-2 spot:
-3 spot:
-S sofa: look=fabric darkred trim=fabric firebrick
-B shelf: label=bookcase height=2.1
-t roundtable: label=side table height=0.45
-T table: label=desk look=wood burlywood
-h chair: faces=T look=plain teal trim=plain darkslategrey
-C cabinet: label=sideboard height=0.8 look=wood peru
-L lamp:
-p picture:
-"""
 FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def world(tmp_path_factory, study):
     """Map file, capture folder, true poses and a rough estimate of a walk through the room.
 
     `narrow` is the same walk by a camera that sees hardly anything but walls.
     """
     folder, rng = tmp_path_factory.mktemp("refine"), np.random.default_rng(3)
-    drawing = Flat.parse(ROOM)
-    interior = drawing.furnish(rng)
+    interior = study.furnish(rng)
     build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
-    walk = stroll(drawing, rng, frames=FRAMES, through="123")
+    walk = stroll(study, rng, frames=FRAMES, through="123")
     for name, camera in (
         ("walk", Camera(160, 120, 90.0, 90.0, 80.0, 60.0)),
         ("narrow", Camera(160, 90, 115.0, 115.0, 80.0, 45.0)),
