@@ -173,7 +173,6 @@ def test_moved_furniture_is_weighted_down(kit, way, metres, within):
     solution = solve(problem, kit.moved(way, (0.03, 0.03, 0), (0, 0, 1.0)), DEPTH_WIDTHS, 6)
     assert kit.off(solution.poses[-1], way[-1])[0] < within  # 6 cm is within the kernel
     assert solution.shares[0] == 1.0
-    assert solution.told.shape == (2, 2)
     if metres > 0.1:
         assert solution.shares[1] < 0.9
         still = solve(kit.problem(scene, kit.frames(scene, way)), way, DEPTH_WIDTHS)

@@ -7,7 +7,7 @@ with weights that are set anew at each step, from a wide robust kernel to a narr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,8 +73,6 @@ class Solution:
     """Mean robust cost of the depth readings, 0 to 1; NaN without depth."""
     steps: int
     """Gauss-Newton steps taken."""
-    told: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """(N, 2) sum of weights and number of the readings of each object."""
 
     def covariance(self, frame: int = -1) -> Floats:
         """(6, 6) of one frame, the others being unknown too."""
@@ -98,7 +96,6 @@ def solve(
     """
     poses, count = start.copy(), len(start)
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
-    told = np.zeros((problem.objects, 2))
     for depth_width, pixel_width in widths:
         for number in range(steps):
             h, g = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
@@ -120,7 +117,7 @@ def solve(
                 shares = _shares(told)
             if np.abs(step).max() < _STILL:
                 break
-    return Solution(poses, h, shares, cost, taken, told)
+    return Solution(poses, h, shares, cost, taken)
 
 
 def _shares(told: Floats) -> Floats:
