@@ -62,3 +62,7 @@ class Model:
     """At least one."""
     left_out: Counter[str] = field(default_factory=Counter)
     """What of the file could not be used, by reason."""
+    relations: tuple[tuple[int, str, int], ...] = ()
+    """(row of a thing, relation, row of another) where the file says so."""
+    floor: float | None = None
+    """Height of the floor [m] where the file says so."""
