@@ -18,7 +18,15 @@ import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.camera import CameraFile, read_camera, read_json
-from placegraph.formats.frame import ArrayImages, FileImages, Frame, LabelKind
+from placegraph.formats.frame import ArrayImages, Frame, LabelKind
+from placegraph.formats.frame_files import (
+    DepthUnit,
+    LazyImages,
+    Meanings,
+    colour_file,
+    depth_file,
+    label_file,
+)
 from placegraph.formats.images import ENDINGS, image_size
 from placegraph.formats.tum import read_table, read_tum
 
@@ -193,8 +201,18 @@ def _frames(
     gravity = _gravity(path / "gravity.txt", odometry.poses)
     known = None
     if kind == "labels":
-        known = FileImages.meanings(names, path / "labels.json", cameras.offsets[kind])
+        known = Meanings.read(names, path / "labels.json", cameras.offsets[kind])
     shown = {i: name for i, name in names.items() if name}
+    unit = DepthUnit(f"`depth.scale` in {cameras.path}", cameras.depth_scale)
+
+    def images(stem: str, colour: Path) -> LazyImages:
+        metres = ids = None
+        if stem in depths:
+            metres = depth_file(depths[stem], cameras.depth, cameras.depth_scale)
+        if kind and label_camera and stem in marks:
+            ids = label_file(marks[stem], label_camera, cameras.offsets[kind], known)
+        return LazyImages(colour_file(colour, cameras.camera), metres, ids, unit)
+
     return tuple(
         Frame(
             index=i,
@@ -206,9 +224,7 @@ def _frames(
             label_camera=label_camera,
             label_kind=kind if marks else None,
             label_names=shown,
-            images=FileImages(
-                cameras, colour, depths.get(stem), marks.get(stem), label_camera, kind, known
-            ),
+            images=images(stem, colour),
         )
         for i, (stem, colour) in enumerate(colours.items())
     )

@@ -1,4 +1,4 @@
-"""One frame of a capture, from files or from arrays in memory."""
+"""One frame of a capture, and frames of arrays in memory; `frame_files` has those of files."""
 
 from __future__ import annotations
 
@@ -7,23 +7,17 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from placegraph.errors import InputError, OptionError
-from placegraph.formats.images import WHOLE_MODES, read_rgb, read_whole
+from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.formats.camera import CameraFile
     from placegraph.geometry import Camera
 
 LabelKind = Literal["labels", "instances"]
 """What the values of label images are: ids of labels, or ids of objects of the map."""
-
-_DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I")
-_UNNAMED = -2
 
 
 class Images(Protocol):
@@ -188,68 +182,6 @@ class ArrayImages:
     def labels(self) -> NDArray[np.int32] | None:
         """As `Frame.labels`."""
         return self.ids
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FileImages:
-    """Images in a capture's folder."""
-
-    cameras: CameraFile
-    colour_file: Path
-    depth_file: Path | None
-    label_file: Path | None
-    label_camera: Camera | None
-    kind: LabelKind | None
-    known: tuple[NDArray[np.int32], Path] | None
-    """Of labels: what each value means (`meanings`), and the file that says so."""
-
-    @staticmethod
-    def meanings(
-        names: Mapping[int, str | None], path: Path, offset: int
-    ) -> tuple[NDArray[np.int32], Path]:
-        """Table (65536,) from label id to itself, -1 (says nothing) or -2 (has no name)."""
-        table = np.full(1 << 16, _UNNAMED, np.int32)
-        if not offset:
-            table[0] = -1  # by custom 0 is "unlabelled", where no name says otherwise
-        for number, name in names.items():
-            table[number] = number if name else -1
-        return table, path
-
-    def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
-        return read_rgb(self.colour_file, _size(self.cameras.camera))
-
-    def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
-        if self.depth_file is None:
-            return None
-        units = read_whole(self.depth_file, _size(self.cameras.depth), _DEPTH_MODES)
-        metres = (units / self.cameras.depth_scale).astype(np.float32)
-        metres[units <= 0] = np.nan
-        return metres
-
-    def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
-        if self.label_file is None or self.label_camera is None or self.kind is None:
-            return None
-        ids = read_whole(self.label_file, _size(self.label_camera), WHOLE_MODES)
-        ids = np.maximum(ids - self.cameras.offsets[self.kind], -1)
-        if self.known is None:
-            return ids
-        table, path = self.known
-        meant: NDArray[np.int32] = np.where(ids < 0, -1, table[np.minimum(ids, len(table) - 1)])
-        if meant.min() == _UNNAMED:
-            nameless = np.unique(ids[meant == _UNNAMED]).tolist()
-            listed = ", ".join(map(str, nameless[:8])) + (" ..." if len(nameless) > 8 else "")
-            raise InputError(
-                f"{self.label_file} holds label ids without a name in {path}: {listed}; "
-                "name them there (null: says nothing)."
-            )
-        return meant
-
-
-def _size(camera: Camera) -> tuple[int, int]:
-    return camera.width, camera.height
 
 
 def _fit(what: str, array: NDArray[Any], camera: Camera, rest: tuple[int, ...]) -> None:

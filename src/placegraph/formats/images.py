@@ -81,6 +81,6 @@ def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDA
 def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
     if image.size != size:
         raise InputError(
-            f"{path} has {image.width} x {image.height} pixels, but camera.json says "
+            f"{path} has {image.width} x {image.height} pixels, but its camera says "
             f"{size[0]} x {size[1]}; give the intrinsics of the images as they are."
         )

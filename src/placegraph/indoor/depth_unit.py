@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.frame import FileImages
+from placegraph.formats.frame_files import LazyImages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +62,7 @@ def check_unit(diagonal: float, sightings: Sequence[Sighting]) -> None:
         return
     factor = _nearest(middle / _USUAL)
     frame = next(s.frame for s in sightings if s.depth is not None)
-    error = InputError if isinstance(frame.images, FileImages) else OptionError
+    error = InputError if isinstance(frame.images, LazyImages) else OptionError
     raise error(f"The median of the depth is {middle:.3g} m. {_mend(frame, factor)}")
 
 
@@ -129,10 +129,12 @@ def _mend(frame: Frame, factor: float) -> str:
     """What is wrong, where, and what would fit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
     said = f"The depth readings look about {times:.{0 if times > 9 else 1}f} times too {direction}"
-    if not isinstance(frame.images, FileImages):
+    if not isinstance(frame.images, LazyImages):
         return f"{said}; give depth in metres."
-    file = frame.images.cameras
+    unit = frame.images.unit
+    if unit is None:
+        return f"{said} for metres; check what the depth images were written in."
     return (
-        f"{said}: check `depth.scale` in {file.path}, which is {file.depth_scale:g} units a metre; "
-        f"{file.depth_scale * factor:.4g} would fit."
+        f"{said}: check {unit.said}, which is {unit.per_metre:g} units a metre; "
+        f"{unit.per_metre * factor:.4g} would fit."
     )
