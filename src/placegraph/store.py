@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph import columns, locks
+from placegraph import columns, files, locks
 from placegraph.columns import pack_strings, unpack_strings
 from placegraph.errors import InputError, MapError, OptionError
 
@@ -155,7 +155,7 @@ def writing(path: Path_) -> Iterator[Write]:
         Metadata are not JSON, or an array is not plain numbers.
 
     """
-    target = _target(path)
+    target = files.real_path(path)
     if target.exists() and not target.is_file():
         raise MapError(f"{target} is not a plain file; name a file to write the map to.")
 
@@ -163,28 +163,19 @@ def writing(path: Path_) -> Iterator[Write]:
         kind: str, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> None:
         head, blocks = _encode(kind, version, meta, arrays)
-        temporary = target.with_name(f".{target.name}.tmp")  # ours alone: the lock is held
+        digest = hashlib.sha256()
+        for chunk in (head, *blocks):
+            digest.update(chunk)
         try:
-            with temporary.open("wb") as file:
-                digest = hashlib.sha256()
-                for chunk in (head, *blocks):
-                    digest.update(chunk)
-                    file.write(chunk)
-                file.write(digest.digest())
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(target)
-            _sync_folder(target.parent)
+            files.replace_file(target, (head, *blocks, digest.digest()))
         except OSError as error:
-            raise _cannot_write(target, error) from error
-        finally:
-            temporary.unlink(missing_ok=True)
+            raise files.cannot_write(target, error) from error
 
     with ExitStack() as stack:
         try:
             stack.enter_context(locks.exclusive(target))
         except OSError as error:
-            raise _cannot_write(target, error) from error
+            raise files.cannot_write(target, error) from error
         yield write
 
 
@@ -351,14 +342,6 @@ def _damaged(path: Path_, how: str) -> MapError:
 # --- files ---
 
 
-def _target(path: Path_) -> Path:
-    """Where the file really lies: a link to a map stays a link."""
-    try:
-        return Path(os.path.realpath(path))
-    except ValueError as error:
-        raise MapError(f"{path!r} is not a file name: {error}.") from error
-
-
 def _open(path: Path_) -> BinaryIO:
     try:
         # Without O_NONBLOCK, opening a pipe would wait for its other end.
@@ -373,18 +356,6 @@ def _open(path: Path_) -> BinaryIO:
         os.close(descriptor)
         raise InputError(f"{path} is not a plain file; name the map file itself.")
     return os.fdopen(descriptor, "rb")
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _cannot_write(target: Path, error: Exception) -> MapError:
-    return MapError(f"{target} cannot be written: {_why(error)}. Choose another place.")
 
 
 def _why(error: Exception) -> str:

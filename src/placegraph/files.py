@@ -1,0 +1,78 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from placegraph import locks
+from placegraph.errors import MapError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    Chunks = Iterable[bytes | memoryview]
+
+
+def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
+    """Write a file that takes the place of the old one in one step; a link stays a link.
+
+    Raises
+    ------
+    MapLockedError
+        Another process is writing this file.
+    MapError
+        It cannot be written; what was there before is untouched.
+
+    """
+    target = real_path(path)
+    if target.exists() and not target.is_file():
+        raise MapError(f"{target} is not a plain file; name a file to write to.")
+    try:
+        with locks.exclusive(target):
+            replace_file(target, chunks)
+    except OSError as error:
+        raise cannot_write(target, error) from error
+    return Path(path)
+
+
+def replace_file(target: Path, chunks: Chunks) -> None:
+    """Bring chunks to disk and put them in the place of `target`, whose lock the caller holds.
+
+    Raises `OSError` where that fails; the old file is untouched then.
+    """
+    temporary = target.with_name(f".{target.name}.tmp")  # ours alone: the lock is held
+    try:
+        with temporary.open("wb") as file:
+            for chunk in chunks:
+                file.write(chunk)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(target)
+        _sync_folder(target.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def real_path(path: str | os.PathLike[str]) -> Path:
+    """Where a file really lies: links are followed. `MapError` where it is no file name."""
+    try:
+        return Path(os.path.realpath(path))
+    except ValueError as error:
+        raise MapError(f"{path!r} is not a file name: {error}.") from error
+
+
+def cannot_write(target: Path, error: OSError) -> MapError:
+    """Error that says why a file cannot be written."""
+    return MapError(
+        f"{target} cannot be written: {error.strerror or error}. Choose another place."
+    )
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
