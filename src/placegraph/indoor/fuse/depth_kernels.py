@@ -1,0 +1,96 @@
+"""Compiled loops over depth images: what surface each reading shows, and which to believe."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from placegraph.indoor.fuse.volume_kernels import NEAR
+
+FLAT = 0.1
+"""Least cosine of the angle at which a reading's surface is looked at."""
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def facets_of(depth, eye, reach, edges):
+    """Plane, reading and weight of every pixel (h, w, 6) float32.
+
+    Columns 0 to 2: unit normal n in the camera, away from it; 3: n @ x of the plane's points x, so
+    that column 3 - n @ p is how far a point p lies in front; 4: the reading [m], 0: none, or not to be
+    believed; 5: weight, cosine / reading^2. `depth`: (h, w) float32 [m], NaN: none; `eye`: fx, fy,
+    cx, cy; `reach`: greatest reading used [m]; `edges`: whether readings at depth edges are dropped.
+
+    Planes are linear in the image if written for 1 / depth: slopes are a least-squares fit over
+    readings that are near in depth, every second of 5 x 5.
+    """
+    h, w = depth.shape
+    out = np.zeros((h, w, 6), np.float32)
+    for line in prange(h):
+        v = np.int64(line)  # prange's own is unsigned
+        y = (v + 0.5 - eye[3]) / eye[1]
+        for u in range(w):
+            z = depth[v, u]
+            if not (NEAR <= z <= reach):
+                continue
+            here = 1.0 / z
+            allowed = (0.02 + 0.012 * z * z) * here * here  # of noise, at this depth
+            if edges and torn(depth, v, u, here, allowed):
+                continue
+            n, su, sv, si = 0, 0.0, 0.0, 0.0
+            suu, suv, svv, sui, svi = 0.0, 0.0, 0.0, 0.0, 0.0
+            for dv in range(-2, 3, 2):
+                for du in range(-2, 3, 2):
+                    i, j = v + dv, u + du
+                    if i < 0 or j < 0 or i >= h or j >= w:
+                        continue
+                    other = depth[i, j]
+                    if not other >= NEAR:
+                        continue
+                    step = 1.0 / other - here
+                    if abs(step) > 3 * allowed:
+                        continue
+                    n += 1
+                    su, sv, si = su + du, sv + dv, si + step
+                    suu, suv, svv = suu + du * du, suv + du * dv, svv + dv * dv
+                    sui, svi = sui + du * step, svi + dv * step
+            if n < 4:
+                continue  # nothing around agrees: a speck
+            suu, suv, svv = suu - su * su / n, suv - su * sv / n, svv - sv * sv / n
+            sui, svi = sui - su * si / n, svi - sv * si / n
+            determinant = suu * svv - suv * suv
+            if determinant < 1:
+                continue
+            slope_u = (svv * sui - suv * svi) / determinant
+            slope_v = (suu * svi - suv * sui) / determinant
+            x = (u + 0.5 - eye[2]) / eye[0]
+            # a x + b y + c = 1 / z of rays (x, y, 1): the plane is (a, b, c) @ point = 1
+            a, b = slope_u * eye[0], slope_v * eye[1]
+            c = here - a * x - b * y
+            length = np.sqrt(a * a + b * b + c * c)
+            cosine = here / (length * np.sqrt(1 + x * x + y * y))
+            if cosine < FLAT:
+                continue
+            out[v, u, 0], out[v, u, 1], out[v, u, 2] = a / length, b / length, c / length
+            out[v, u, 3] = 1 / length
+            out[v, u, 4] = z
+            out[v, u, 5] = cosine * here * here
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def torn(depth, v, u, here, allowed):
+    """Whether a reading stands at a depth edge, where it may be a mean of both sides."""
+    h, w = depth.shape
+    for axis in range(2):
+        i, j = (v, u - 1) if axis == 0 else (v - 1, u)
+        before = 1.0 / depth[i, j] if i >= 0 and j >= 0 else np.nan
+        i, j = (v, u + 1) if axis == 0 else (v + 1, u)
+        after = 1.0 / depth[i, j] if i < h and j < w else np.nan
+        # a plane's 1 / depth is linear: no second difference, however steep
+        if abs(before + after - 2 * here) > allowed:
+            return True
+        if not np.isfinite(before + after):
+            if abs(before - here) > 2 * allowed or abs(after - here) > 2 * allowed:
+                return True
+    return False
+

@@ -1,0 +1,115 @@
+"""The surface of a sparse volume as a mesh: dual marching cubes.
+
+Nielson, "Dual marching cubes", 2004: where marching cubes has a polygon in a cell, one vertex; where
+the surface crosses an edge of the grid, a quad of the four cells around it. Two sheets within a
+cell stay apart, so that edges have two triangles but for rare configurations, and at borders.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.fuse import surface_kernels as kernels
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.fuse.volume import Volume
+
+    Ints = NDArray[np.int64]
+    Colours = NDArray[np.uint8]
+
+STEEPEST = 2.5
+"""Between neighbouring voxels the distance changes by one voxel at most, and by its noise [voxels]."""
+
+
+def surface_of(
+    volume: Volume, *, least: float, speck: float, left_out: Counter[str]
+) -> tuple[Floats, Ints, Colours]:
+    """Vertices (V, 3) [m], triangles (T, 3) that face free space, and colours (V, 3).
+
+    `least` and `speck` as of `FuseOptions`. All are empty where the volume shows no surface.
+    """
+    loop_of, loops = loop_tables()
+    count = volume.count
+    around = kernels.neighbours(volume.keys, volume.rows, volume.places, count)
+    cases, sizes = kernels.cases_of(
+        around, volume.distance, volume.weight, least, STEEPEST * volume.voxel, loops
+    )
+    starts = _starts(sizes)
+    points, colours, first = kernels.vertices_of(
+        around, volume.places, volume.distance, volume.colour, volume.paint, cases, starts, loop_of,
+        loops, volume.voxel,
+    )  # fmt: skip
+    none = np.zeros((0, 4), np.int32)
+    ends = _starts(kernels.quads_of(around, cases, first, loop_of, np.zeros(count, np.int64), none))
+    quads = np.empty((ends[-1], 4), np.int32)
+    kernels.quads_of(around, cases, first, loop_of, ends, quads)
+    del around, cases, first
+    triangles = kernels.split(points, quads)
+    return without_specks(points, triangles, colours, speck, left_out)
+
+
+def without_specks(
+    points: Floats, triangles: Ints, colours: Colours, least: float, left_out: Counter[str]
+) -> tuple[Floats, Ints, Colours]:
+    """Drop connected parts of less than `least` [m^2], and vertices that nothing uses."""
+    root = kernels.roots_of(len(points), triangles)[triangles[:, 0]]
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    size = np.bincount(root, area, minlength=len(points))
+    dropped = np.unique(root[size[root] < least])
+    if len(dropped):
+        left_out["parts of the surface that are too small"] += len(dropped)
+    kept = triangles[size[root] >= least]
+    used = np.zeros(len(points), np.bool_)
+    used[kept.ravel()] = True
+    place = np.cumsum(used) - 1
+    return points[used], place[kept], colours[used]
+
+
+@lru_cache(maxsize=1)
+def loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+    """Loop of every edge by case (256, 12), -1: the surface does not cross it; number of loops (256,).
+
+    On each face of a cell the surface joins crossed edges in pairs. Where all four are crossed, the
+    two corners behind the surface are cut off one by one; the cell beyond the face does the same.
+    """
+    loop_of = np.full((256, 12), -1, np.int8)
+    loops = np.zeros(256, np.int8)
+    edges = {}
+    for edge in range(12):
+        low = int(kernels.low_corner(edge))
+        edges[frozenset((low, low | 1 << (edge >> 2)))] = edge
+    faces = []
+    for axis in range(3):
+        one, two = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+        for side in (0, 1 << axis):
+            faces.append((side, side | one, side | one | two, side | two))
+    for case in range(256):
+        group = {e: e for pair, e in edges.items() if len({case >> c & 1 for c in pair}) == 2}
+        for face in faces:
+            round_ = [edges[frozenset((face[n], face[(n + 1) % 4]))] for n in range(4)]
+            crossed = [e for e in round_ if e in group]
+            pairs = [tuple(crossed)] if len(crossed) == 2 else []
+            if len(crossed) == 4:
+                pairs = [(round_[n - 1], round_[n]) for n in range(4) if case >> face[n] & 1]
+            for a, b in pairs:
+                old, new = group[a], group[b]
+                group = {e: new if g == old else g for e, g in group.items()}
+        names = sorted(set(group.values()))
+        loops[case] = len(names)
+        for edge, name in group.items():
+            loop_of[case, edge] = names.index(name)
+    return loop_of, loops
+
+
+def _starts(sizes: Ints) -> Ints:
+    """Where each part begins, and the end (B + 1,)."""
+    return np.concatenate([[0], np.cumsum(sizes)])
