@@ -76,7 +76,7 @@ def read_ply(
             vertices = vertices[triangles.ravel()]
             colours = np.repeat(by_face[face_of], 3, axis=0)
             triangles = np.arange(len(vertices)).reshape(-1, 3)
-    things, thing_of, left_out = _things(ids, len(triangles), table or {})
+    things, thing_of, left_out = things_of_ids(ids, len(triangles), table or {})
     return Model(
         path=path,
         things=things,
@@ -128,7 +128,7 @@ def _object_ids(
         for name in names:
             if name in known:
                 ids = _whole(known[name])
-                return ids[face_of] if by_face else _majority(ids[triangles])
+                return ids[face_of] if by_face else majority(ids[triangles])
     if wanted is not None:
         there = ", ".join(sorted(vertex.single.keys() | face.single.keys()))
         raise InputError(f"{path} has no property {wanted!r}; it has {there}.")
@@ -148,7 +148,7 @@ def _whole(column: NDArray[Any]) -> NDArray[np.int64]:
     return np.where(none, -1, ids)
 
 
-def _majority(ids: NDArray[np.int64]) -> NDArray[np.int64]:
+def majority(ids: NDArray[np.int64]) -> NDArray[np.int64]:
     """(T,) what two of three corners (T, 3) say, or else the first."""
     a, b, c = ids.T
     voted: NDArray[np.int64] = np.where(b == c, b, a)
@@ -172,10 +172,13 @@ def _colours(path: Path, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint
     return None
 
 
-def _things(
+def things_of_ids(
     ids: NDArray[np.int64] | None, count: int, table: Mapping[str, Entry]
 ) -> tuple[tuple[Thing, ...], NDArray[np.int64], Counter[str]]:
-    """Things, the thing of each of `count` triangles, and what was left out."""
+    """Things, the thing of each of `count` triangles, and what was left out.
+
+    `ids` are those of the triangles, negative where there is none; None makes one unknown thing.
+    """
     if ids is None:
         return (Thing("0", UNKNOWN),), np.zeros(count, np.int64), Counter()
     unique, inverse = np.unique(ids, return_inverse=True)
