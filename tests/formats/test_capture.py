@@ -320,9 +320,11 @@ def test_which_labels(labelled):
 def test_folders(folder, tmp_path_factory):
     with pytest.raises(InputError, match="does not exist"):
         open_capture(folder.path / "no")
-    with pytest.raises(InputError, match="is not a folder"):
-        open_capture(folder.path / "camera.json")
     empty = tmp_path_factory.mktemp("empty")
+    for nothing in (folder.path / "camera.json", empty):
+        with pytest.raises(InputError, match=r"no capture of a known recorder.*Polycam.*odometry.tum"):
+            open_capture(nothing)
+    (empty / "rgb").mkdir()
     with pytest.raises(InputError, match=r"camera.json does not exist"):
         open_capture(empty)
     folder.remove("rgb")

@@ -50,8 +50,8 @@ class CameraFile:
         )
 
 
-def read_camera(path: Path) -> CameraFile:
-    """Read `camera.json`.
+def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
+    """Read `camera.json`; `depth_scale` is what its depth has, if it does not say so.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def read_camera(path: Path) -> CameraFile:
         raise InputError(f"{path} must be a JSON object with width, height, fx, fy, cx, cy.")
     camera = _camera(path, content, "")
     entries = {kind: _entry(path, content, kind) for kind in ("depth", "labels", "instances")}
-    scale = _number(path, entries["depth"].get("scale", 1000), "depth.scale")
+    scale = _number(path, entries["depth"].get("scale", depth_scale), "depth.scale")
     if not scale >= 1:
         raise InputError(
             f"{path}: depth.scale is {scale:g}; it says how many units of the depth images make a "

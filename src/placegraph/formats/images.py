@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from contextlib import contextmanager
@@ -52,15 +53,47 @@ def opened(source: Path | IO[bytes], name: object) -> Iterator[Image]:
         ) from error
 
 
+def images_of(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Path]:
+    """Files of a folder with these endings by stem, in natural order: 2 comes before 10.
+
+    A folder that does not exist has none. `InputError` where two bear one name.
+    """
+    if not folder.is_dir():
+        return {}
+    try:
+        files = [p for p in folder.iterdir() if p.suffix.lower() in endings and p.name[0] != "."]
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read: {error.strerror}.") from error
+    found: dict[str, Path] = {}
+    for file in sorted(files, key=lambda p: (natural(p.stem), p.name)):
+        if file.stem in found:
+            raise InputError(f"{file} and {found[file.stem].name} bear one name; keep one of them.")
+        found[file.stem] = file
+    return found
+
+
+def natural(stem: str) -> list[tuple[int, int, str]]:
+    """Key that sorts names with their numbers by value."""
+    return [
+        (0, int(part), part) if part.isascii() and part.isdigit() else (1, 0, part)
+        for part in re.split(r"([0-9]{1,4000})", stem)
+    ]
+
+
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height [px] from the head of an image file."""
     with opened(path, path) as image:
         return image.size
 
 
-def read_rgb(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Colours (H, W, 3) uint8 of an image that must be of this width and height [px]."""
-    with opened(path, path) as image:
+def read_rgb(
+    path: Path, size: tuple[int, int], source: IO[bytes] | None = None
+) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) uint8 of an image that must be of this width and height [px].
+
+    `source` is where its bytes are, if they are not in a file of that name.
+    """
+    with opened(source or path, path) as image:
         _check_size(image, path, size)
         return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
 

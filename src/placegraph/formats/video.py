@@ -1,0 +1,71 @@
+"""Frames of a video, decoded by OpenCV where it is installed."""
+
+from __future__ import annotations
+
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_NEAR = 60  # frames that are passed faster than another place is sought
+
+
+class Video:
+    """A video whose frames are read by number; in order is fastest.
+
+    `size` is the width and height [px] of the frames as they are stored, without the rotation that
+    a player would show. Raises `InputError` where the file is missing or no video,
+    `MissingExtraError` where OpenCV is not installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise InputError(f"{path} does not exist; copy the whole recording.")
+        self.path = path
+        self._lock = Lock()
+        self._next = 0
+        self._stream = self._open()
+        count, width, height = (int(self._stream.get(code)) for code in (7, 3, 4))
+        if not (count > 0 and width > 0 and height > 0):
+            raise InputError(f"{path} cannot be read as a video; copy it again.")
+        self._count = count
+        self.size = width, height
+
+    def __len__(self) -> int:
+        return self._count
+
+    def read(self, number: int) -> NDArray[np.uint8]:
+        """Frame (H, W, 3) uint8, sRGB; `InputError` where the video ends before it or is damaged."""
+        with self._lock:
+            if not self._next <= number <= self._next + _NEAR:
+                self._stream.set(1, number)  # CAP_PROP_POS_FRAMES
+                self._next = number
+            while self._next < number and self._stream.grab():
+                self._next += 1
+            found, image = self._stream.read() if self._next == number else (False, None)
+            if image is None or not found:
+                self._stream, self._next = self._open(), 0
+                raise InputError(
+                    f"{self.path}: frame {number} cannot be read; copy the file again."
+                )
+            self._next += 1
+        return np.ascontiguousarray(image[..., ::-1])
+
+    def _open(self) -> Any:  # noqa: ANN401  # OpenCV has no types
+        try:
+            import cv2
+        except ImportError as error:
+            raise MissingExtraError(
+                f"{self.path} is a video, and no decoder is installed: "
+                'pip install "placegraph[video]".'
+            ) from error
+        stream = cv2.VideoCapture(str(self.path))
+        stream.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        return stream
