@@ -69,7 +69,17 @@ def run(monkeypatch, capsys):
 @pytest.fixture(scope="session")
 def kitti360pose_world():
     """Module that writes a tiny KITTI360Pose in the published layout."""
-    path = Path(__file__).with_name("kitti360pose_world.py")
+    return _world("kitti360pose_world.py")
+
+
+@pytest.fixture(scope="session")
+def scannet_world():
+    """Module that writes a tiny ScanNet in the published layout."""
+    return _world("scannet_world.py")
+
+
+def _world(name):
+    path = Path(__file__).with_name(name)
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

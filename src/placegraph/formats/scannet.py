@@ -23,7 +23,7 @@ from placegraph.formats.scannet_files import (
     Group,
     LabelMap,
     Scan,
-    axis_alignment,
+    alignment_of,
     find_scan,
     find_table,
     read_aggregation,
@@ -89,7 +89,7 @@ def read_scannet(
         Column of that table whose label an object gets, such as `category` or `nyu40class`; what the
         table does not map keeps ScanNet's raw label. Raw labels if not given.
     align
-        Whether the axis alignment of `<scan>.txt` is applied (`axis_alignment`).
+        Whether the axis alignment of `<scan>.txt` is applied (`scannet_files.axis_alignment`).
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read_scannet(
         model = _by_object(files, _label_map(scan, label_table, label_column))
     named = scan.folder if scan.folder.absolute().name == scan.name else model.path
     if align:
-        map_from_scan = axis_alignment(scan.folder)
+        map_from_scan = alignment_of(scan)
         turned = model.vertices @ map_from_scan[:3, :3].T + map_from_scan[:3, 3]
         model = replace(model, vertices=turned)
     return replace(model, path=named)
@@ -245,7 +245,6 @@ def _by_class(scan: Scan) -> Model:
     if mesh.path == file:  # its colours are a legend's
         left_out["colours that tell classes"] = len(mesh.vertices)
         mesh = replace(mesh, colours=np.full(mesh.vertices.shape, 255, np.uint8))
-    label = np.where((label < 1) | (label > len(NYU40)), 0, label)
     patch = patches(mesh.triangles, label)
     roots, inverse, counts = np.unique(patch, return_inverse=True, return_counts=True)
     known = label[roots] > 0
@@ -258,15 +257,12 @@ def _by_class(scan: Scan) -> Model:
 
 
 def _classes(file: Path) -> NDArray[np.int64]:
+    """Class (V,) of each vertex, 1 to 40; 0: none."""
     vertex = read_columns(file).get("vertex")
     if vertex is None or "label" not in vertex.single:
         raise InputError(f"{file} has no vertices with a `label`; download the file again.")
     column = vertex.single["label"]
-    if column.dtype.kind == "f":
-        column = np.nan_to_num(column, nan=0.0, posinf=0.0, neginf=0.0)
-    elif column.dtype.kind == "u":
-        column = np.minimum(column, np.iinfo(np.int32).max)
-    return column.astype(np.int64)
+    return np.where((column >= 1) & (column <= len(NYU40)), column, 0).astype(np.int64)
 
 
 def patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.int64]:

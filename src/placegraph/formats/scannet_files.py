@@ -75,7 +75,11 @@ def axis_alignment(path: str | PathLike[str]) -> NDArray[np.float64]:
         The line is not a rigid 4 x 4 matrix.
 
     """
-    scan = find_scan(Path(path))
+    return alignment_of(find_scan(Path(path)))
+
+
+def alignment_of(scan: Scan) -> NDArray[np.float64]:
+    """As `axis_alignment`, of a scan that was found."""
     file = scan.file(".txt")
     said = read_meta(file).get("axisAlignment")
     if said is None:

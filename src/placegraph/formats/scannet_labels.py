@@ -21,7 +21,6 @@ from placegraph.formats.scannet_files import (
 )
 
 if TYPE_CHECKING:
-    from collections import Counter
     from collections.abc import Callable
     from pathlib import Path
 
@@ -45,6 +44,8 @@ class LabelImages:
     kind: LabelKind = "labels"
     names: dict[int, str] = field(default_factory=dict)
     known: Meanings | None = None
+    notes: tuple[str, ...] = ()
+    """Why label images are not used."""
 
     def reader(self, index: int) -> Callable[[], NDArray[np.int32]] | None:
         """Function that reads a frame's label image; None where it has none."""
@@ -60,7 +61,6 @@ def find_labels(
     camera: Camera,
     *,
     label_column: str | None = None,
-    left_out: Counter[str] | None = None,
 ) -> LabelImages:
     """Label images that lie in a scan's folder; "auto" takes instances, else labels, else none.
 
@@ -91,9 +91,11 @@ def find_labels(
                 )
             continue
         if kind == "labels" and wanted == "auto" and find_table(folder) is None:
-            if left_out is not None:  # numbers that nobody can read
-                left_out[f"label images without {TABLES[0]}"] += len(files)
-            continue
+            note = (
+                f"{folder / name} is not used: its numbers need ScanNet's {TABLES[0]}, which lies "
+                "neither there nor above."
+            )
+            return LabelImages(notes=(note,))
         size = image_size(next(iter(files.values())))
         view = camera if size == (camera.width, camera.height) else camera.resized(*size)
         names, known = _meanings(folder, kind, label_column)

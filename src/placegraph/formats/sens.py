@@ -85,14 +85,14 @@ def read_sens(
     labels: Wanted = "auto",
     label_column: str | None = None,
     partial: bool = False,
-    left_out: Counter[str] | None = None,
 ) -> Capture:
     """Open a `.sens` file; its images are read, a frame at a time, when they are asked for.
 
-    Frames without a finite pose were not tracked, and are left out; a frame's `index` is its number
-    in the file. Poses are those of ScanNet's reconstruction, in the axes of the scan's meshes (z up):
-    `placegraph.formats.scannet_files.axis_alignment` leads from there to the map. Colour and depth
-    are taken as of one viewpoint, as ScanNet says they are; extrinsics are not applied.
+    Frames without a finite pose were not tracked, and are left out and counted; a frame's `index` is
+    its number in the file. Poses are those of ScanNet's reconstruction, in the axes of the scan's
+    meshes (z up): `placegraph.formats.scannet_files.axis_alignment` leads from there to the map.
+    Colour and depth are taken as of one viewpoint, as ScanNet says they are; extrinsics are not
+    applied.
 
     Parameters
     ----------
@@ -104,8 +104,6 @@ def read_sens(
         Column of ScanNet's label table that names labels; `raw_category` if not given.
     partial
         Whether a truncated file is used as far as its frames are whole.
-    left_out
-        Is told what of the file could not be used, by reason.
 
     Raises
     ------
@@ -125,16 +123,23 @@ def read_sens(
         counts["frames that the truncated file lacks"] = header.count - len(entries)
     camera = camera_of(f"{file} (colour)", header.colour_intrinsic, header.colour_size)
     depth_camera = camera_of(f"{file} (depth)", header.depth_intrinsic, header.depth_size)
+    notes = []
     if not np.allclose(*header.extrinsics, atol=_RIGID):
-        counts["extrinsics between colour and depth (ScanNet's images are aligned)"] = 1
-    marks = find_labels(file.parent, labels, camera, label_column=label_column, left_out=counts)
+        notes.append(
+            "The file has extrinsics between colour and depth; they are not applied, since ScanNet's "
+            "images are aligned."
+        )
+    marks = find_labels(file.parent, labels, camera, label_column=label_column)
     used = _tracked(file, entries, counts)
-    stamps = _stamps(used, counts)
+    stamps = np.array([entry.stamp for entry in used], np.float64) * 1e-6
+    if np.any(np.diff(stamps) <= 0):
+        notes.append("The file's stamps do not ascend; stamps are numbers of frames instead.")
+        stamps = np.array([entry.number for entry in used], np.float64)
     frames = [
         _frame(header, entry, stamp, camera, depth_camera, marks)
         for entry, stamp in zip(used, stamps, strict=True)
     ]
-    return _capture(file, frames, camera, depth_camera, marks, counts, left_out)
+    return _capture(file, frames, camera, depth_camera, marks, notes, counts)
 
 
 def _tracked(file: Path, entries: Sequence[SensFrame], counts: Counter[str]) -> list[SensFrame]:
@@ -149,15 +154,6 @@ def _tracked(file: Path, entries: Sequence[SensFrame], counts: Counter[str]) -> 
             _check_pose(f"{file}, frame {entry.number}", entry.world_from_camera)
             used.append(entry)
     return used
-
-
-def _stamps(entries: Sequence[SensFrame], counts: Counter[str]) -> NDArray[np.float64]:
-    """Seconds (T,), or numbers of the frames where the file's stamps do not ascend."""
-    stamps = np.array([entry.stamp for entry in entries], np.float64) * 1e-6
-    if np.all(np.diff(stamps) > 0):
-        return stamps
-    counts["stamps that do not ascend (frames are counted)"] = len(entries)
-    return np.array([entry.number for entry in entries], np.float64)
 
 
 def _frame(
@@ -192,7 +188,6 @@ def read_scannet_export(
     *,
     labels: Wanted = "auto",
     label_column: str | None = None,
-    left_out: Counter[str] | None = None,
 ) -> Capture:
     """Open a folder of exported frames: `color/7.jpg`, `depth/7.png`, `pose/7.txt`, intrinsics.
 
@@ -217,7 +212,7 @@ def read_scannet_export(
     counts: Counter[str] = Counter()
     camera = _exported_camera(path, "color", next(iter(colours.values())))
     depth_camera = _exported_camera(path, "depth", next(iter(depths.values()))) if depths else None
-    marks = find_labels(path, labels, camera, label_column=label_column, left_out=counts)
+    marks = find_labels(path, labels, camera, label_column=label_column)
     poses = numbered(path / "pose", (".txt",))
     frames = []
     for index, colour in colours.items():
@@ -248,7 +243,7 @@ def read_scannet_export(
                 label_names=marks.names,
             )
         )
-    return _capture(path, frames, camera, depth_camera, marks, counts, left_out)
+    return _capture(path, frames, camera, depth_camera, marks, [], counts)
 
 
 def _exported_camera(path: Path, what: str, image: Path) -> Camera:
@@ -280,14 +275,20 @@ def _capture(
     camera: Camera,
     depth_camera: Camera | None,
     marks: LabelImages,
-    counts: Counter[str],
-    left_out: Counter[str] | None,
+    notes: Sequence[str],
+    left_out: Counter[str],
 ) -> Capture:
-    if left_out is not None:
-        left_out.update(counts)
     if not frames:
-        raise InputError(
-            f"{path} holds no frame with a pose and a colour image ({dict(counts)}); take another scan."
-        )
-    kind = None if marks.camera is None else marks.kind
-    return Capture(path, tuple(frames), camera, depth_camera, marks.camera, kind, marks.names)
+        why = ", ".join(f"{count} {what}" for what, count in left_out.items())
+        raise InputError(f"{path} holds no frame that can be used ({why}); take another scan.")
+    return Capture(
+        path=path,
+        frames=tuple(frames),
+        camera=camera,
+        depth_camera=depth_camera,
+        label_camera=marks.camera,
+        label_kind=None if marks.camera is None else marks.kind,
+        label_names=marks.names,
+        notes=(*marks.notes, *notes),
+        left_out=left_out,
+    )

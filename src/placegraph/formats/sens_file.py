@@ -177,7 +177,7 @@ def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]
     if len(found) < header.count and not partial:
         raise InputError(
             f"{header.path} ends within frame {len(found)} of {header.count}: it is truncated. Download "
-            f"it again, or use the {len(found)} whole frames before (partial=True)."
+            f"it again, or use the {len(found)} whole frames before: read_sens(..., partial=True)."
         )
     return found
 
