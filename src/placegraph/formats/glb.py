@@ -92,7 +92,36 @@ class _Reader:
             things=tuple(self.things),
             pictures=self.materials.pictures(),
             left_out=self.left_out,
+            relations=self._relations(),
+            floor=self._floor(),
             **joined,
+        )
+
+    def _told(self) -> Json:
+        """`extras` of the scene, as `placegraph scene export` fills them."""
+        scenes = self.gltf.list_of(self.gltf.content, "scenes")
+        row = self.gltf.content.get("scene", 0)
+        extras = self.gltf.item("scenes", row).get("extras") if scenes else None
+        return extras if isinstance(extras, dict) else {}
+
+    def _floor(self) -> float | None:
+        """Height of the floor along the map's z, where the file tells it of a single scene."""
+        scenes = self._told().get("scenes")
+        if not isinstance(scenes, list) or len(scenes) != 1 or not isinstance(scenes[0], dict):
+            return None
+        floor = scenes[0].get("floor")
+        return float(floor) if isinstance(floor, int | float) and abs(floor) < 1e6 else None
+
+    def _relations(self) -> tuple[tuple[int, str, int], ...]:
+        """Relations between objects by their `extras.id`; such of objects that are gone are dropped."""
+        told = self._told().get("relations")
+        rows = [r for r in told if isinstance(r, list)] if isinstance(told, list) else []
+        return tuple(
+            (self.thing_rows[r[0]], r[1], self.thing_rows[r[2]])
+            for r in rows
+            if len(r) == 3
+            and all(isinstance(word, str) for word in r)
+            and {r[0], r[2]} <= self.thing_rows.keys()
         )
 
     def _owner(self, path: tuple[int, ...]) -> int:
