@@ -347,7 +347,9 @@ def _open(path: Path_) -> BinaryIO:
         # Without O_NONBLOCK, opening a pipe would wait for its other end.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
-        builders = {".scene": "scene build", ".vectors": "city embed"}
+        builders = {
+            ".scene": "scene build", ".run": "scene localize --record", ".vectors": "city embed",
+        }  # fmt: skip
         builder = builders.get(Path(path).suffix, "city build")
         raise InputError(f"{path} does not exist; build it with `placegraph {builder}`.") from error
     except (OSError, ValueError) as error:

@@ -35,6 +35,7 @@ class Files:
     gif: Path | None = None
     tum: Path | None = None
     overlay: Path | None = None
+    record: Path | None = None
 
     def write(
         self, scene: SceneMap, estimate: PoseEstimate, chosen: Capture, *, device: str
@@ -42,6 +43,10 @@ class Files:
         """Write them; of an estimate without a pose there is no overlay, which is said on stderr."""
         if self.tum is not None:
             write_tum_of(estimate, chosen, self.tum)
+        if self.record is not None:
+            from placegraph.indoor.record import write_run
+
+            write_run(self.record, estimate, source=scene.source)
         if self.png is not None:
             from placegraph.view import write_plan
 

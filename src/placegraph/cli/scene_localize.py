@@ -80,6 +80,10 @@ def localize(
     gif: Annotated[Path | None, typer.Option(help="Write the plan as an animation.")] = None,
     overlay: OverlayFile = None,
     tum: TumFile = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Write the run with all particles, for `scene view --run`."),
+    ] = None,
     quiet: NoProgress = False,
 ) -> None:
     """Find the pose of a camera, from some frames of it, in a map of rooms.
@@ -98,7 +102,7 @@ def localize(
 
     options = _options(
         coarse=coarse, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
-        record=png is not None or gif is not None,
+        record=any(file is not None for file in (png, gif, record)),
     )  # fmt: skip
     prior = _prior(near, radius, yaw_deg)
     matching = _matching(matcher, weights, device, refine=refine)
@@ -111,7 +115,7 @@ def localize(
             device=device, progress=tell,
         )  # fmt: skip
         tell("drawing", 0, 1)
-        Files(title, png, gif, tum, overlay).write(scene, estimate, chosen, device=device)
+        Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
     if as_json:
         typer.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
     else:

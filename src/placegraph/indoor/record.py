@@ -1,0 +1,144 @@
+"""A recorded run: an estimate with the particles of every pass and frame, as a small file.
+
+The layout is that of map files (`placegraph.store`), of kind ``run``: `docs/formats.md`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MapError
+from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
+from placegraph.store import read_map, write_map
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.store import MapFile
+
+KIND = "run"
+VERSION = 1
+STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-4])
+"""Steps of particles' x, y, z [m] and yaw [rad]."""
+_FULL = 65535
+
+
+def write_run(path: str | PathLike[str], estimate: PoseEstimate, *, source: str = "") -> None:
+    """Write an estimate, made with `FilterOptions(record=True)`; evidence and stats are left out.
+
+    Parameters
+    ----------
+    path
+        File, such as walk.run.
+    estimate
+        Its modes, its trajectory, and the particles of its history, to 1 mm and 0.1 mrad.
+    source
+        What the map it was made on was built from (`SceneMap.source`).
+
+    Raises
+    ------
+    MapError, MapLockedError
+        The file cannot be written.
+
+    """
+    steps = [step for record in estimate.history for step in record.steps]
+    clouds = [poses for _, poses, _ in steps]
+    meta = {
+        "source": source,
+        "status": estimate.status.name,
+        "reason": estimate.reason,
+        "scenes": [mode.scene for mode in estimate.modes],
+        "strides": [float(record.stride) for record in estimate.history],
+    }
+    cloud = np.concatenate([np.zeros((0, 4)), *clouds])
+    arrays: dict[str, NDArray[Any]] = {
+        "particles": np.rint(cloud / STEPS).astype(np.int32),
+        "weights": np.concatenate([np.zeros(0, np.uint16), *(_shares(w) for _, _, w in steps)]),
+        "particle_counts": np.array([len(poses) for poses in clouds], np.int64),
+        "step_frames": np.array([frame for frame, _, _ in steps], np.int64),
+        "pass_steps": np.array([len(record.steps) for record in estimate.history], np.int64),
+        "trajectory": np.asarray(estimate.trajectory, np.float64).reshape(-1, 16),
+        "frames": np.asarray(estimate.frames, np.int64),
+        "mode_poses": _stacked([m.pose for m in estimate.modes], 4),
+        "mode_matrices": _stacked([m.map_from_camera for m in estimate.modes], 16),
+        "mode_scene_matrices": _stacked([m.scene_from_camera for m in estimate.modes], 16),
+        "mode_covariances": _stacked([m.covariance for m in estimate.modes], 36),
+        "mode_probabilities": np.array([m.probability for m in estimate.modes], np.float64),
+    }
+    write_map(path, KIND, VERSION, meta, arrays)
+
+
+def read_run(path: str | PathLike[str]) -> PoseEstimate:
+    """Read a recorded run; weights of particles are shares of the heaviest.
+
+    Raises
+    ------
+    InputError, MapError
+        The file is missing, or no sound recorded run.
+
+    """
+    file = read_map(path, KIND, VERSION)
+    try:
+        frames = file.array("frames", "<i8")
+        return PoseEstimate(
+            status=Status[file.meta["status"]],
+            modes=_modes(file),
+            reason=str(file.meta["reason"]),
+            trajectory=_matrices(file, "trajectory", len(frames)),
+            frames=frames,
+            history=_history(file),
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise MapError(
+            f"{path}: its columns contradict each other ({error}). Record it again."
+        ) from error
+
+
+def _shares(weights: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """Weights (N,) as shares of the heaviest."""
+    most = float(weights.max(initial=0.0))
+    shares = weights / most if most > 0 else np.zeros(len(weights))
+    return np.rint(_FULL * shares).astype(np.uint16)
+
+
+def _stacked(rows: list[NDArray[np.float64]], width: int) -> NDArray[np.float64]:
+    return np.array([np.ravel(row) for row in rows], np.float64).reshape(-1, width)
+
+
+def _matrices(file: MapFile, name: str, count: int) -> NDArray[np.float64]:
+    return file.array(name, "<f8", 2).reshape(count, 4, 4)
+
+
+def _modes(file: MapFile) -> tuple[PoseMode, ...]:
+    scenes = [str(name) for name in file.meta["scenes"]]
+    rows = zip(
+        _matrices(file, "mode_matrices", len(scenes)),
+        file.array("mode_poses", "<f8", 2).reshape(len(scenes), 4),
+        file.array("mode_covariances", "<f8", 2).reshape(len(scenes), 6, 6),
+        file.array("mode_probabilities", "<f8").tolist(),
+        scenes,
+        _matrices(file, "mode_scene_matrices", len(scenes)),
+        strict=True,
+    )
+    return tuple(PoseMode(*row) for row in rows)
+
+
+def _history(file: MapFile) -> tuple[PassRecord, ...]:
+    counts, frames = file.array("particle_counts", "<i8"), file.array("step_frames", "<i8")
+    lengths, strides = file.array("pass_steps", "<i8"), file.meta["strides"]
+    poses = file.array("particles", "<i4", 2) * STEPS
+    weights = file.array("weights", "<u2") / _FULL
+    negative = any(column.min(initial=0) < 0 for column in (counts, lengths))
+    if negative or counts.sum() != len(poses) or lengths.sum() != len(counts):
+        raise ValueError("the counts of particles do not add up")
+    ends = np.cumsum(counts)[:-1]
+    clouds = zip(frames.tolist(), np.split(poses, ends), np.split(weights, ends), strict=True)
+    steps = list(clouds) if len(counts) else []
+    passes = []
+    for stride, length, end in zip(strides, lengths, np.cumsum(lengths), strict=True):
+        passes.append(PassRecord(float(stride), tuple(steps[end - length : end])))
+    return tuple(passes)
