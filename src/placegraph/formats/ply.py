@@ -127,7 +127,7 @@ def _object_ids(
         known = {name.lower(): column for name, column in columns.items()}
         for name in names:
             if name in known:
-                ids = _whole(known[name])
+                ids = whole(known[name])
                 return ids[face_of] if by_face else majority(ids[triangles])
     if wanted is not None:
         there = ", ".join(sorted(vertex.single.keys() | face.single.keys()))
@@ -135,7 +135,7 @@ def _object_ids(
     return None
 
 
-def _whole(column: NDArray[Any]) -> NDArray[np.int64]:
+def whole(column: NDArray[Any]) -> NDArray[np.int64]:
     """Ids as int64, -1 where there is none."""
     if column.dtype.kind == "f":
         good = np.isfinite(column) & (np.abs(column) < 2**53)
