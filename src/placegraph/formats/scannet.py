@@ -16,7 +16,7 @@ import numpy as np
 from placegraph.errors import InputError
 from placegraph.formats.camera import read_json
 from placegraph.formats.model import Model, Thing
-from placegraph.formats.ply import UNKNOWN, read_ply
+from placegraph.formats.ply import UNKNOWN, majority, read_ply
 from placegraph.formats.ply_file import read_columns
 from placegraph.formats.scannet_files import (
     TABLES,
@@ -288,8 +288,7 @@ def _model(
 ) -> Model:
     """Model whose triangles belong to what most of their corners do; -1 becomes "unknown"."""
     left_out["vertices of no object"] = int((of_vertex < 0).sum())
-    a, b, c = of_vertex[mesh.triangles].T
-    thing_of: NDArray[np.int64] = np.where(b == c, b, a)
+    thing_of = majority(of_vertex[mesh.triangles])
     if (thing_of < 0).any() or not things:
         thing_of = np.where(thing_of < 0, len(things), thing_of)
         things = [*things, Thing(UNKNOWN, UNKNOWN)]
