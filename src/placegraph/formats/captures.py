@@ -81,6 +81,14 @@ FORMATS = (
     ),
     Format("3D Scanner App", "frame_00000.json and .jpg", "arkit_app", "arkit_app"),
     Format("ARKitScenes", "lowres_wide.traj and lowres_wide/", "arkit_scenes", "arkit_scenes"),
+    Format("ScanNet", "a .sens file, or a folder with one", "sens", "sens", ("labels",)),
+    Format(
+        "ScanNet's exporter",
+        "color/, pose/ and intrinsic_color.txt",
+        "sens",
+        "scannet_export",
+        ("labels",),
+    ),
     Format(
         "COLMAP",
         "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
