@@ -62,6 +62,10 @@ class Mesh:
         self.points = np.array(points)
         self.triangles = np.array(triangles)
         self.colours = np.array([COLOUR[letter] for letter in self.letters], np.uint8)
+        self.groups = [
+            {"id": i, "objectId": i, "label": label, "segments": self.segments_of(letter)}
+            for letter, (i, label) in OBJECTS.items()
+        ]
 
     def segments_of(self, letter):
         return sorted(
@@ -91,6 +95,21 @@ def ply(points, colours, triangles, label=None):
     return "\n".join([*head, "end_header\n"]).encode() + vertex.tobytes() + face.tobytes()
 
 
+class ObjectMesh:
+    """A scene map's mesh; every object is a segment of vertices of its own."""
+
+    def __init__(self, scene):
+        mesh = scene.mesh
+        self.points = mesh.vertices[mesh.triangles].reshape(-1, 3).astype(np.float64)
+        self.triangles = np.arange(len(self.points)).reshape(-1, 3)
+        self.colours = mesh.colours[mesh.triangles].reshape(-1, 3)
+        self.segments = np.repeat(mesh.object_of + 100, 3).tolist()
+        self.groups = [
+            {"id": i, "objectId": i, "label": label, "segments": [i + 100]}
+            for i, label in enumerate(scene.graph.labels)
+        ]
+
+
 class Scan:
     """One scan's folder; tests spoil what they like."""
 
@@ -99,10 +118,7 @@ class Scan:
         folder.mkdir(parents=True, exist_ok=True)
         self.mesh = mesh or Mesh()
         self.points = moved(SCAN_FROM_MAP, self.mesh.points)
-        self.groups = [
-            {"id": i, "objectId": i, "label": label, "segments": self.mesh.segments_of(letter)}
-            for letter, (i, label) in OBJECTS.items()
-        ]
+        self.groups = self.mesh.groups
         self.write_mesh("_vh_clean_2.ply")
         self.write_segments("_vh_clean_2.0.010000.segs.json")
         self.write_groups(".aggregation.json")
@@ -171,7 +187,7 @@ def poses(count, lost=()):
 
 
 class Recording:
-    """Frames of 8 x 6 with depth of 4 x 3, written as a .sens file or as exported files."""
+    """Frames of 8 x 6 with depth of 4 x 3, or others, written as a .sens file or as exported files."""
 
     def __init__(self, count=5, lost=(2,), seed=0):
         rng = np.random.default_rng(seed)
@@ -182,6 +198,20 @@ class Recording:
         self.stamps = [5_000_000 + 33_333 * i for i in range(count)]
         self.lost = set(lost)
         self.extrinsics = (np.eye(4), np.eye(4))
+        self.intrinsics = (COLOUR_K, DEPTH_K)
+
+    @classmethod
+    def of(cls, capture, scan_from_camera):
+        """Recording of another capture's images, with these poses (T, 4, 4)."""
+        self = cls(len(capture), lost=())
+        self.colour = np.stack([frame.rgb() for frame in capture])
+        depth = np.stack([frame.depth() for frame in capture])
+        self.depth = np.rint(np.nan_to_num(depth) * 1000).astype("<u2")
+        self.poses = scan_from_camera
+        self.intrinsics = [
+            (c.fx, c.fy, c.cx - 0.5, c.cy - 0.5) for c in (capture.camera, capture.depth_camera)
+        ]
+        return self
 
     def coded_colour(self, i, coding):
         if coding == 0:
@@ -200,9 +230,10 @@ class Recording:
         """Bytes of the file; `colour` and `depth` are its codings."""
         sensor = b"StructureSensor"
         out = struct.pack("<IQ", version, len(sensor)) + sensor
-        for k, extrinsic in zip((COLOUR_K, DEPTH_K), self.extrinsics, strict=True):
+        for k, extrinsic in zip(self.intrinsics, self.extrinsics, strict=True):
             out += intrinsic(*k).astype("<f4").tobytes() + extrinsic.astype("<f4").tobytes()
-        out += struct.pack("<ii4If", colour, depth, *(sides or (8, 6, 4, 3)), shift)
+        sides = sides or (*self.colour.shape[2:0:-1], *self.depth.shape[2:0:-1])
+        out += struct.pack("<ii4If", colour, depth, *sides, shift)
         out += struct.pack("<Q", len(self.poses) if count is None else count)
         for i, pose in enumerate(self.poses):
             image, metres = self.coded_colour(i, colour), self.coded_depth(i, depth)
@@ -220,7 +251,7 @@ class Recording:
         """`color/0.png`, `depth/0.png`, `pose/0.txt` and intrinsics, as SensReader writes them."""
         for name in ("color", "depth", "pose", "intrinsic"):
             (folder / name).mkdir(parents=True, exist_ok=True)
-        for name, k in (("color", COLOUR_K), ("depth", DEPTH_K)):
+        for name, k in zip(("color", "depth"), self.intrinsics, strict=True):
             np.savetxt(folder / intrinsics.format(name), intrinsic(*k), fmt="%f")
         for i, pose in enumerate(self.poses):
             stem = f"{i:0{digits}d}"
