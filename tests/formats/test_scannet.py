@@ -128,13 +128,17 @@ def test_short_rows_of_the_table_are_empty_cells(scan):
     ("gone", "message"),
     [
         ("_vh_clean_2.ply", r"has no scene0000_00_vh_clean_2\.ply; labels alone make no map"),
-        (".aggregation.json", r"has no scene0000_00\.aggregation\.json; download the annotation"),
+        (
+            ".aggregation.json",
+            r"has no scene0000_00\.aggregation\.json; download it, or give .*_2\.ply",
+        ),
         (SEGMENTS, r"has no scene0000_00_vh_clean_2\.0\.010000\.segs\.json; download"),
     ],
 )
 def test_a_missing_file_is_named_with_a_mend(scan, gone, message):
     scan.file(gone).unlink()
     assert is_scannet(scan.folder)
+    assert not is_scannet(scan.file("_vh_clean_2.ply"))  # a mesh like any other
     with pytest.raises(InputError, match=message):
         read_scannet(scan.folder)
 

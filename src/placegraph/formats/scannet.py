@@ -55,12 +55,15 @@ LEAST = 20
 
 
 def is_scannet(path: Path) -> bool:
-    """Whether a path is a folder with a ScanNet mesh or annotation, or such a mesh beside one."""
+    """Whether a path is a folder with a ScanNet mesh or annotation, or a mesh beside its annotation."""
     try:
         if path.is_dir():
             return bool(scan_names(path))
         scan = _scan_of_mesh(path)
-        return scan is not None and any(scan.file(files[1]).is_file() for files in ANNOTATED)
+        return scan is not None and any(
+            path.name.endswith(ends[0]) and all(scan.file(end).is_file() for end in ends)
+            for ends in ANNOTATED
+        )
     except (OSError, ValueError):
         return False
 
@@ -145,12 +148,10 @@ def _annotated(scan: Scan, mesh: Path | None) -> _Files | None:
     gone = min(missing, key=len)
     names = " and ".join(p.name for p in gone)
     if any(p.suffix == ".ply" for p in gone):
-        mend = "labels alone make no map: download the mesh of the scan too"
+        mend = "labels alone make no map: download the mesh too, or give the scan's .sens file"
     else:
-        mend = (
-            "download the annotation of the scan too, or build a map without labels from "
-            f"{min(sets, key=lambda f: not f.mesh.is_file()).mesh.name} in a folder of its own"
-        )
+        bare = next(files.mesh for files in sets if files.mesh.is_file())
+        mend = f"download it, or give {bare} itself, which is then cut by geometry and colour"
     raise InputError(f"{scan.folder} has no {names}; {mend}.")
 
 
