@@ -31,6 +31,8 @@ LOW_CEILING = 1.9
 """Of a scan without labels, what begins higher above the floor than this is left out [m]."""
 NAMED = 0.35
 """Footprint of the smallest thing with a name on the plan [m2]."""
+SMALL = 9.5
+"""Size of the names of small things [px]."""
 MARGIN = 0.35
 """Paper around a scene [m]."""
 SCAN = "scan"
@@ -184,29 +186,56 @@ class RoomPlan:
         return distances
 
     def names(
-        self, frame: Frame, face: Face, taken: Taken, marked: Mapping[int, str] | None = None
+        self,
+        frame: Frame,
+        face: Face,
+        taken: Taken,
+        marked: Mapping[int, str] | None = None,
+        *,
+        small: bool = False,
     ) -> list[Text]:
         """Names of the larger things, each in the middle of its footprint where there is room.
 
-        What is `marked`, by row, is named first and in that ink, whatever its size.
+        What is `marked`, by row, is named first and in that ink, whatever its size. `small`: what
+        is small is named, too, beside its footprint.
         """
         marked, texts = marked or {}, []
         extents = np.ptp(self.boxes, axis=1)[:, :2]
         areas = np.prod(extents, axis=1)
         for row in sorted(self.rows, key=lambda row: (row not in marked, -areas[row])):
-            small = areas[row] < NAMED or self.hangs(row)
-            if self.role(row) != "thing" or (small and row not in marked):
+            if self.role(row) != "thing" or (self.hangs(row) and row not in marked):
                 continue
             words = face.drawable(plain_words(self.scene.graph.labels[row]))
+            if not words:
+                continue
+            ink = marked.get(row, "soft-ink")
             size = 12.0 if row in marked else 11.0
             width = face.width(words, size)
-            if not words or (row not in marked and width > 1.6 * extents[row, 0] * frame.scale):
-                continue
-            middle = self.middle(row)
-            for lower in (13.0, -13.0) if row in marked else (0.0, 12.0):
-                ink = marked.get(row, "soft-ink")
-                text = Text(middle, words, size, ink, shift=(0.0, lower))
-                if taken.claim(covering(text, width + 4.0, frame.scale)):
+            fits = areas[row] >= NAMED and width <= 1.6 * extents[row, 0] * frame.scale
+            shifts = [(0.0, 0.0), (0.0, 12.0)] if fits else []
+            if row in marked:
+                shifts = [(0.0, 13.0), (0.0, -13.0)]
+            tries = [(size, shift) for shift in shifts]
+            if small and row not in marked:
+                narrow = width * SMALL / size
+                tries += [(SMALL, s) for s in _beside(extents[row] * frame.scale, narrow)]
+            for height, shift in tries:
+                text = Text(self.middle(row), words, height, ink, shift=shift)
+                wide = width * height / size + 4.0
+                if _inside(text, wide, frame) and taken.claim(covering(text, wide, frame.scale)):
                     texts.append(text)
                     break
         return texts
+
+
+def _beside(extent: Floats, width: float) -> list[tuple[float, float]]:
+    """Where a name may stand [px]: below, above, right, left of a footprint so large, or on it."""
+    aside, below = (extent[0] + width) / 2 + 4.0, extent[1] / 2 + 0.7 * SMALL
+    return [(0.0, below), (0.0, -below), (aside, 0.0), (-aside, 0.0), (0.0, 0.0)]
+
+
+def _inside(text: Text, width: float, frame: Frame) -> bool:
+    """Whether a text, so wide [px], ends within the picture."""
+    x, y = frame.to_px(np.asarray(text.at, np.float64)) + text.shift
+    half = 0.6 * text.size
+    return bool(width / 2 <= x <= frame.width - width / 2 and half <= y <= frame.height - half)

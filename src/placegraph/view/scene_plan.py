@@ -163,7 +163,10 @@ def draw_scene(
     layout = Layout.of(plan.bounds, [], width=width)
     sheet = Sheet(layout.width, layout.height - HEAD, dark=dark)
     frame = Frame.around(plan.bounds, *layout.large)
-    items: list[Item] = [paint_room(plan, frame, dark=dark), *_names(plan, frame, Taken())]
+    items: list[Item] = [
+        paint_room(plan, frame, dark=dark),
+        *_names(plan, frame, Taken(), small=True),
+    ]
     sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), (0, 0))
     _measures(sheet, frame)
     count = len(plan.rows)
@@ -334,10 +337,15 @@ class _Drawing:
 
 
 def _names(
-    plan: RoomPlan, frame: Frame, taken: Taken, marked: dict[int, str] | None = None
+    plan: RoomPlan,
+    frame: Frame,
+    taken: Taken,
+    marked: dict[int, str] | None = None,
+    *,
+    small: bool = False,
 ) -> list[Item]:
     face = face_for(plain_words(label) for label in plan.scene.graph.labels)
-    return [*plan.names(frame, face, taken, marked)]
+    return [*plan.names(frame, face, taken, marked, small=small)]
 
 
 def _measures(sheet: Sheet, frame: Frame) -> float:
