@@ -164,7 +164,9 @@ def test_snapping_moves_little_and_once(points):
 
 
 def test_steps_are_fine_in_a_house_and_coarse_on_a_continent():
-    assert square().steps() == (GRAIN, UV_GRAIN)
+    shifted = square().moved([GRAIN, 0, 0])
+    assert shifted.steps() == (GRAIN, UV_GRAIN)
+    assert square().steps()[0] == 1.0, "the longest that all coordinates are multiples of"
     large = square(vertices=np.array(SQUARE, np.float32) * 1e6)
     assert 0.1 < large.steps()[0] < 1.0
 

@@ -76,10 +76,10 @@ def test_the_same_map_gives_the_same_bytes(file, tmp_path):
 
 
 def test_what_a_map_knows(scene):
-    np.testing.assert_allclose(scene.bounds, [[0, 0, -0.1], [5, 4, 0.8]], atol=1e-4)
+    np.testing.assert_allclose(scene.bounds, [[0, 0, -0.1], [5, 4, 0.8]], atol=5e-4)
     np.testing.assert_array_equal(scene.scene_bounds, scene.bounds[None])
-    np.testing.assert_allclose(scene.graph.positions[1], [1.5, 1.5, 0.35], atol=1e-4)
-    np.testing.assert_allclose(scene.graph.extents[1], [1, 1, 0.7], atol=1e-4)
+    np.testing.assert_allclose(scene.graph.positions[1], [1.5, 1.5, 0.35], atol=1e-3)
+    np.testing.assert_allclose(scene.graph.extents[1], [1, 1, 0.7], atol=1e-3)
     assert scene.graph.triples()[0] == ("table", "standing on", "floor")
     assert scene.floors.tolist() == [0.0]
     assert scene.scenes == ("drawn",)
@@ -99,8 +99,14 @@ def test_columns_of_an_open_map_cannot_be_written(file):
 
 def test_embeddings_survive(scene, tmp_path, rng):
     vectors = rng.normal(size=(3, 8)).astype(np.float32)
-    scene.with_embeddings(vectors).save(tmp_path / "e.scene")
-    np.testing.assert_array_equal(pg.open_map(tmp_path / "e.scene").graph.embeddings, vectors)
+    embedded = scene.with_embeddings(vectors)
+    embedded.save(tmp_path / "e.scene")
+    opened = pg.open_map(tmp_path / "e.scene")
+    np.testing.assert_array_equal(opened.graph.embeddings, embedded.graph.embeddings)
+    again = opened.with_embeddings(opened.graph.embeddings)
+    np.testing.assert_array_equal(again.graph.embeddings, opened.graph.embeddings)
+    step = np.abs(vectors).max(axis=1, keepdims=True) / 127
+    assert (np.abs(opened.graph.embeddings - vectors) <= 0.51 * step).all(), "8 bits"
     with pytest.raises(OptionError, match="embeddings"):
         scene.with_embeddings(vectors[:2])
 
@@ -216,13 +222,13 @@ def test_attributes_and_textures_that_make_no_sense(forge):
 def test_textures_are_png_or_jpeg(forge, tmp_path):
     Image.new("RGB", (2, 2)).save(tmp_path / "a.gif")
     blob = np.frombuffer((tmp_path / "a.gif").read_bytes(), np.uint8)
-    with pytest.raises(MapError, match="no JPEG or PNG"):
+    with pytest.raises(MapError, match="no WebP, PNG or JPEG"):
         pg.open_map(forge(textures=blob, texture_bytes=np.array([len(blob)])))
 
 
 def test_a_newer_version(file, scene):
-    write_map(file, "scene", 2, *columns(scene))
-    with pytest.raises(MapError, match=r"version 2.*reads up to 1"):
+    write_map(file, "scene", 3, *columns(scene))
+    with pytest.raises(MapError, match=r"version 3.*reads up to 2"):
         pg.open_map(file)
 
 
@@ -255,5 +261,5 @@ def test_opening_is_light(file):
 
 def test_the_header_says_what_it_is(file):
     header = read_header(file)
-    assert (header.kind, header.version) == ("scene", 1)
+    assert (header.kind, header.version) == ("scene", 2)
     assert header.meta["floors"] == [0.0]

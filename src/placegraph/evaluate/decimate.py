@@ -1,8 +1,4 @@
-"""Meshes with fewer triangles: quadric edge collapse that keeps the outline of open sheets.
-
-Garland and Heckbert, "Surface simplification using quadric error metrics", 1997. A scan's or a
-modeller's mesh becomes the coarse mesh that the paper's maps hold (Sec. 3). Objects never merge.
-"""
+"""Meshes of a given number of triangles, for benchmarks: fewer, coloured at vertices, or more."""
 
 from __future__ import annotations
 
@@ -11,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.evaluate.decimate_kernels import collapse
 from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.simplify import simplify
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -21,8 +17,6 @@ if TYPE_CHECKING:
     Floats32 = NDArray[np.float32]
     Ints = NDArray[np.int32]
 
-WELD = 1e-4
-"""Vertices of an object that are nearer than this are one [m]."""
 SPACING = 0.02
 """Distance between samples of the colour of a surface [m]."""
 MOST_SAMPLES = 4_000_000
@@ -60,42 +54,8 @@ def decimate(
     """
     if target < 1:
         raise OptionError(f"target is {target}; it must be at least 1.")
-    points = np.asarray(vertices, np.float64)
-    corners = np.asarray(triangles, np.int64)
-    owner = np.zeros(len(corners), np.int64) if group is None else np.asarray(group, np.int64)
-    points, corners, owner = weld(points, corners, owner)
-    if len(corners) > target:
-        edges, border = edges_of(corners)
-        collapse(points, corners, edges, border, target)
-    left = corners[:, 0] >= 0
-    used, renamed = np.unique(corners[left], return_inverse=True)
-    return (
-        points[used].astype(np.float32),
-        renamed.reshape(-1, 3).astype(np.int32),
-        owner[left].astype(np.int32),
-    )
-
-
-def weld(
-    points: NDArray[np.float64], corners: NDArray[np.int64], owner: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Join vertices of one object at one place, drop triangles without three corners, and twins."""
-    keys = np.column_stack([np.repeat(owner, 3), np.round(points[corners.ravel()] / WELD)])
-    _, first, row = np.unique(keys.astype(np.int64), axis=0, return_index=True, return_inverse=True)
-    points = points[corners.ravel()[first]]
-    corners = row.reshape(-1, 3)
-    a, b, c = np.sort(corners, axis=1).T
-    real = np.nonzero((a != b) & (b != c))[0]
-    _, once = np.unique(np.stack([a, b, c], axis=1)[real], axis=0, return_index=True)
-    kept = real[np.sort(once)]
-    return points, corners[kept], owner[kept]
-
-
-def edges_of(corners: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Edges (E, 2), every one once, and the only face (E,) of a border edge, else -1."""
-    pairs = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges, first, count = np.unique(pairs, axis=0, return_index=True, return_counts=True)
-    return edges, np.where(count == 1, first // 3, -1)
+    mesh = simplify(Mesh.plain(vertices, triangles, group), error=np.inf, target=target)
+    return mesh.vertices, mesh.triangles, mesh.object_of
 
 
 def coarse(mesh: Mesh, target: int, rng: np.random.Generator) -> Mesh:

@@ -1,266 +1,250 @@
-"""From a 3D file to a scene map: read, clean, find floor and relations, store."""
+"""From whatever the user has to a scene map: read, clean, simplify, colour, relate, store."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import replace
-from pathlib import Path
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.labels import label_table
-from placegraph.formats.model import Thing
 from placegraph.indoor import textures
+from placegraph.indoor.clean import check, cleaned, in_metres, snapped, upright
+from placegraph.indoor.detail import Detail, detail_named
 from placegraph.indoor.floor import floor_height
-from placegraph.indoor.mesh import GRAIN, Mesh
 from placegraph.indoor.relations import relate
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.simplify import simplify
+from placegraph.indoor.sources import FromCapture, Progress, Source, Up, read_source
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from os import PathLike
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.labels import Entry
-    from placegraph.formats.model import Model, Picture
+    from placegraph.formats.model import Model, Picture, Thing
+    from placegraph.indoor.atlas import ColourOf
+    from placegraph.indoor.mesh import Mesh
 
-    Labels = Mapping[str, str] | str | PathLike[str] | None
-
-ENDINGS = (".glb", ".ply")
-LARGEST = 1e5
-"""Coordinates beyond this [m] are another unit, or damage."""
+VIVID = 0.1
+"""Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
+PATTERNED = 0.03
+"""Where more than this share of the edges have a pattern, colours are baked into textures."""
 
 
 def build_scene(
-    path: str | PathLike[str],
+    source: str | PathLike[str],
     out_path: str | PathLike[str] | None,
     *,
-    labels: Labels = None,
+    labels: Mapping[str, str] | str | PathLike[str] | None = None,
     floor: float | None = None,
-    up: Literal["auto", "y", "z"] = "auto",
-    scale: float = 1.0,
-    max_texture: int = textures.MAX_TEXTURE,
-    quality: int = textures.QUALITY,
+    up: Up = "auto",
+    scale: float | None = None,
+    detail: str | Detail = "default",
     object_property: str | None = None,
+    segment: bool | Literal["auto"] = "auto",
+    capture: FromCapture | None = None,
     left_out: Counter[str] | None = None,
+    notes: list[str] | None = None,
+    progress: Progress | None = None,
 ) -> SceneMap:
-    """Build a scene map from a .glb or .ply file and write it to `out_path`.
+    """Build a scene map from what the user has, and write it to `out_path`.
 
     Parameters
     ----------
-    path
-        GLB with one node an object, or PLY with object ids by vertex or face: `docs/formats.md`.
+    source
+        A mesh with objects (GLB with one node an object; PLY or OBJ with ids or groups), a scan's
+        folder of 3RScan or ScanNet, a graph of SceneGraphFusion or Spark-DSG, or an RGB-D capture
+        with poses of any recorder that `open_capture` knows: `docs/formats.md`.
     out_path
         Map file to write (atomically); None writes nothing.
     labels
         Label of each object by its id or its name: a mapping, or a JSON file as
-        `placegraph.formats.labels.label_table` reads it. It wins over what the file says.
+        `placegraph.formats.labels.label_table` reads it. It wins over what the source says.
     floor
         Height of the floor [m, map]; found where not given.
     up
-        Axis of the file that points up; auto: y of GLB, as glTF has it, z of PLY.
+        Axis of a mesh that points up; auto: y of GLB, as glTF has it, else z; unless the object
+        labelled floor says otherwise.
     scale
-        Metres in one unit of the file: 0.001 for millimetres.
-    max_texture
-        Longer sides of textures are brought to this many texels.
-    quality
-        JPEG quality of textures that are encoded anew.
+        Metres in one unit of a mesh: 0.001 for millimetres. If not given the unit is the metre, and
+        what cannot be in metres is refused.
+    detail
+        How much is kept: "full", "fine", "default", "small", "tiny", or a `Detail`.
     object_property
-        Property of the PLY's vertices or faces that holds object ids; the known ones if not given.
+        Property of a PLY's vertices or faces that holds object ids; the known ones if not given.
+    segment
+        Whether a mesh is cut into objects by geometry and colour; auto: if its file names none.
+    capture
+        How a capture becomes a mesh.
     left_out
-        Is told what of the file could not be used, by reason.
+        Is told what of the source could not be used, by reason.
+    notes
+        Is told what was found out or taken for granted, in sentences.
+    progress
+        Is told a stage, how much of it is done, and of how much.
 
     Raises
     ------
     InputError
-        The file cannot be read, holds no triangle, or vertices that are no numbers; or no floor is
-        found, and `floor` is not given.
+        The source cannot be read, holds no triangle, vertices that are no numbers, or cannot be in
+        metres; or no floor is found, and `floor` is not given.
     OptionError
         An option is out of range.
     MapError, MapLockedError
         The map cannot be written.
 
     """
-    path = Path(path)
-    textures.check_options(max_texture, quality)
-    if not (np.isfinite(scale) and scale > 0):
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"scale is {scale}; it must be greater than 0.")
     if up not in {"auto", "y", "z"}:
         raise OptionError(f"up is {up!r}; it is 'auto', 'y' or 'z'.")
+    detail = detail_named(detail)
+    counts = Counter() if left_out is None else left_out
+
+    def made() -> SceneMap:
+        read = read_source(
+            source, labels=labels, up=up, object_property=object_property, segment=segment,
+            capture=capture, left_out=counts, progress=progress,
+        )  # fmt: skip
+        return scene_of(
+            read, floor=floor, up=up, scale=scale, detail=detail, left_out=counts, notes=notes,
+            progress=progress,
+        )  # fmt: skip
+
     if out_path is None:
-        model = _read(path, labels, up, object_property)
-        return scene_of_model(
-            model,
-            floor=floor,
-            scale=scale,
-            max_texture=max_texture,
-            quality=quality,
-            left_out=left_out,
-        )
-    if os.path.realpath(path) == os.path.realpath(out_path):
-        raise OptionError(f"{path} would be overwritten by its map; name another file.")
+        return made()
+    if os.path.realpath(source) == os.path.realpath(out_path):
+        raise OptionError(f"{source} would be overwritten by its map; name another file.")
     from placegraph.indoor.scene_file import columns
     from placegraph.indoor.scene_map import KIND, VERSION
     from placegraph.store import writing
 
     with writing(out_path) as write:
-        model = _read(path, labels, up, object_property)
-        scene = scene_of_model(
-            model,
-            floor=floor,
-            scale=scale,
-            max_texture=max_texture,
-            quality=quality,
-            left_out=left_out,
-        )
+        scene = made()
         write(KIND, VERSION, *columns(scene))
     return scene
 
 
-def scene_of_model(
-    model: Model,
+def scene_of_model(model: Model, **options: Any) -> SceneMap:  # noqa: ANN401  # of `scene_of`
+    """Scene map of a model in memory; options and errors as of `scene_of`."""
+    return scene_of(Source(model), **options)
+
+
+def scene_of(
+    source: Source,
     *,
     floor: float | None = None,
-    scale: float = 1.0,
-    max_texture: int = textures.MAX_TEXTURE,
-    quality: int = textures.QUALITY,
+    up: Up = "z",
+    scale: float | None = None,
+    detail: str | Detail = "default",
     left_out: Counter[str] | None = None,
+    notes: list[str] | None = None,
+    progress: Progress | None = None,
 ) -> SceneMap:
-    """Scene map of a model in memory; parameters and errors as of `build_scene`."""
-    counts = model.left_out if left_out is None else left_out
-    counts.update(model.left_out if left_out is not None else ())
-    _check(model)
-    mesh, things, pictures = _clean(model, scale, counts)
+    """Scene map of a source in memory; parameters and errors as of `build_scene`."""
+    detail = detail_named(detail)
+    told: list[str] = [] if notes is None else notes
+    told.extend(source.notes)
+    check(source.model)
+    model = upright(in_metres(source.model, scale, told), up, told)
+    left = model.left_out if left_out is None else left_out
+    mesh, things, pictures, row = cleaned(model, left)
     labels = [t.label for t in things]
-    height = floor_height(mesh, labels) if floor is None else float(floor)
-    if height is None:
-        raise InputError(
-            f"{model.path} shows no floor: no object is labelled floor, and no level surface lies low "
-            "and wide enough; pass its height (floor=0.0, or --floor 0)."
-        )
+    height = _floor(model, mesh, labels, floor)
+    if progress is not None:
+        progress("simplifying", 0, 1)
+    coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left)
+    _tell_giants(coarse, things, told)
     return SceneMap.create(
-        mesh,
+        coarse,
         [t.id for t in things],
         labels,
         floor=height,
         names=[t.name for t in things],
         attributes=[t.attributes for t in things],
-        relations=relate(mesh, labels),
+        relations=_relations(model, row, relate(coarse, labels)),
         scene=model.path.stem or "scene",
         source=model.path.name,
-        encoded=textures.encode_pictures(pictures, max_texture, quality),
+        encoded=blobs,
     )
 
 
-def _read(path: Path, labels: Labels, up: str, object_property: str | None) -> Model:
-    ending = path.suffix.lower()
-    if ending not in ENDINGS:
+def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:
+    known = floor if floor is not None else model.floor
+    height = floor_height(mesh, labels) if known is None else float(known)
+    if height is None:
         raise InputError(
-            f"{path} has an unknown ending; a scene is built from {' or '.join(ENDINGS)}."
+            f"{model.path} shows no floor: no object is labelled floor, and no level surface lies low "
+            "and wide enough; pass its height (floor=0.0, or --floor 0)."
         )
-    table = None if labels is None else label_table(labels, scan=path.absolute().parent.name)
-    if ending == ".glb":
-        from placegraph.formats.glb import read_glb
+    return height
 
-        model = read_glb(path, up="z" if up == "z" else "y")
-    else:
-        from placegraph.formats.ply import read_ply
 
-        model = read_ply(
-            path, up="y" if up == "y" else "z", object_property=object_property, table=table
+def _reduced(
+    mesh: Mesh,
+    pictures: Sequence[Picture],
+    colour_of: ColourOf | None,
+    detail: Detail,
+    left_out: Counter[str],
+) -> tuple[Mesh, tuple[bytes, ...]]:
+    """Mesh and encoded textures with as much detail as wanted."""
+    if detail.error is None:
+        blobs = textures.encode_pictures(pictures, detail)
+        return snapped(mesh, detail.grain, detail.uv_grain), blobs
+    plain = all(p.data is None for p in pictures)
+    if plain and (colour_of is not None or _patterned(mesh)):
+        return _baked(mesh, colour_of, detail, left_out)
+    needed = textures.needed_texels(mesh, detail.texel)
+    blobs = textures.encode_pictures(pictures, detail, needed)
+    coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
+    return snapped(coarse, detail.grain, detail.uv_grain), blobs
+
+
+def _baked(
+    mesh: Mesh, colour_of: ColourOf | None, detail: Detail, left_out: Counter[str]
+) -> tuple[Mesh, tuple[bytes, ...]]:
+    """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
+    from placegraph.indoor.atlas import bake, surface_colours
+    from placegraph.indoor.mesh import UV_GRAIN
+
+    coarse = simplify(mesh, error=detail.error or 0.0, left_out=left_out)
+    coarse = snapped(coarse, detail.grain, UV_GRAIN)
+    look = colour_of or surface_colours(mesh.vertices, mesh.triangles, mesh.colours)
+    painted = bake(coarse, look, texel=detail.baked)
+    return painted, textures.encode_arrays(painted.textures, detail.quality)
+
+
+def _patterned(mesh: Mesh) -> bool:
+    """Whether the colours of vertices are a pattern that fewer vertices would lose."""
+    shades = mesh.colours[mesh.triangles].astype(np.int16)
+    steps = np.abs(shades - np.roll(shades, 1, axis=1)).max(axis=2)
+    return bool((steps > 255 * VIVID).mean() > PATTERNED)
+
+
+def _relations(
+    model: Model, row: NDArray[np.int64], computed: list[tuple[int, str, int]]
+) -> list[tuple[int, str, int]]:
+    """The source's own relations, and those computed between pairs that it says nothing of."""
+    own = [
+        (int(row[a]), name, int(row[b]))
+        for a, name, b in model.relations
+        if row[a] >= 0 and row[b] >= 0 and a != b
+    ]
+    said = {frozenset((a, b)) for a, _, b in own}
+    return sorted({*own, *(edge for edge in computed if frozenset(edge[::2]) not in said)})
+
+
+def _tell_giants(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:
+    """Note an object that is nearly everything."""
+    area = np.bincount(mesh.object_of, np.linalg.norm(mesh.normals(), axis=1), len(things))
+    most = int(area.argmax())
+    share = float(area[most] / max(area.sum(), 1e-12))
+    if share > 0.9 and len(mesh) > 1000:
+        thing = things[most]
+        notes.append(
+            f"Object {thing.name or thing.id!r} is {100 * share:.0f} % of the surface: what is one "
+            "object can tell no places apart by what they are. Cut it (--segment), or label it."
         )
-    return model if table is None else _labelled(model, table)
-
-
-def _labelled(model: Model, table: Mapping[str, Entry]) -> Model:
-    """Model whose things have the table's labels, by id or name."""
-    entries = [table.get(t.id) or table.get(t.name) for t in model.things]
-    if not any(entries):
-        raise InputError(
-            f"labels: none of the {len(table)} ids ({', '.join(list(table)[:3])}, ...) is an object "
-            f"of {model.path} ({', '.join(t.id for t in model.things[:3])}, ...)."
-        )
-    things = tuple(
-        t if e is None else Thing(t.id, e.label, e.name or t.name, t.attributes | e.attributes)
-        for t, e in zip(model.things, entries, strict=True)
-    )
-    return replace(model, things=things)
-
-
-def _check(model: Model) -> None:
-    if not len(model.triangles):
-        what = "is empty" if not len(model.vertices) else "holds points, but no triangle"
-        raise InputError(f"{model.path} {what}; a scene map needs a mesh.")
-    used = np.zeros(len(model.vertices), np.bool_)
-    used[model.triangles.ravel()] = True
-    for name, values in (("vertices", model.vertices), ("texture coordinates", model.uv)):
-        bad = ~np.isfinite(values).all(axis=1) & used
-        if bad.any():
-            triangle = int(np.flatnonzero(bad[model.triangles].any(axis=1))[0])
-            thing = model.things[int(model.thing_of[triangle])]
-            raise InputError(
-                f"{model.path}: {int(bad.sum())} {name} are not numbers, the first in object "
-                f"{thing.name or thing.id!r}; repair the mesh, or delete them."
-            )
-
-
-def _clean(
-    model: Model, scale: float, left_out: Counter[str]
-) -> tuple[Mesh, list[Thing], list[Picture]]:
-    """Mesh without triangles that have no area, and without what no triangle needs."""
-    vertices = model.vertices * scale
-    reach = float(np.abs(vertices[model.triangles.ravel()]).max())
-    if reach > LARGEST:
-        raise InputError(
-            f"{model.path} reaches {reach:.3g} m from its origin; is it in millimetres? Then pass "
-            "scale=0.001; else move it to its origin."
-        )
-    order = np.argsort(model.thing_of, kind="stable")
-    triangles, thing_of, picture_of = (
-        column[order] for column in (model.triangles, model.thing_of, model.picture_of)
-    )
-    flat = _flat(vertices, triangles)
-    bare = np.setdiff1d(thing_of, thing_of[~flat])
-    flat &= ~np.isin(thing_of, bare)  # an object that is nothing but a line stays one
-    if flat.any():
-        left_out["triangles without area"] += int(flat.sum())
-        keep = ~flat
-        triangles, thing_of, picture_of = triangles[keep], thing_of[keep], picture_of[keep]
-    corner, compact = _used(triangles, len(vertices))
-    thing, things = _used(thing_of, len(model.things))
-    picture, pictures = _used(picture_of, len(model.pictures))
-    missing = len(model.things) - len(thing)
-    if missing:
-        left_out["objects without a triangle"] += missing
-    mesh = Mesh(
-        vertices=vertices[corner].astype(np.float32),
-        triangles=compact.astype(np.int32),
-        object_of=things.astype(np.int32),
-        colours=model.colours[corner],
-        uv=model.uv[corner].astype(np.float32),
-        texture_of=pictures.astype(np.int32),
-        textures=(np.zeros((1, 1, 3), np.uint8),) * len(picture),
-    )
-    return (
-        mesh.snapped(),
-        [model.things[i] for i in thing.tolist()],
-        [model.pictures[i] for i in picture.tolist()],
-    )
-
-
-def _flat(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Triangles (T,) without area once their corners are snapped."""
-    a, b, c = np.moveaxis(np.rint(vertices[triangles] / GRAIN), 1, 0)
-    return ~np.asarray(np.cross(b - a, c - a).any(axis=1))
-
-
-def _used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows that are used, ascending, and `rows` in terms of these."""
-    used = np.zeros(count, np.bool_)
-    used[rows.ravel()] = True
-    place = np.cumsum(used) - 1
-    return np.flatnonzero(used), place[rows]

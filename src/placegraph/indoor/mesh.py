@@ -169,26 +169,37 @@ class Mesh:
         """Mesh shifted by (3,) [m]."""
         return replace(self, vertices=self.vertices + np.asarray(shift, np.float64))
 
-    def snapped(self) -> Mesh:
-        """Mesh whose coordinates are multiples of `steps`, as a map file holds them."""
-        rounded = {
-            name: np.rint(getattr(self, name) / step).astype(np.float32) * np.float32(step)
-            for name, step in zip(("vertices", "uv"), self.steps(), strict=True)
-        }
+    def snapped(self, grain: float = GRAIN, uv_grain: float = UV_GRAIN) -> Mesh:
+        """Mesh whose coordinates are multiples of steps, as a map file holds them.
+
+        `grain` [m] and `uv_grain` are powers of two from `GRAIN` and `UV_GRAIN` on; steps are
+        coarser only where coordinates are so large (beyond 512 m) that float32 demands it.
+        """
+        rounded = {}
+        for name, least in (("vertices", grain), ("uv", uv_grain)):
+            values = getattr(self, name)
+            step = np.float32(_least_step(values, least))
+            rounded[name] = np.rint(values / step).astype(np.float32) * step
         return replace(self, **rounded)
 
     def steps(self) -> tuple[float, float]:
-        """Steps of vertices [m] and of texture coordinates: `GRAIN`, `UV_GRAIN`, or 2^k times them.
+        """Steps of vertices [m] and of texture coordinates: the longest whose multiples they are.
 
-        Coarser only where coordinates are so large (beyond 512 m) that float32 demands it.
+        These are `GRAIN` and `UV_GRAIN` or 2^k times them.
         """
         return _step(self.vertices, GRAIN), _step(self.uv, UV_GRAIN)
 
 
-def _step(values: NDArray[np.float32], least: float) -> float:
+def _least_step(values: NDArray[np.float32], least: float) -> float:
     largest = float(np.abs(values).max(initial=0.0))
     over = int(np.ceil(np.log2(max(largest / least / _MAX_STEPS, 1.0))))
     return least * 2.0**over
+
+
+def _step(values: NDArray[np.float32], least: float) -> float:
+    step = _least_step(values, least)
+    bits = int(np.bitwise_or.reduce(np.rint(values / np.float32(step)).astype(np.int64), axis=None))
+    return step * (bits & -bits) if bits else step
 
 
 def _put(mesh: Mesh, field: str, value: object) -> None:

@@ -11,6 +11,7 @@ from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor import textures
 from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.mesh_order import from_high_water, high_water
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.store import pack_strings
 
@@ -47,7 +48,7 @@ def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "relation_of": np.array([code[r] for r in graph.relations], np.int32),
         "relations": pack_strings(kinds),
         "vertices": (mesh.vertices / np.float32(grain)).astype(np.int32),
-        "triangles": mesh.triangles,
+        "triangles": high_water(mesh.triangles),
         "object_of": mesh.object_of,
         "texture_of": mesh.texture_of,
         "uv": (mesh.uv / np.float32(uv_grain)).astype(np.int32),
@@ -56,7 +57,7 @@ def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "texture_bytes": np.array([len(b) for b in scene.encoded], np.int64),
     }
     if graph.embeddings is not None:
-        arrays["embeddings"] = graph.embeddings
+        arrays["embeddings"], arrays["embedding_scales"] = in_8_bits(graph.embeddings)
     return meta, arrays
 
 
@@ -84,7 +85,6 @@ def scene_map(file: MapFile) -> SceneMap:
 
 def _graph(file: MapFile) -> SceneGraph:
     kinds = file.strings("relations")
-    embeddings = "embeddings" in file.arrays
     code = file.array("relation_of", "<i4")
     if code.size and not 0 <= int(code.min()) <= int(code.max()) < len(kinds):
         raise ValueError("relation_of points outside relations")
@@ -97,8 +97,33 @@ def _graph(file: MapFile) -> SceneGraph:
         sources=file.array("sources", "<i4").astype(np.int64),
         targets=file.array("targets", "<i4").astype(np.int64),
         relations=tuple(kinds[i] for i in code.tolist()),
-        embeddings=file.array("embeddings", "<f4", 2) if embeddings else None,
+        embeddings=_embeddings(file) if "embeddings" in file.arrays else None,
     )
+
+
+def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
+
+    Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
+    """
+    most = np.abs(vectors).max(axis=1, initial=0.0).astype(np.float64)
+    mantissa, exponent = np.frexp(most / 127.0)
+    # few bits, so that products are exact
+    scales = np.ldexp(np.ceil(mantissa * 4096.0) / 4096.0, exponent).astype(np.float32)
+    divisor = np.where(scales > 0, scales, np.float32(1.0))
+    return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
+
+
+def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Vectors (N, E) of `in_8_bits`."""
+    return numbers.astype(np.float32) * scales[:, None]
+
+
+def _embeddings(file: MapFile) -> NDArray[np.float32]:
+    numbers, scales = file.array("embeddings", "|i1", 2), file.array("embedding_scales", "<f4")
+    if len(scales) != len(numbers) or not np.isfinite(scales).all() or (scales < 0).any():
+        raise ValueError("embedding_scales do not fit the embeddings")
+    return from_8_bits(numbers, scales)
 
 
 def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
@@ -107,7 +132,7 @@ def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
         raise ValueError(f"grain {grain}, uv_grain {uv_grain}")
     return Mesh(
         vertices=file.array("vertices", "<i4", 2).astype(np.float32) * np.float32(grain),
-        triangles=file.array("triangles", "<i4", 2),
+        triangles=from_high_water(file.array("triangles", "<i4")),
         object_of=file.array("object_of", "<i4"),
         colours=file.array("colours", "|u1", 2),
         uv=file.array("uv", "<i4", 2).astype(np.float32) * np.float32(uv_grain),

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.visibility import VisibilityTable
 
 KIND = "scene"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +84,8 @@ class SceneMap:
         ----------
         mesh
             Triangles of the objects; every object has at least one. Coordinates are snapped to the
-            file's steps (`Mesh.snapped`), textures decoded from what the file will hold.
+            file's steps (`Mesh.snapped`), triangles brought into its order (`mesh_order`), textures
+            decoded from what the file will hold.
         ids, labels, names
             Of the N objects.
         floor
@@ -106,8 +107,10 @@ class SceneMap:
         """
         if not np.isfinite(floor):
             raise OptionError(f"floor is {floor}; it must be a height in metres.")
+        from placegraph.indoor.mesh_order import ordered
+
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
-        mesh = replace(mesh.snapped(), textures=textures.decode(blobs, source or scene))
+        mesh = ordered(replace(mesh.snapped(), textures=textures.decode(blobs, source or scene)))
         boxes = mesh.object_bounds(len(ids))
         bare = np.flatnonzero(np.isnan(boxes[:, 0, 0]))
         if bare.size or not len(ids):
@@ -245,8 +248,12 @@ class SceneMap:
         return {id_: i for i, id_ in enumerate(self.graph.ids)}
 
     def with_embeddings(self, embeddings: ArrayLike) -> SceneMap:
-        """Map whose objects carry these vectors (N, E)."""
+        """Map whose objects carry these vectors (N, E), rounded to 8 bits as its file holds them."""
+        from placegraph.indoor.scene_file import from_8_bits, in_8_bits
+
         vectors = np.asarray(embeddings, np.float32)
+        if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
+            vectors = from_8_bits(*in_8_bits(vectors))
         return replace(self, graph=replace(self.graph, embeddings=vectors))
 
     def save(self, path: str | PathLike[str]) -> None:

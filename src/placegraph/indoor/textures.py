@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import MapError, OptionError
+from placegraph.errors import MapError
 from placegraph.formats.images import opened
 
 if TYPE_CHECKING:
@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
     from placegraph.formats.model import Picture
+    from placegraph.indoor.detail import Detail
+    from placegraph.indoor.mesh import Mesh
 
-QUALITY = 85
-"""JPEG quality of textures that are encoded anew."""
-MAX_TEXTURE = 512
-"""Longer sides [texels] are brought to this."""
+QUALITY = 90
+"""WebP quality of textures for which none is asked."""
+FINEST = 0.25
+"""Share of a texture's surface that may ask for smaller texels than it gets."""
+KEPT = ("WEBP", "PNG", "JPEG")
+"""Formats of textures in a map file."""
 _LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
 
 
@@ -45,14 +49,23 @@ def srgb_from_linear(intensities: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def encode_pictures(
-    pictures: Sequence[Picture], max_texture: int, quality: int
+    pictures: Sequence[Picture],
+    detail: Detail,
+    needed: NDArray[np.float64] | None = None,
 ) -> tuple[bytes, ...]:
-    """Encoded textures of a model's pictures: shrunk to `max_texture`, base colour folded in.
+    """Encoded textures of a model's pictures: made small, base colour folded in.
 
-    A JPEG that needs neither is kept as it is. Raises `InputError` where a picture is broken.
+    `needed` (K, 2): width and height in texels that each picture needs at most on its surface
+    (`needed_texels`). With quality 0 a JPEG or PNG that needs nothing done is kept as it is. Raises
+    `InputError` where a picture is broken.
     """
+    limits = np.full((len(pictures), 2), np.inf) if needed is None else needed
     with ThreadPoolExecutor(2) as pool:  # Pillow works outside the interpreter's lock
-        return tuple(pool.map(lambda p: _encode_picture(p, max_texture, quality), pictures))
+        return tuple(
+            pool.map(
+                lambda i: _encode_picture(pictures[i], detail, limits[i]), range(len(pictures))
+            )
+        )
 
 
 def encode_arrays(
@@ -64,6 +77,31 @@ def encode_arrays(
     return tuple(_encode(Image.fromarray(np.asarray(a)), quality) for a in textures)
 
 
+def needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
+    """Width and height (K, 2) in texels at which each texture's texels are `texel` [m] long.
+
+    By the finest quarter of the surface that bears it; infinite where nothing does, or texel is 0.
+    """
+    needed = np.full((len(mesh.textures), 2), np.inf)
+    place, uv = (column[mesh.triangles].astype(np.float64) for column in (mesh.vertices, mesh.uv))
+    (e1, e2), (d1, d2) = ((c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in (place, uv))
+    det = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    good = np.abs(det) > 1e-12
+    along_u = np.linalg.norm(e1 * d2[:, 1:] - e2 * d1[:, 1:], axis=1)  # times det
+    along_v = np.linalg.norm(e2 * d1[:, :1] - e1 * d2[:, :1], axis=1)
+    area = np.linalg.norm(np.cross(e1, e2), axis=1)
+    for k in np.unique(mesh.texture_of[good]).tolist() if texel > 0 else ():
+        rows = np.flatnonzero(good & (mesh.texture_of == k) & (area > 0))
+        for axis, along in enumerate((along_u, along_v)):
+            length = along[rows] / np.abs(det[rows])  # of one unit of the coordinate [m]
+            order = np.argsort(length)
+            total = np.cumsum(area[rows][order])
+            if rows.size:
+                metres = length[order[np.searchsorted(total, FINEST * total[-1])]]
+                needed[k, axis] = max(np.ceil(metres / texel), 1.0)
+    return needed
+
+
 def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:
     """Textures (h, w, 3) uint8 of encoded ones; `MapError` naming `path` where one is no image."""
     with ThreadPoolExecutor(2) as pool:
@@ -72,32 +110,23 @@ def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...
         )
 
 
-def check_options(max_texture: int, quality: int) -> None:
-    """Raise `OptionError` where the options of encoding are out of range."""
-    if not 1 <= max_texture <= _LARGEST:
-        raise OptionError(f"max_texture is {max_texture}; it must be 1 to {_LARGEST} texels.")
-    if not 1 <= quality <= 100:
-        raise OptionError(f"quality is {quality}; JPEG's quality is 1 to 100.")
-
-
-def _encode_picture(picture: Picture, max_texture: int, quality: int) -> bytes:
+def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64]) -> bytes:
     from PIL import Image
 
     factor = np.clip(np.array(picture.factor, np.float64), 0.0, 1.0)
     if picture.data is None:
         flat = np.rint(255.0 * srgb_from_linear(factor)).astype(np.uint8)
-        return _encode(Image.fromarray(flat.reshape(1, 1, 3)), quality)
+        return _encode(Image.fromarray(flat.reshape(1, 1, 3)), detail.quality)
     with opened(io.BytesIO(picture.data), picture.name) as image:
-        whole = image.format == "JPEG" and image.mode == "RGB" and max(image.size) <= max_texture
-        image.draft("RGB", (max_texture, max_texture))  # JPEG's own halving: quick
+        width, height = _size(image.size, detail.max_texture, needed)
+        whole = image.format in KEPT and image.mode == "RGB" and (width, height) == image.size
+        image.draft("RGB", (width, height))  # JPEG's own halving: quick
         image.load()
-        if whole and (factor == 1.0).all() and not any(picture.mirrored):
+        if whole and not detail.quality and (factor == 1.0).all() and not any(picture.mirrored):
             return picture.data
         small = image.convert("RGB")
-    scale = max_texture / max(small.size)
-    if scale < 1.0:
-        size = tuple(max(1, round(side * scale)) for side in small.size)
-        small = small.resize((size[0], size[1]), Image.Resampling.BOX)
+    if small.size != (width, height):
+        small = small.resize((width, height), Image.Resampling.BOX)
     texels = np.asarray(small)
     if (factor != 1.0).any():
         steps = linear_from_srgb(np.arange(256) / 255.0)
@@ -106,13 +135,23 @@ def _encode_picture(picture: Picture, max_texture: int, quality: int) -> bytes:
     for axis, mirrored in ((1, picture.mirrored[0]), (0, picture.mirrored[1])):
         if mirrored:  # twice as large, then to be repeated: the coordinates were halved
             texels = np.concatenate([texels, np.flip(texels, axis)], axis=axis)
-    return _encode(Image.fromarray(texels), quality)
+    return _encode(Image.fromarray(texels), detail.quality)
+
+
+def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> tuple[int, int]:
+    """Width and height [texels] that a picture is brought to; never more than it has."""
+    scale = min(largest / max(size), 1.0)
+    width, height = (
+        max(1, round(min(side * scale, most))) for side, most in zip(size, needed, strict=True)
+    )
+    return width, height
 
 
 def _encode(image: Image, quality: int) -> bytes:
-    """PNG where that is smaller, as for flat colours and drawings; else JPEG."""
+    """PNG where that is smaller, as for flat colours and drawings; else WebP."""
     forms = []
-    for form, options in (("PNG", {"optimize": True}), ("JPEG", {"quality": quality})):
+    lossy = {"quality": quality or QUALITY, "method": 4}
+    for form, options in (("PNG", {"optimize": True}), ("WEBP", lossy)):
         file = io.BytesIO()
         image.save(file, form, **options)
         forms.append(file.getvalue())
@@ -124,8 +163,8 @@ def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
 
     try:
         with opened(io.BytesIO(blob), name) as image:
-            if max(image.size) > _LARGEST or image.format not in {"JPEG", "PNG"}:
-                raise MapError(f"{name} is no JPEG or PNG of up to {_LARGEST} texels a side.")
+            if max(image.size) > _LARGEST or image.format not in KEPT:
+                raise MapError(f"{name} is no WebP, PNG or JPEG of up to {_LARGEST} texels a side.")
             return np.asarray(image.convert("RGB"))
     except InputError as error:
         raise MapError(f"{error} Build the map again.") from error
