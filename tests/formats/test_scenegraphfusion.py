@@ -96,8 +96,8 @@ class Output:
         kinds += [(n, "u1") for n in ("red", "green", "blue", "alpha")]
         kinds += [(n, "<f4") for n in ("quality", "radius")]
         parts = []
-        for segment, (points, normal, colour) in SEGMENTS.items():
-            points = points[::every]
+        for segment, (dense, normal, colour) in SEGMENTS.items():
+            points = dense[::every]
             rows = np.zeros(len(points), kinds)
             for names, values in (("xyz", points.T), (("nx", "ny", "nz"), normal)):
                 for n, value in zip(names, values, strict=True):
