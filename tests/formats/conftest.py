@@ -181,8 +181,16 @@ class Recorded:
         self.depth_cameras = [
             c.resized(camera.width // shrink, camera.height // shrink) for c in self.cameras
         ]
-        self.rgb = [self._colours(stage, c, p) for c, p in zip(self.cameras, self.poses)]
-        metres = np.stack([stage.shot(c, p).depth for c, p in zip(self.depth_cameras, self.poses)])
+        self.rgb = [
+            self._colours(stage, camera, pose)
+            for camera, pose in zip(self.cameras, self.poses, strict=True)
+        ]
+        metres = np.stack(
+            [
+                stage.shot(camera, pose).depth
+                for camera, pose in zip(self.depth_cameras, self.poses, strict=True)
+            ]
+        )
         self.sure = np.full(metres.shape, 2, np.uint8)
         self.sure[:, -9:, -9:] = 0
         metres[:, :6, :6] = 0.0
@@ -210,7 +218,7 @@ class Recorded:
         rows = range(len(self)) if rows is None else rows
         assert len(capture) == len(rows)
         move = np.eye(4) if map_from_world is None else map_from_world
-        for frame, row in zip(capture, rows):
+        for frame, row in zip(capture, rows, strict=True):
             assert frame.gravity[1] > 0.8, "upright"
             np.testing.assert_allclose(frame.gravity, -frame.odometry[2, :3], atol=1e-9)
             depth = frame.depth()

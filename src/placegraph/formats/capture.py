@@ -56,14 +56,17 @@ class Capture:
 
     @classmethod
     def from_frames(cls, frames: Iterable[Frame]) -> Capture:
-        """Capture of frames in memory; `OptionError` where they are none or not of one camera."""
+        """Capture of frames in memory; `OptionError` where they are none or differ in size."""
         held = tuple(frames)
         if not held:
             raise OptionError("frames: there is none; a capture needs at least one frame.")
         first = held[0]
-        cameras = {(f.camera, f.depth_camera, f.label_camera, f.label_kind) for f in held}
-        if len(cameras) > 1:
-            raise OptionError("frames: their cameras differ; a capture is of one camera.")
+        views = {
+            (_size(f.camera), _size(f.depth_camera), _size(f.label_camera), f.label_kind)
+            for f in held
+        }
+        if len(views) > 1:
+            raise OptionError("frames: their cameras differ; a capture is of images of one size.")
         if any(b.stamp <= a.stamp for a, b in itertools.pairwise(held)):
             raise OptionError("frames: their stamps do not ascend; sort them, drop repeated ones.")
         names = {i: name for f in held for i, name in f.label_names.items()}
@@ -170,6 +173,10 @@ def open_capture(
         if value is not None
     }
     return format_of(Path(path)).open(Path(path), given | {"labels": labels})
+
+
+def _size(camera: Camera | None) -> tuple[int, int] | None:
+    return None if camera is None else (camera.width, camera.height)
 
 
 def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 Beside the model (`sparse/0`, or the folder itself) lie `images/` and depth: `depth/` with a PNG of
 16 bits [mm] an image, or COLMAP's own `stereo/depth_maps/*.geometric.bin`. Model units become
 metres by the median ratio of measured depth to that of the sparse points; COLMAP's own depth has
-the model's unit, whose metres must be given. Up is what the cameras' x axes are level to.
+the model's unit, whose metres must be given. Up is found from cameras and level surfaces.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from placegraph.formats.frame_files import (
     depth_file,
 )
 from placegraph.formats.images import image_size, natural
+from placegraph.formats.level import estimated_up, surface_normals, upright
 from placegraph.formats.posed import Shot, capture_of, smaller_view
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 _UNIT = 1000.0
 _FEWEST = 30  # readings at sparse points that a scale needs
 _LOOKED_AT = 40  # images whose depth is compared with sparse points
-_TURNED = 4.0  # how much more the cameras' x axes spread around up than along it
 
 
 class _View(NamedTuple):
@@ -84,7 +84,7 @@ def read_colmap(path: Path, *, scale: float | None = None, up: ArrayLike | None 
     views = _views(path, model, left_out)
     own = views[0].depth.suffix == ".bin"
     metres, said = _scale(model, views, scale, own=own)
-    map_from_model, direction = _upright(views, up)
+    map_from_model, direction = _upright(views, up, own=own)
     map_from_model[:3, :3] *= metres
     unit = DepthUnit(str(views[0].depth.parent), 1.0 / metres if own else _UNIT)
     shots = []
@@ -206,40 +206,28 @@ def _ratios(model: ColmapModel, view: _View) -> NDArray[np.float64]:
 # ------------------------------------------------------------------------------------------- up
 
 
-def _upright(views: list[_View], given: ArrayLike | None) -> tuple[NDArray[np.float64], str]:
+def _upright(
+    views: list[_View], given: ArrayLike | None, *, own: bool
+) -> tuple[NDArray[np.float64], str]:
     """Rotation (4, 4), map_from_model, that stands the model upright, and a sentence on it."""
-    model_from_cameras = np.stack([v.picture.camera_from_model[:3, :3].T for v in views])
+    turns = np.stack([v.picture.camera_from_model[:3, :3].T for v in views])
     if given is None:
-        up, how = _estimated_up(model_from_cameras)
+        step = max(1, len(views) // _LOOKED_AT)
+        read = read_depth_map if own else None
+        normals = [
+            surface_normals(
+                read(v.depth) if read else depth_file(v.depth, v.depth_camera, _UNIT)(),
+                v.depth_camera,
+            )
+            @ turn.T
+            for v, turn in zip(views[::step], turns[::step], strict=True)
+        ]
+        up, how = estimated_up(turns, np.concatenate(normals))
     else:
         up, how = np.asarray(given, np.float64), "was given"
     if up.shape != (3,) or not (np.isfinite(up).all() and np.linalg.norm(up) > 0):
         raise OptionError(f"up is {given!r}; it is a direction of three numbers, in the model.")
     z = up / np.linalg.norm(up)
-    x = model_from_cameras[0][:, 2]  # the first camera looks along x
-    x = x - z * (x @ z)
-    if np.linalg.norm(x) < 1e-3:
-        x = np.eye(3)[np.abs(z).argmin()] - z * z[np.abs(z).argmin()]
-    x = x / np.linalg.norm(x)
     turn = np.eye(4)
-    turn[:3, :3] = np.stack([x, np.cross(z, x), z])
+    turn[:3, :3] = upright(z, turns[0][:, 2])
     return turn, f"Up is ({z[0]:.3f}, {z[1]:.3f}, {z[2]:.3f}) in the COLMAP model, as {how}."
-
-
-def _estimated_up(rotations: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Up (3,) in the model of model_from_camera (T, 3, 3), and how it was found.
-
-    Who holds a camera level holds its x axis level, whatever it looks at: up is at right angles to
-    the x axes of cameras that look in several directions. Where all look one way, it is against
-    the mean of what is down in the images.
-    """
-    up = -rotations[:, :, 1].mean(axis=0)
-    if np.linalg.norm(up) < 1e-6:
-        raise InputError("The cameras of the COLMAP model have no common up; give up.")
-    up /= np.linalg.norm(up)
-    right = rotations[:, :, 0]
-    spread, axes = np.linalg.eigh(right.T @ right / len(right))
-    level = axes[:, 0] * np.sign(axes[:, 0] @ up)
-    if spread[1] > _TURNED * max(float(spread[0]), 1e-4) and level @ up > np.cos(np.pi / 6):
-        return level, "the cameras' x axes are level to it"
-    return up, "it is up in the images on average"

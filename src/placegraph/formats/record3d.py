@@ -9,7 +9,6 @@ tz: world_from_camera in ARKit's axes, of the image as it is stored) and `frameT
 
 from __future__ import annotations
 
-import zipfile
 from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -44,7 +43,7 @@ _LIDAR = 192, 256  # width and height of depth where old recordings do not say
 def is_record3d(path: Path) -> bool:
     """Whether this is a `.r3d` file, its folder, or an export's."""
     if path.is_file():
-        return path.suffix.lower() == ".r3d" and zipfile.is_zipfile(path)
+        return path.suffix.lower() == ".r3d"
     known = _exported(path)
     unpacked = any((path / name).is_file() for name in ("metadata", "metadata.json"))
     return known is not None or (unpacked and (path / "rgbd").is_dir())
