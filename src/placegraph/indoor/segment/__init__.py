@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,11 +10,12 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.indoor.segment.faces import Faces
 from placegraph.indoor.segment.geometry import cut_by_geometry
+from placegraph.indoor.segment.instances import cut_by_labels
 from placegraph.indoor.segment.options import SegmentOptions
 from placegraph.indoor.segment.segments import Segments, as_segments
+from placegraph.indoor.segment.votes import collect
 
 if TYPE_CHECKING:
-    from collections import Counter
     from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["SegmentOptions", "Segments", "segment"]
 
 _STAGES = ("faces", "planes", "patches", "objects")
+_VOTES = "votes"
 
 
 def segment(
@@ -81,16 +84,39 @@ def segment(
     tell("faces")
     faces = Faces.of(spots, rows, shades)
     lost = int((faces.of_triangle < 0).sum())
-    if lost and left_out is not None:
-        left_out["triangles without area"] += lost
+    counts = Counter() if left_out is None else left_out
+    if lost:
+        counts["triangles without area"] += lost
     if not len(faces):
         return as_segments(faces, spots, rows, np.zeros(0, np.int64), {}, None)
     cut = cut_by_geometry(faces, options, tell)
+    votes = None
+    if frames:
+
+        def count(done: int, whole: int) -> None:
+            if progress is not None:
+                progress(_VOTES, done, whole)
+
+        votes = collect(faces, frames, _poses(frames, poses), count, counts)
+    if votes is not None:
+        named = cut_by_labels(faces, cut, votes, options)
+        return as_segments(
+            faces, spots, rows, named.groups, named.labels, cut.structure.floor, named.ids
+        )
     group = cut.groups[cut.patches.of_face]
     labels = {
         int(g): cut.structure.labels[p] for g, p in enumerate(cut.patches.plane.tolist()) if p >= 0
     }
     return as_segments(faces, spots, rows, group, labels, cut.structure.floor)
+
+
+def _poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float64]:
+    """Poses (T, 4, 4) map_from_camera of frames."""
+    given = [f.odometry for f in frames] if poses is None else poses
+    matrices = np.asarray(given, np.float64)
+    if matrices.shape != (len(frames), 4, 4):
+        raise OptionError(f"poses: {matrices.shape}; ({len(frames)}, 4, 4) belong, one a frame.")
+    return matrices
 
 
 def _checked(

@@ -53,15 +53,17 @@ def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str],
     first: dict[int, int] = {}
     for row in np.flatnonzero(bound).tolist():
         group[row] = first.setdefault(int(patches.plane[row]), row)
-    group = settle(group, patches, patches.ends, patches.lengths, options)
-    return Cut(structure, patches, adopted(group, patches, faces, options.least))
+    group = settle(group, patches, bound, options)
+    return Cut(structure, patches, adopted(group, patches, bound, faces, options.least))
 
 
-def adopted(group: Ints, patches: Patches, faces: Faces, least: float) -> Ints:
+def adopted(
+    group: Ints, patches: Patches, fixed: NDArray[np.bool_], faces: Faces, least: float
+) -> Ints:
     """Groups (N,), those that are too small and touch nothing put into the nearest other one."""
     areas = np.bincount(group, patches.areas, len(patches))
     small = areas[group] < least
-    small &= patches.plane[group] < 0
+    small &= ~fixed[group]
     if small.all() or not small.any():
         return group
     large = np.flatnonzero(~small[patches.of_face])

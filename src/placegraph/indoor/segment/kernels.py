@@ -210,3 +210,60 @@ def nearest(asked, spots):
             if d < best:
                 best, out[i] = d, s
     return out
+
+
+@njit(cache=True)
+def elect(starts, labels, shares, patch, table, pairs, links, before, of_patch, of_neighbours):
+    """Label (F,) with the highest score of each face; `before` (F,) are the neighbours', -1: none.
+
+    `starts` (F + 1,), `labels` and `shares` (K,) are votes by face, `table` (N, L) those of
+    patches, `links` (P,) weigh pairs. Candidates are what the face, its patch and its neighbours
+    name.
+    """
+    count = len(before)
+    degree = np.zeros(count + 1, np.int64)
+    whole = np.zeros(count)
+    for p in range(len(pairs)):
+        for k in range(2):
+            degree[pairs[p, k] + 1] += 1
+            whole[pairs[p, k]] += links[p]
+    first = np.cumsum(degree)
+    fill = first[:-1].copy()
+    other = np.empty(2 * len(pairs), np.int64)
+    link = np.empty(2 * len(pairs))
+    for p in range(len(pairs)):
+        for k in range(2):
+            i = pairs[p, k]
+            other[fill[i]], link[fill[i]] = pairs[p, 1 - k], links[p]
+            fill[i] += 1
+    favourite = np.empty(len(table), np.int64)
+    for n in range(len(table)):
+        favourite[n] = np.argmax(table[n]) if table[n].max() > 0 else -1
+    out = before.copy()
+    for i in range(count):
+        best, most = -1, 0.0
+        own, near = starts[i + 1] - starts[i], first[i + 1] - first[i]
+        for c in range(own + near + 1):
+            if c < own:
+                candidate = labels[starts[i] + c]
+            elif c < own + near:
+                candidate = before[other[first[i] + c - own]]
+            else:
+                candidate = favourite[patch[i]]
+            if candidate < 0 or candidate == best:
+                continue
+            score = of_patch * table[patch[i], candidate]
+            for v in range(starts[i], starts[i + 1]):
+                if labels[v] == candidate:
+                    score += shares[v]
+            support = 0.0
+            for e in range(first[i], first[i + 1]):
+                if before[other[e]] == candidate:
+                    support += link[e]
+            if whole[i] > 0:
+                score += of_neighbours * support / whole[i]
+            if score > most or (score == most and best >= 0 and candidate < best):
+                best, most = candidate, score
+        if best >= 0:
+            out[i] = best
+    return out

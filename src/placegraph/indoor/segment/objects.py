@@ -38,7 +38,7 @@ def join_patches(patches: Patches, floor: float | None, options: SegmentOptions)
     ends, kept = patches.ends, free[patches.ends].all(axis=1)
     carried = _carried(patches, free, floor, options)
     kept &= ~carried
-    return _joined(patches, ends[kept], patches.lengths[kept], patches.concave[kept], options)
+    return joined(patches, ends[kept], patches.lengths[kept], patches.concave[kept], options)
 
 
 def _carried(patches: Patches, free: Mask, floor: float | None, options: SegmentOptions) -> Mask:
@@ -85,10 +85,10 @@ class _Part:
         return self.area >= _ALONE and bool(np.partition(self.high - self.low, 1)[1] >= _WIDE)
 
 
-def _joined(
+def joined(
     patches: Patches, ends: Ints, lengths: Floats, concave: Floats, options: SegmentOptions
 ) -> Ints:
-    """Lowest patch (N,) of what each belongs to once all contacts but the thin ones are closed."""
+    """Lowest patch (N,) of what each belongs to once contacts (E,) but the thin ones are closed."""
     parts = [
         _Part(float(a), low, high, {})
         for a, low, high in zip(patches.areas, patches.low, patches.high, strict=True)
@@ -154,19 +154,15 @@ def _merge(parts: list[_Part], a: int, b: int) -> list[int]:
 
 
 def settle(
-    group: Ints, patches: Patches, ends: Ints, lengths: Floats, options: SegmentOptions
+    group: Ints, patches: Patches, fixed: NDArray[np.bool_], options: SegmentOptions
 ) -> Ints:
     """Groups (N,) of patches, those that are too small put into what they touch most.
 
-    A group is named by one of its patches. What touches nothing stays as it is.
+    A group is named by one of its patches; those whose patch is `fixed` (N,) stay. So does what
+    touches nothing.
     """
     areas = np.bincount(group, patches.areas, len(patches))
-    fixed = np.zeros(len(patches), np.bool_)
-    fixed[group[patches.plane >= 0]] = True
-    contacts: list[dict[int, float]] = [{} for _ in range(len(patches))]
-    for (a, b), length in zip(group[ends].tolist(), lengths.tolist(), strict=True):
-        if a != b:
-            contacts[a][b] = contacts[a].get(b, 0.0) + length
+    contacts = _touched(group, patches)
     root = np.arange(len(patches))
     queue = [(float(areas[g]), int(g)) for g in np.unique(group) if not fixed[g]]
     heapq.heapify(queue)
@@ -190,3 +186,14 @@ def settle(
     while (root != root[root]).any():
         root = root[root]
     return root[group]
+
+
+def _touched(group: Ints, patches: Patches) -> list[dict[int, float]]:
+    """Length of contact [m] of each group with others."""
+    contacts: list[dict[int, float]] = [{} for _ in range(len(patches))]
+    ends = group[patches.ends].tolist()
+    for (a, b), length in zip(ends, patches.lengths.tolist(), strict=True):
+        if a != b:
+            for one, two in ((a, b), (b, a)):
+                contacts[one][two] = contacts[one].get(two, 0.0) + 0.5 * length
+    return contacts
