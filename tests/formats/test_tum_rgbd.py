@@ -48,6 +48,8 @@ def test_cameras_of_the_benchmark(number, recorded, save, tmp_path):
     folder = write(tmp_path / f"rgbd_dataset_freiburg{number}_desk", world, save, camera=False)
     capture = open_capture(folder)
     assert capture.camera == CAMERAS[number] == capture.depth_camera
+    published = {1: 318.643040, 2: 325.141442, 3: 320.106653}[number]
+    assert capture.camera.cx == published + 0.5, "the first pixel's centre is (0, 0) there"
     world.check(capture, sure=False)
 
 

@@ -81,6 +81,12 @@ FORMATS = (
     ),
     Format("3D Scanner App", "frame_00000.json and .jpg", "arkit_app", "arkit_app"),
     Format("ARKitScenes", "lowres_wide.traj and lowres_wide/", "arkit_scenes", "arkit_scenes"),
+    Format(
+        "3RScan",
+        "sequence/ with _info.txt, or sequence.zip",
+        "scan3r_sequence",
+        "scan3r_sequence",
+    ),
     Format("ScanNet", "a .sens file, or a folder with one", "sens", "sens", ("labels",)),
     Format(
         "ScanNet's exporter",
