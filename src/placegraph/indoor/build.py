@@ -46,6 +46,7 @@ def build_scene(
     object_property: str | None = None,
     segment: bool | Literal["auto"] = "auto",
     capture: FromCapture | None = None,
+    reader: Mapping[str, Any] | None = None,
     left_out: Counter[str] | None = None,
     notes: list[str] | None = None,
     progress: Progress | None = None,
@@ -79,6 +80,9 @@ def build_scene(
         Whether a mesh is cut into objects by geometry and colour; auto: if its file names none.
     capture
         How a capture becomes a mesh.
+    reader
+        Options of the source's own reader, as `reference_frame` of `read_scan3r` or `label_column`
+        of `read_scannet`.
     left_out
         Is told what of the source could not be used, by reason.
     notes
@@ -107,7 +111,7 @@ def build_scene(
     def made() -> SceneMap:
         read = read_source(
             source, labels=labels, up=up, object_property=object_property, segment=segment,
-            capture=capture, left_out=counts, progress=progress,
+            capture=capture, reader=reader, left_out=counts, progress=progress,
         )  # fmt: skip
         return scene_of(
             read, floor=floor, up=up, scale=scale, detail=detail, left_out=counts, notes=notes,

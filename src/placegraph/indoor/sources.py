@@ -74,7 +74,9 @@ class Kind(NamedTuple):
     verb: str
     ending: str = ""
     takes: tuple[str, ...] = ()
-    """Options that its reader takes: up, table, object_property."""
+    """Options that its reader takes of those that all sources share: up, table, object_property."""
+    own: tuple[str, ...] = ()
+    """Options of its reader alone."""
 
     def fits(self, path: Path) -> bool:
         """Whether a path looks like it."""
@@ -84,7 +86,11 @@ class Kind(NamedTuple):
 
     def read(self, path: Path, options: Mapping[str, Any]) -> Model:
         """Model of a path."""
-        given = {name: value for name, value in options.items() if name in self.takes}
+        strange = set(options) - {"up", "table", "object_property", *self.own}
+        if strange:
+            known = f"it has {', '.join(self.own)}" if self.own else "it has none of its own"
+            raise OptionError(f"{', '.join(sorted(strange))}: no option of {self.holds}; {known}.")
+        given = {k: v for k, v in options.items() if k in self.takes or k in self.own}
         model: Model = getattr(self._module(), f"read_{self.verb}")(path, **given)
         return model
 
@@ -95,8 +101,19 @@ class Kind(NamedTuple):
 KINDS = (
     Kind(".glb", "glb", "glb", ".glb", ("up",)),
     Kind(".obj", "obj", "obj", ".obj", ("up", "table")),
-    Kind("a 3RScan scan's folder", "scan3r", "scan3r"),
-    Kind("a ScanNet scan's folder", "scannet", "scannet"),
+    Kind(
+        "a 3RScan scan's folder",
+        "scan3r",
+        "scan3r",
+        own=("reference_frame", "undo_moves", "rooms", "annotations"),
+    ),
+    Kind(
+        "a ScanNet scan's folder",
+        "scannet",
+        "scannet",
+        own=("label_table", "label_column", "align"),
+    ),
+    Kind("what SceneGraphFusion predicted", "scenegraphfusion", "scenegraphfusion"),
     Kind("Spark-DSG's .json", "spark_dsg", "spark_dsg"),
     Kind(".ply", "ply", "ply", ".ply", ("up", "table", "object_property")),
 )
@@ -111,6 +128,7 @@ def read_source(
     object_property: str | None = None,
     segment: bool | Literal["auto"] = "auto",
     capture: FromCapture | None = None,
+    reader: Mapping[str, Any] | None = None,
     left_out: Counter[str],
     progress: Progress | None = None,
 ) -> Source:
@@ -124,7 +142,7 @@ def read_source(
         return source if labels is None else replace(source, model=named(source.model, labels))
     table = None if labels is None else label_table(labels, scan=path.absolute().parent.name)
     options: dict[str, Any] = {"up": _axis(kind, up), "object_property": object_property}
-    model = kind.read(path, options | {"table": table})
+    model = kind.read(path, options | {"table": table} | dict(reader or {}))
     left_out.update(model.left_out)
     if table is not None:
         model = _labelled(model, table)

@@ -1,0 +1,188 @@
+"""`placegraph scene build`: a scene map of whatever the user has."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene_answer import progress_of
+from placegraph.cli.scene_facts import facts, sizes
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.indoor.detail import Detail
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.sources import FromCapture
+
+
+def build(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Mesh with objects (.glb, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph of "
+            "SceneGraphFusion or Spark-DSG, or an RGB-D capture with poses of any known recorder."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Map file to write, such as house.scene.")
+    ],
+    labels: Annotated[
+        Path | None, typer.Option(help="JSON file with the label of each object id or name.")
+    ] = None,
+    floor: Annotated[
+        float | None, typer.Option(help="Height of the floor [m]; found if not given.")
+    ] = None,
+    up: Annotated[
+        str, typer.Option(help="Axis of a mesh that points up: auto (GLB y, others z), y or z.")
+    ] = "auto",
+    scale: Annotated[
+        float | None,
+        typer.Option(help="Metres in one unit of a mesh: 0.001 for millimetres."),
+    ] = None,
+    detail: Annotated[
+        str, typer.Option(help="How much is kept: full, fine, default, small or tiny.")
+    ] = "default",
+    error: Annotated[
+        float | None, typer.Option(help="Greatest error of the surface [m], instead of --detail's.")
+    ] = None,
+    texel: Annotated[
+        float | None, typer.Option(help="Length of a texel on surfaces [m], instead of --detail's.")
+    ] = None,
+    object_property: Annotated[
+        str | None, typer.Option(help="Property of a PLY that holds object ids, such as objectId.")
+    ] = None,
+    segment: Annotated[
+        bool | None,
+        typer.Option(
+            "--segment/--no-segment",
+            help="Cut a mesh into objects by geometry and colour; if it names none, by itself.",
+        ),
+    ] = None,
+    frames: Annotated[
+        str, typer.Option(help="Frames of a capture that are used, such as 0:186 or ::5.")
+    ] = "",
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            help="Poses of a capture: odometry, trajectory, or a TUM file; by itself trajectory.tum "
+            "where there is one."
+        ),
+    ] = None,
+    voxel: Annotated[
+        float, typer.Option(help="Edge of a voxel that depth is fused into [m].")
+    ] = 0.03,
+    segmenter: Annotated[
+        Path | None,
+        typer.Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
+    ] = None,
+    reader: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--reader",
+            help="Option of a data set's reader, as reference_frame=true (3RScan) or "
+            "label_column=nyu40class (ScanNet); may be repeated.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a scene map from a mesh, a scan, a predicted graph or an RGB-D capture.
+
+    A mesh that names its objects keeps them; else, and for a capture, floor, walls and objects are
+    found, by label images where there are any. The surface is simplified to an error of 5 mm.
+
+    Example: placegraph scene build house.glb -o house.scene
+
+    Example: placegraph scene build walk/ -o office.scene --segmenter deeplab.tflite
+    """
+    from time import perf_counter
+
+    from placegraph.indoor.build import build_scene
+
+    left_out: Counter[str] = Counter()
+    notes: list[str] = []
+    how = _capture(frames, poses, voxel, segmenter)
+    kept = _detail(detail, error, texel)
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        scene = build_scene(
+            source, out, labels=labels, floor=floor, up=up, scale=scale, detail=kept,  # type: ignore[arg-type]  # `up` is checked there
+            object_property=object_property, segment="auto" if segment is None else segment,
+            capture=how, reader=_reader(reader or []), left_out=left_out, notes=notes, progress=tell,
+        )  # fmt: skip
+    seconds = perf_counter() - start
+    if as_json:
+        told = {
+            **facts(scene), "left_out": left_out, "notes": notes, "bytes": out.stat().st_size,
+            "seconds": round(seconds, 3),
+        }  # fmt: skip
+        typer.echo(json.dumps(told, ensure_ascii=False))
+    elif not quiet:
+        _summary(scene, out, seconds, notes, left_out)
+
+
+def _summary(
+    scene: SceneMap, out: Path, seconds: float, notes: list[str], left_out: Counter[str]
+) -> None:
+    parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in sizes(out).items())
+    typer.echo(
+        f"{out}: {len(scene):,} objects, {len(scene.mesh):,} triangles, floor at "
+        f"{scene.floors[0]:.2f} m, {out.stat().st_size / 1e3:,.0f} kB ({parts}), built in "
+        f"{seconds:.1f} s."
+    )
+    for note in notes:
+        typer.echo(note)
+    if left_out:
+        counts = ", ".join(f"{n:,} {why}" for why, n in left_out.items() if n)
+        typer.echo(f"Left out: {counts}.")
+
+
+def _detail(name: str, error: float | None, texel: float | None) -> Detail:
+    from dataclasses import replace
+
+    from placegraph.indoor.detail import detail_named
+
+    detail = detail_named(name)
+    if error is not None:
+        detail = replace(detail, error=error)
+    if texel is not None:
+        detail = replace(detail, texel=texel, baked=max(texel, 1e-3))
+    return detail
+
+
+def _capture(frames: str, poses: str | None, voxel: float, segmenter: Path | None) -> FromCapture:
+    from placegraph.indoor.sources import FromCapture
+
+    network = None
+    if segmenter is not None:
+        from placegraph.indoor.segment.tflite import segmenter as load
+
+        network = load(segmenter)
+    return FromCapture(_slice(frames), poses, voxel=voxel, segmenter=network)
+
+
+def _slice(frames: str) -> slice:
+    try:
+        parts = [int(part) if part else None for part in frames.split(":")]
+        if len(parts) > 3 or (frames and len(parts) < 2):
+            raise ValueError(frames)  # noqa: TRY301  # one mend for all of it
+    except ValueError as error:
+        raise OptionError(
+            f"--frames is {frames!r}; give first:last, such as 0:186, or ::5 for every fifth."
+        ) from error
+    return slice(*parts) if frames else slice(None)
+
+
+def _reader(options: list[str]) -> dict[str, Any]:
+    given: dict[str, Any] = {}
+    for option in options:
+        name, equals, value = option.partition("=")
+        if not (name and equals):
+            raise OptionError(f"--reader is {option!r}; give name=value, as reference_frame=true.")
+        given[name.replace("-", "_")] = {"true": True, "false": False}.get(value.lower(), value)
+    return given
