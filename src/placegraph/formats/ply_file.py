@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MAX_HEADER = 1 << 20
 _MOST = 1 << 31  # elements
 _LONGEST_NUMBER = 64
+_BLANKS = bytes.maketrans(b"\t\n\v\f\r", b"     ")
+_BLANK = ord(" ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +132,20 @@ def _parse(lines: list[str]) -> tuple[str, list[Element]]:
 
 
 def _tokens(path: Path, body: bytes) -> NDArray[np.float64]:
+    """Numbers of the text after the header; `InputError` where there are others."""
+    text = np.frombuffer(body.translate(_BLANKS), np.uint8)
+    words = int(np.count_nonzero(text[1:][text[:-1] == _BLANK] != _BLANK)) if text.size else 0
+    words += bool(text.size and text[0] != _BLANK)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            numbers: NDArray[np.float64] = np.fromstring(text.tobytes(), np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            return _tokens_one_by_one(path, body)
+    return numbers if words and len(numbers) == words else _tokens_one_by_one(path, body)
+
+
+def _tokens_one_by_one(path: Path, body: bytes) -> NDArray[np.float64]:
     tokens = body.split() or [b"0"]
     if max(map(len, tokens)) > _LONGEST_NUMBER:  # NumPy would make room for as much in every row
         raise InputError(f"{path} holds what is no number (of many digits); export it again.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -146,6 +147,42 @@ def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
 
 
 def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
+    """Entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    found, at = [], -1
+    name = json.dumps(scan).encode()
+    while (at := text.find(name, at + 1)) >= 0:
+        try:
+            entry = json.loads(text[slice(*_around(text, at))])
+        except (ValueError, RecursionError):  # a brace in a name, or damage
+            return _of_scan_by_all(path, scan)
+        if entry.get("scan") == scan:
+            found.append(entry)
+    return found
+
+
+def _around(text: bytes, at: int) -> tuple[int, int]:
+    """Where the object of a JSON file begins and ends that a place is in; ValueError: nowhere."""
+    ends = []
+    for step, opening, closing in ((-1, b"{", b"}"), (1, b"}", b"{")):
+        depth, place = 1, at
+        while depth:
+            seek = text.rfind if step < 0 else text.find
+            span = (0, place) if step < 0 else (place,)
+            one, other = seek(opening, *span), seek(closing, *span)
+            if one < 0:
+                raise ValueError(at)
+            nearer = other < 0 or (one > other if step < 0 else one < other)
+            depth += -1 if nearer else 1
+            place = (one if nearer else other) + (step > 0)
+        ends.append(place)
+    return ends[0], ends[1]
+
+
+def _of_scan_by_all(path: Path, scan: str) -> list[dict[str, Any]]:
     content = read_json(path)
     scans = content.get("scans") if isinstance(content, dict) else None
     if not isinstance(scans, list):
