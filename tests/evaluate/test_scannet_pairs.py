@@ -158,3 +158,5 @@ def test_windows_hold_no_truth(scans, rng):
             window.capture[0].rgb(), scans.recording.colour[window.capture[0].index]
         )
     assert pair_windows(scans.folder.parent, PAIR, 5, rng) == []
+    with pytest.raises(OptionError, match="length is 0"):
+        pair_windows(scans.folder.parent, PAIR, 0, rng)

@@ -7,7 +7,8 @@ folder, or from those that a list of ScanNet's (`scannetv2_val.txt`) names; or t
 list of one's own.
 
 ScanNet's scans of a room are not registered to each other. A list may say how (`map_from_query`, of
-the axis-aligned scans); without it a pair can be asked which room it is, but not where in the map.
+the axis-aligned scans), and `scannet_register` finds it where the room's form tells; without it a
+pair can be asked which room it is, but not where in the map.
 """
 
 from __future__ import annotations
@@ -173,8 +174,8 @@ def true_poses(capture: Capture, folder: Path, pair: ScanPair) -> Floats:
     """
     if pair.map_from_query is None:
         raise OptionError(
-            f"{pair.name}: ScanNet does not register scans to each other; write map_from_query beside "
-            "the pair, or ask only which room it is."
+            f"{pair.name}: ScanNet does not register scans to each other; find map_from_query by "
+            "scannet_register, write it beside the pair, or ask only which room it is."
         )
     poses: Floats = pair.map_from_query @ axis_alignment(folder) @ capture.odometry
     return poses
@@ -206,9 +207,11 @@ def pair_windows(
     InputError
         The recording is missing or broken.
     OptionError
-        The pair's scans are not registered.
+        The pair's scans are not registered, or `length` or `every` is less than 1.
 
     """
+    if length < 1:
+        raise OptionError(f"length is {length}; it is 1 or more.")
     scan = folder / pair.query
     capture = sampled(open_capture(scan), every)
     truth = true_poses(capture, scan, pair)
