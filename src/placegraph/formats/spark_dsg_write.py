@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Json = dict[str, Any]
 
 VERSION = (1, 1, 3)
-"""Of the layout that is written."""
+"""Of the layout that is written; Spark-DSG 1.1.1, 1.1.2 and 1.1.3 load it."""
 AGENT = ord("a")
 """Partition and prefix of the first camera path; the next are b, c, ..."""
 MOST_PATHS = ord("z") - AGENT + 1
@@ -84,7 +84,7 @@ def encode_spark_dsg(
         "directed": False,
         "multigraph": False,
         "layer_keys": sorted(keys, key=lambda k: (k["layer"], k["partition"])),
-        "layer_ids": levels,  # asked for before version 1.1.3
+        "layer_ids": levels,  # what version 1.1.1 asks for
         "layer_names": {
             "OBJECTS": _key(OBJECTS), "AGENTS": _key(OBJECTS), "PLACES": _key(PLACES),
             "ROOMS": _key(ROOMS), "BUILDINGS": _key(BUILDINGS),

@@ -1,0 +1,54 @@
+"""Files written whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from placegraph import files, locks
+from placegraph.errors import MapError, MapLockedError
+from placegraph.files import write_file
+
+
+def test_a_file_takes_the_place_of_the_old_one(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    assert write_file(path, [b"ne", memoryview(b"w")]) == path
+    assert path.read_bytes() == b"new"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "far").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "far" / "a.bin")
+    write_file(link, [b"new"])
+    assert link.is_symlink()
+    assert (tmp_path / "far" / "a.bin").read_bytes() == b"new"
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+
+    def chunks():
+        yield b"half"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(MapError, match="No space left"):
+        write_file(path, chunks())
+    monkeypatch.setattr(files, "_sync_folder", lambda _: Path("/does/not/exist").stat())
+    with pytest.raises(MapError, match="cannot be written"):
+        write_file(tmp_path / "b.bin", [b"new"])
+    assert path.read_bytes() == b"old"
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_what_cannot_be_written_is_said(tmp_path):
+    with pytest.raises(MapError, match="not a plain file"):
+        write_file(tmp_path, [b""])
+    with pytest.raises(MapError, match="cannot be written"):
+        write_file(tmp_path / "no" / "a.bin", [b""])
+    with pytest.raises(MapError, match="not a file name"):
+        write_file("a\0b", [b""])
+    with locks.exclusive(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
+        write_file(tmp_path / "a.bin", [b""])
