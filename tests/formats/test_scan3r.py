@@ -297,6 +297,18 @@ def test_names_of_objects_from_either_file(scan):
         read_scan3r(scan.path)
 
 
+def test_braces_in_names_mislead_nobody(scan):
+    """A scan's part is cut out of 3DSSG's files by their braces; odd ones cost time alone."""
+    path = scan.root / "3DSSG" / "objects.json"
+    content = json.loads(path.read_text())
+    content["scans"][1]["objects"][1]["affordances"] = ["}}{", "{"]
+    scan.write_json(path, content)
+    assert read_scan3r(scan.path).things[1].attributes["affordances"] == "}}{, {"
+    path.write_text(path.read_text()[:-2])
+    with pytest.raises(InputError, match=r"objects\.json is not JSON"):
+        read_scan3r(scan.path)
+
+
 def test_without_3dssg(scan, tmp_path):
     model = read_scan3r(scan.path, annotations=tmp_path)
     assert labels_of(model)[2] == "box"
