@@ -101,13 +101,13 @@ def turns(corners, rows, starts, angles, gain):
 def overlapping(corners, rows, starts, sizes, twice, first, last):
     """Mark in `twice` (T,) what lies over another triangle of its chart, at the texels' centres.
 
-    `corners`: (T, 3, 2) [texels] from the lowest corner of each chart, whose size is `sizes` (C, 2).
+    `corners`: (T, 3, 2) [texels] on each chart's grid, whose size is `sizes` (C, 2).
     Of two triangles at one place the first in `rows` stays.
     """
     for chart in range(first, last):
         if starts[chart + 1] - starts[chart] < 2:
             continue
-        wide, high = int(sizes[chart, 0]) + 1, int(sizes[chart, 1]) + 1
+        wide, high = int(sizes[chart, 0]), int(sizes[chart, 1])
         taken = np.zeros((high, wide), np.bool_)
         for row in rows[starts[chart] : starts[chart + 1]]:
             twice[row] = _covers(corners[row], taken, False)

@@ -40,12 +40,9 @@ class Charts:
     sizes: Floats
     """(C, 2) width and height of each chart's rectangle [m]."""
 
-    def grouped(self, within: Floats | None = None) -> tuple[Ints, Ints]:
-        """Triangles chart by chart, and where each chart starts (C + 1,).
-
-        `within` (T,): what triangles of one chart are sorted by, ascending.
-        """
-        return _grouped(self.of, len(self.sizes), within)
+    def grouped(self) -> tuple[Ints, Ints]:
+        """Triangles chart by chart, and where each chart starts (C + 1,)."""
+        return _grouped(self.of, len(self.sizes), None)
 
 
 def charts_of(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Charts:
@@ -60,30 +57,28 @@ def charts_of(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Chart
     points = mesh.vertices[mesh.triangles].astype(np.float64)
     order = np.argsort(-areas, kind="stable")
     of = np.full(len(mesh), -1, np.int64)
-    axes = np.zeros((0, 2, 3))
+    laid = _Laid(np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
     for round_ in range(ROUNDS):
-        first = len(axes)
+        first = len(laid.axes)
         count = grow(normals, areas, neighbours, order, of, first, CONE)
         if round_ == 0:
             planes = _planes(doubled, of, count)
             small = np.bincount(of, areas, count) < SMALL * texel**2
             absorb(normals, neighbours, of, planes, small, STEEP)
-        axes = _settled(points, doubled, of, axes, texel * longest)
-        flat = _flat(points, of, axes)
-        plane = np.cross(axes[:, 0], axes[:, 1])  # away from who looks at the surface
+        laid = laid.with_new(points, doubled, of, texel * longest)
+        plane = np.cross(laid.axes[:, 0], laid.axes[:, 1])  # away from who looks at the surface
         steep = -np.einsum("tk,tk->t", normals, plane[of]) < STEEP
-        rows, starts = flat.grouped(-areas)
-        cell = np.maximum(texel, flat.sizes.max(axis=1) / longest)
-        twice, cells = np.zeros(len(of), bool), cell[:, None]
-        corners = flat.corners / cells[of][:, None]
-        share(overlapping, len(cell), corners, rows, starts, flat.sizes / cells, twice)
-        bad = (of >= first) & ((steep & (areas > 0)) | twice)
+        bad = (of >= first) & ((steep & (areas > 0)) | _twice(laid, points, of, areas, texel))
         if not bad.any():
-            return flat
+            break
         of[bad] = -1
     single = np.flatnonzero(of < 0)  # whatever cannot lie with others lies alone
-    of[single] = len(axes) + np.arange(len(single))
-    return _flat(points, of, _settled(points, doubled, of, axes, np.inf))
+    if len(single):
+        of[single] = len(laid.axes) + np.arange(len(single))
+        laid = laid.with_new(points, doubled, of, np.inf)
+    used, of = np.unique(of, return_inverse=True)
+    laid = _Laid(laid.axes[used], laid.low[used], laid.sizes[used])
+    return Charts(of.reshape(-1), laid.corners(points, of.reshape(-1)), laid.sizes)
 
 
 def neighbours_of(mesh: Mesh) -> Ints:
@@ -109,36 +104,65 @@ def neighbours_of(mesh: Mesh) -> Ints:
     return out.reshape(-1, 3)
 
 
-def _settled(points: Floats, doubled: Floats, of: Ints, axes: Floats, limit: float) -> Floats:
-    """Axes (C, 2, 3), right and down, of all charts: those of new ones are added.
+@dataclass(frozen=True, eq=False)
+class _Laid:
+    """How C charts lie. It stays when a triangle is taken out, so that what was checked holds."""
 
-    New charts longer than `limit` [m] are halved until they are not; `of` is changed in place.
-    """
-    first = len(axes)
-    _compact(of, first)
-    fresh = np.flatnonzero(of >= first)
-    while True:
-        count = int(of.max()) + 1 - first
-        own = of[fresh] - first
-        made = _axes(_planes(doubled[fresh], own, count))
-        flat = _flat(points[fresh], own, made)
-        rows, starts = flat.grouped()
-        angle = turns(flat.corners, rows, starts, _ANGLES, _GAIN)
-        cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        right, down = made[:, 0], made[:, 1]
-        made = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
-        flat = _flat(points[fresh], own, made)
-        middle = flat.corners.mean(axis=1)  # (F, 2)
-        long_ = flat.sizes.max(axis=1) > limit
-        along = np.take_along_axis(middle, flat.sizes.argmax(axis=1)[own][:, None], axis=1)[:, 0]
-        beyond = long_[own] & (along > 0.5 * flat.sizes.max(axis=1)[own])
-        # a chart whose triangles all lie on one side cannot be halved there
-        some = np.bincount(own, beyond, count)
-        beyond &= (some < np.bincount(own, minlength=count))[own]
-        if not beyond.any():
-            return np.concatenate([axes, made])
-        of[fresh[beyond]] += count
+    axes: Floats
+    """(C, 2, 3) right and down, unit vectors."""
+    low: Floats
+    """(C, 2) where each chart's rectangle starts along them [m]."""
+    sizes: Floats
+    """(C, 2) [m]"""
+
+    def corners(self, points: Floats, of: Ints) -> Floats:
+        """Corners (T, 3, 2) on the charts' rectangles of triangles (T, 3, 3) [m]."""
+        return np.einsum("tkn,tan->tka", points, self.axes[of]) - self.low[of][:, None]
+
+    def with_new(self, points: Floats, doubled: Floats, of: Ints, limit: float) -> _Laid:
+        """These and the new charts, halved where they are longer than `limit` [m]; changes `of`."""
+        first = len(self.axes)
         _compact(of, first)
+        fresh = np.flatnonzero(of >= first)
+        while True:
+            own = of[fresh] - first
+            made = _laid(points[fresh], doubled[fresh], own, int(own.max()) + 1)
+            middle = made.corners(points[fresh], own).mean(axis=1)  # (F, 2)
+            length, side = made.sizes.max(axis=1), made.sizes.argmax(axis=1)
+            along = np.take_along_axis(middle, side[own][:, None], axis=1)[:, 0]
+            beyond = (length[own] > limit) & (along > 0.5 * length[own])
+            # a chart whose triangles all lie on one side cannot be halved there
+            beyond &= (np.bincount(own, beyond) < np.bincount(own))[own]
+            if not beyond.any():
+                pairs = ((self.axes, made.axes), (self.low, made.low), (self.sizes, made.sizes))
+                return _Laid(*(np.concatenate(pair) for pair in pairs))
+            of[fresh[beyond]] += len(made.axes)
+            _compact(of, first)
+
+
+def _laid(points: Floats, doubled: Floats, of: Ints, count: int) -> _Laid:
+    """Charts on their mean planes, upright, or turned where that makes a smaller rectangle."""
+    upright = _axes(_planes(doubled, of, count))
+    rows, starts = _grouped(of, count, None)
+    corners = np.einsum("tkn,tan->tka", points, upright[of])
+    angle = turns(corners, rows, starts, _ANGLES, _GAIN)
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    right, down = upright[:, 0], upright[:, 1]
+    axes = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
+    corners = np.einsum("tkn,tan->tka", points, axes[of])[rows]
+    low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
+    return _Laid(axes, low, np.maximum.reduceat(corners.max(axis=1), starts[:-1]) - low)
+
+
+def _twice(laid: _Laid, points: Floats, of: Ints, areas: Floats, texel: float) -> NDArray[np.bool_]:
+    """Triangles (T,) that lie over a larger one of their chart, on the grid that will be coloured."""
+    rows, starts = _grouped(of, len(laid.axes), -areas)
+    extents = laid.sizes / texel
+    grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
+    corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
+    out = np.zeros(len(of), bool)
+    share(overlapping, len(grids), corners, rows, starts, grids, out)
+    return out
 
 
 def _compact(of: Ints, first: int) -> None:
@@ -164,18 +188,8 @@ def _axes(planes: Floats) -> Floats:
     return np.stack([np.cross(planes, down), down], axis=1)
 
 
-def _flat(points: Floats, of: Ints, axes: Floats) -> Charts:
-    """Charts of triangles (T, 3, 3) laid on planes with these axes (C, 2, 3)."""
-    corners = np.einsum("tkn,tan->tka", points, axes[of])
-    rows, starts = _grouped(of, len(axes), None)
-    filled = np.diff(starts) > 0
-    low, high = np.zeros((len(axes), 2)), np.zeros((len(axes), 2))
-    low[filled] = np.minimum.reduceat(corners.min(axis=1)[rows], starts[:-1][filled])
-    high[filled] = np.maximum.reduceat(corners.max(axis=1)[rows], starts[:-1][filled])
-    return Charts(of, corners - low[of][:, None], high - low)
-
-
 def _grouped(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
+    """As `Charts.grouped`; triangles of one chart ascend by `within` (T,)."""
     rows = np.argsort(of, kind="stable") if within is None else np.lexsort((within, of))
     starts = np.searchsorted(of[rows], np.arange(count + 1))
     return rows, starts.astype(np.int64)

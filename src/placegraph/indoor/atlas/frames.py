@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.formats.frame import Frame
-    from placegraph.indoor.atlas.bake import ColourOf
+    from placegraph.indoor.atlas.baking import ColourOf
 
     Floats = NDArray[np.float64]
     Bytes = NDArray[np.uint8]

@@ -16,7 +16,7 @@ from placegraph.indoor.surface import Surface
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.indoor.atlas.bake import ColourOf
+    from placegraph.indoor.atlas.baking import ColourOf
 
     Floats = NDArray[np.float64]
 

@@ -166,8 +166,9 @@ def _depth(
     read = frame.depth()
     if read is not None and frame.depth_camera is not None:
         at = frame.depth_camera.project(rays).reshape(height, width, 2)
-        inside = np.logical_and(at > 0, at < read.shape[::-1]).all(axis=-1)
-        column, row = np.where(inside[:, :, None], at, 0.0).astype(np.int64).transpose(2, 0, 1)
+        x, y = np.moveaxis(at, 2, 0)
+        inside = (x > 0) & (x < read.shape[1]) & (y > 0) & (y < read.shape[0])
+        row, column = (np.where(inside, p, 0.0).astype(np.int64) for p in (y, x))
         measured = np.where(inside, read[row, column], np.nan)
         trust[~np.isfinite(measured)] = UNREAD
         out = np.where(np.isfinite(measured), measured, out)
@@ -178,11 +179,11 @@ def _levels(images: Bytes) -> tuple[Bytes, ...]:
     """Images (K, H, W, 3) and their halves, quarters, ... as long as they have pixels."""
     out = [np.ascontiguousarray(images)]
     for _ in range(LEVELS - 1):
-        k, h, w, _ = out[-1].shape
+        h, w = out[-1].shape[1:3]
         if min(h, w) < 4:
             out.append(out[-1])
             continue
-        even = out[-1][:, : h // 2 * 2, : w // 2 * 2].reshape(k, h // 2, 2, w // 2, 2, 3)
-        sums = even.astype(np.uint16).sum(axis=(2, 4))
-        out.append(((sums + 2) // 4).astype(np.uint8))
+        large = out[-1][:, : h // 2 * 2, : w // 2 * 2]
+        pairs = large[:, ::2].astype(np.uint16) + large[:, 1::2]
+        out.append(((pairs[:, :, ::2] + pairs[:, :, 1::2] + 2) // 4).astype(np.uint8))
     return tuple(out)

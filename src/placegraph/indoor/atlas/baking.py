@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.atlas.bake_kernels import DARK, FLAT, SEEN, UNSEEN, choose, cover, draw
+from placegraph.indoor.atlas.baking_kernels import DARK, FLAT, SEEN, UNSEEN, choose, cover, draw
 from placegraph.indoor.atlas.chart_kernels import spread
 from placegraph.indoor.atlas.charts import Charts, charts_of, neighbours_of
 from placegraph.indoor.atlas.pack import filled, pack
@@ -217,12 +217,12 @@ def _assembled(mesh: Mesh, charts: Charts, sheets: _Sheets, margin: int, largest
     """Mesh with all images on pages."""
     flat = sheets.levels < 0
     drawn = np.flatnonzero(~flat)
-    side = _PATCH * max(min(_SHEET, largest // _PATCH), 1)
     shades, shade_of = _shades(sheets.means[flat])
-    each = (side // _PATCH) ** 2
+    across = max(min(_SHEET, int(np.ceil(np.sqrt(len(shades))))), 1)  # patches side by side
+    each = across**2
     cards = -(-len(shades) // each)
     page, places, pages = pack(
-        np.concatenate([sheets.sizes[drawn], np.full((cards, 2), min(side, largest), np.int64)]),
+        np.concatenate([sheets.sizes[drawn], np.full((cards, 2), across * _PATCH, np.int64)]),
         largest,
     )
     canvases = [np.zeros((h, w, 3), np.uint8) for w, h in pages.tolist()]
@@ -231,7 +231,7 @@ def _assembled(mesh: Mesh, charts: Charts, sheets: _Sheets, margin: int, largest
     for card in range(cards):
         k, (x, y) = int(page[len(drawn) + card]), places[len(drawn) + card]
         for i, shade in enumerate(shades[card * each : (card + 1) * each]):
-            row, column = divmod(i, side // _PATCH)
+            row, column = divmod(i, across)
             area = np.s_[y + row * _PATCH :, x + column * _PATCH :]
             canvases[k][area][:_PATCH, :_PATCH] = shade
             masks[k][area][:_PATCH, :_PATCH] = True
@@ -241,7 +241,7 @@ def _assembled(mesh: Mesh, charts: Charts, sheets: _Sheets, margin: int, largest
     page_of[drawn] = page[: len(drawn)]
     card_of, at = np.divmod(shade_of, each)
     page_of[flat] = page[len(drawn) + card_of]
-    cell = np.stack([at % (side // _PATCH), at // (side // _PATCH)], axis=1)
+    cell = np.stack([at % across, at // across], axis=1)
     origin[flat] = places[len(drawn) + card_of] + (cell + 0.5) * _PATCH
     scale = np.where(flat, 0.0, 1.0 / (sheets.step * np.exp2(np.maximum(sheets.levels, 0))))
     inner = sheets.sizes[drawn] - 2 * margin
