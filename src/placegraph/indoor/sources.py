@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.labels import Entry
     from placegraph.indoor.atlas import ColourOf
-    from placegraph.indoor.segment.tflite import Segmenter
+    from placegraph.indoor.segment.segmenter import Segmenter
 
 Progress = Callable[[str, int, int], None]
 """Is told a stage, how much of it is done, and of how much."""
@@ -202,7 +202,7 @@ def captured(
         left_out=left_out,
     )
     if how.segmenter is not None:
-        from placegraph.indoor.segment.tflite import labelled
+        from placegraph.indoor.segment.segmenter import labelled
 
         capture = labelled(capture, how.segmenter)
     found = segment(
