@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 REACH = 0.10
 """The other mesh lies within this of the surface [m]."""
+_STEP = 1e-4  # [m]
+_LAYERS = 3  # of faces that look away
 
 
 def surface_colours(
@@ -77,12 +79,20 @@ def _met(
     triangle = np.full(len(points), -1, np.int32)
     u, v = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
     for way in (1.0, -1.0):
+        rows = np.arange(len(points))
         # from a little behind, so that a surface right at the point is met both ways
-        hits = caster.cast(points - way * 1e-4 * along, way * along)
-        same = np.einsum("nk,nk->n", normals[hits.triangle], along) > 0
-        off = hits.distance.astype(np.float64) + np.where(same, 0.0, reach)
-        nearer = (hits.triangle >= 0) & (hits.distance <= reach) & (off < best)
-        best[nearer] = off[nearer]
-        triangle[nearer] = hits.triangle[nearer]
-        u[nearer], v[nearer] = hits.u[nearer], hits.v[nearer]
+        begun = np.full(len(points), -_STEP)
+        for _ in range(_LAYERS):
+            heading = way * along[rows]
+            hits = caster.cast(points[rows] + begun[:, None] * heading, heading)
+            far = np.abs(hits.distance + begun)
+            same = np.einsum("nk,nk->n", normals[hits.triangle], along[rows]) > 0
+            off = far + np.where(same, 0.0, reach)
+            met = (hits.triangle >= 0) & (far <= reach)
+            nearer = met & (off < best[rows])
+            own = rows[nearer]
+            best[own], triangle[own] = off[nearer], hits.triangle[nearer]
+            u[own], v[own] = hits.u[nearer], hits.v[nearer]
+            behind = met & ~same  # the back of something thin: what looks our way may lie behind it
+            rows, begun = rows[behind], (begun + hits.distance + _STEP)[behind]
     return triangle, u, v
