@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.mesh import Mesh
+    from placegraph.indoor.raycast import RayCaster
 
 _ROUNDS = 30
 _STILL = 1e-5
@@ -40,6 +41,13 @@ class Sampled:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def some(self, count: int) -> Sampled:
+        """At most `count` of the points."""
+        step = max(1, -(-len(self) // count))
+        return Sampled(
+            self.points[::step], self.normals[::step], self.colours[::step], self.rows[::step]
+        )
 
     def moved(self, motion: Floats) -> Sampled:
         """The same surface elsewhere."""
@@ -131,6 +139,21 @@ def fit(source: Floats, target: Sampled, motion: Floats, within: float) -> Fit:
     close = (rows >= 0) & (np.abs(off) < within)
     rms = float(np.sqrt(np.mean(off[close] ** 2))) if close.any() else np.inf
     return Fit(motion, float(close.mean()) if len(close) else 0.0, rms)
+
+
+def touching(
+    points: Floats, normals: Floats, caster: RayCaster, within: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Triangles (N,) of a mesh that points of another surface lie on, from either side; -1: none.
+
+    Rays are cast along the normals (N, 3), so that sparse points tell of whole surfaces; both sides
+    are asked since something thin may lie on what is meant.
+    """
+    found = []
+    for side in (normals, -normals):
+        hits = caster.cast(points + within * side, -side)
+        found.append(np.where(hits.distance <= 2.0 * within, hits.triangle, -1))
+    return found[0], found[1]
 
 
 def _step(points: Floats, onto: Floats, normals: Floats, upright: bool) -> Floats:
