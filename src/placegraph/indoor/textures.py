@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,7 @@ FINEST = 0.25
 """Share of a texture's surface that may ask for smaller texels than it gets."""
 KEPT = ("WEBP", "PNG", "JPEG")
 """Formats of textures in a map file."""
+_FEW = 256  # colours of a drawing, that PNG may hold better
 _LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
 
 
@@ -148,14 +149,19 @@ def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> t
 
 
 def _encode(image: Image, quality: int) -> bytes:
-    """PNG where that is smaller, as for flat colours and drawings; else WebP."""
-    forms = []
-    lossy = {"quality": quality or QUALITY, "method": 4}
-    for form, options in (("PNG", {"optimize": True}), ("WEBP", lossy)):
+    """PNG of few colours where that is smaller, as for flat ones and drawings; else WebP."""
+    tiny = image.width * image.height <= 64
+    forms: list[tuple[str, dict[str, Any]]] = []
+    if tiny or image.getcolors(_FEW) is not None:
+        forms.append(("PNG", {"optimize": True}))
+    if not tiny:
+        forms.append(("WEBP", {"quality": quality or QUALITY, "method": 4}))
+    files = []
+    for form, options in forms:
         file = io.BytesIO()
         image.save(file, form, **options)
-        forms.append(file.getvalue())
-    return min(forms, key=len) if image.width * image.height > 64 else forms[0]
+        files.append(file.getvalue())
+    return min(files, key=len)
 
 
 def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
