@@ -52,7 +52,9 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     piece = _pieces(faces, label, thing)
     pieces = describe(faces, normals, piece, np.full(len(faces), -1, np.int64), outward, options)
     first = np.unique(piece, return_index=True)[1]
-    spilt = _spilt(pieces, label[first], plane[first])
+    upright = np.array([word == "wall" for word in (*cut.structure.labels, "wall")])
+    level = (plane[first] >= 0) & ~upright[plane[first]]
+    spilt = _spilt(pieces, label[first], plane[first], level, options)
     label = np.where(spilt[piece], NOTHING, label)
     group = _grouped(pieces, label[first], thing[first], plane[first], votes.kind, options)
     fixed = (label[first] == NOTHING) & (plane[first] >= 0)
@@ -82,12 +84,18 @@ def _pieces(faces: Faces, label: Ints, thing: Ints) -> Ints:
     return np.unique(connect(len(faces), faces.pairs[same]), return_inverse=True)[1]
 
 
-def _spilt(pieces: Patches, label: Ints, plane: Ints) -> NDArray[np.bool_]:
-    """Pieces (N,) of floor or wall whose label is that of a larger thing which they touch."""
+def _spilt(
+    pieces: Patches, label: Ints, plane: Ints, level: NDArray[np.bool_], options: SegmentOptions
+) -> NDArray[np.bool_]:
+    """Pieces (N,) of floor or wall whose label is of a larger thing they touch, or that are small.
+
+    Outlines in label images are rough: what stands before a wall is painted on it in part. `level`
+    (N,) are pieces of the floor or a ceiling, where the stains are larger, and pictures none.
+    """
     a, b = pieces.ends.T
     beside = (label[a] == label[b]) & (plane[a] >= 0) & (plane[b] < 0) & (label[a] != NOTHING)
     beside &= pieces.areas[a] < _SPILT * pieces.areas[b]
-    out = np.zeros(len(pieces), np.bool_)
+    out = (plane >= 0) & (pieces.areas < np.where(level, options.carpet, options.mark))
     out[a[beside]] = True
     return out
 
