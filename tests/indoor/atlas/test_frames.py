@@ -164,9 +164,10 @@ def test_a_rendered_walk_gives_the_room_back(room, walk, truth, spots, rng):
     assert told[-1] == (len(walk), len(walk))
     row, u, v, at = spots(mesh, 5000, rng)
     colours, known = colour_of(at, room.normals[row].astype(float), row.astype(np.int64))
-    off = np.abs(colours.astype(int) - mesh.colour_at(row, u, v))[known].max(axis=1)
     assert known.mean() > 0.05  # of all faces, those inside furniture included
-    assert np.median(off) < 30  # the walk's camera has noise and light of its own
+    want = mesh.colour_at(row, u, v)[known].astype(float)
+    for channel in range(3):  # the walk has light of its own
+        assert np.corrcoef(colours[known, channel], want[:, channel])[0, 1] > 0.65
 
 
 @pytest.mark.parametrize(
