@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import InputError
+from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture import Capture, open_capture
 from placegraph.formats.tum import read_tum
+from placegraph.synthetic.walks import drifted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +36,8 @@ OFFICE_STRIDE = 2
 OFFICE_LENGTH = 10
 COVERED = 0.6
 """A window of the office counts as covered if the map holds this share of its last frame."""
+TILT = np.radians(0.2)
+"""Noise of gravity where a recording has none of its own, as the office's is [rad]."""
 TOLERANCE = 0.10
 """A reading is covered where the map's surface is this near to it along the optical axis [m]."""
 
@@ -135,6 +138,51 @@ def covered(scene: SceneMap, window: Window, step: int = 3) -> Window:
     hits = scene.caster.cast(origins, directions)  # the rays' z is 1: distance is depth
     off = np.abs(hits.distance - depth[v, u][read])
     return replace(window, coverage=float(((hits.triangle >= 0) & (off <= TOLERANCE)).mean()))
+
+
+def sampled(capture: Capture, every: int) -> Capture:
+    """Frames of a capture whose number is a multiple of `every`: left-out frames shift nothing.
+
+    Raises `OptionError` where `every` is less than 1.
+    """
+    if every < 1:
+        raise OptionError(f"every is {every}; it is 1 or more.")
+    return replace(capture, frames=tuple(f for f in capture if f.index % every == 0))
+
+
+def drifting_windows(
+    place: str,
+    capture: Capture,
+    truth: Floats,
+    length: int,
+    rng: np.random.Generator,
+    *,
+    changed: bool | None = None,
+) -> list[Window]:
+    """Windows of `length` frames that do not overlap, of a recording whose own poses are its truth.
+
+    Their odometry is made of these, in a frame of its own, and drifts as `synthetic.walks.drifted`
+    says; gravity is off by `TILT` along each axis. `truth` (T, 4, 4): map_from_camera. Raises
+    `OptionError` where `length` is less than 1.
+    """
+    if length < 1:
+        raise OptionError(f"length is {length}; it is 1 or more.")
+    return [
+        Window(place, _drifting(capture[s : s + length], rng), truth[s + length - 1], changed)
+        for s in starts(len(capture), length, length)
+    ]
+
+
+def _drifting(capture: Capture, rng: np.random.Generator) -> Capture:
+    """Capture whose odometry leads nowhere near the recording's axes, and drifts."""
+    odometry = drifted(capture.odometry, rng)
+    gravity = capture.gravity + TILT * rng.standard_normal(capture.gravity.shape)
+    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
+    frames = tuple(
+        replace(frame, odometry=pose, gravity=down)
+        for frame, pose, down in zip(capture, odometry, gravity, strict=True)
+    )
+    return replace(capture, frames=frames)
 
 
 def _changed(path: Path) -> bool | None:

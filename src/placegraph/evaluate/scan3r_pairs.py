@@ -12,17 +12,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.evaluate.indoor_windows import Window, starts
+from placegraph.evaluate.indoor_windows import Window, drifting_windows, sampled
 from placegraph.formats.scan3r_sequence import read_scan3r_sequence
 from placegraph.formats.scannet_files import read_text
-from placegraph.synthetic.walks import drifted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from placegraph.formats.capture import Capture
     from placegraph.formats.scan3r_rooms import Room, Rooms, Scan
     from placegraph.geometry import Floats
 
@@ -279,26 +277,6 @@ def pair_windows(
         `length` or `every` is less than 1.
 
     """
-    if length < 1 or every < 1:
-        raise OptionError(f"length is {length} and every {every}; they are 1 or more.")
-    capture = read_scan3r_sequence(scan_folder(root, pair.query))
-    capture = replace(capture, frames=tuple(f for f in capture if f.index % every == 0))
+    capture = sampled(read_scan3r_sequence(scan_folder(root, pair.query)), every)
     truth = pair.map_from_query @ capture.odometry
-    return [
-        Window(
-            pair.name,
-            _drifting(capture[start : start + length], rng),
-            truth[start + length - 1],
-            changed=pair.changed,
-        )
-        for start in starts(len(capture), length, length)
-    ]
-
-
-def _drifting(capture: Capture, rng: Generator) -> Capture:
-    """Capture whose odometry leads nowhere near the scan's axes, and drifts."""
-    poses = drifted(capture.odometry, rng)
-    frames = tuple(
-        replace(frame, odometry=pose) for frame, pose in zip(capture, poses, strict=True)
-    )
-    return replace(capture, frames=frames)
+    return drifting_windows(pair.name, capture, truth, length, rng, changed=pair.changed)

@@ -15,17 +15,16 @@ from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.evaluate.indoor_windows import Window, starts
+from placegraph.evaluate.indoor_windows import Window, drifting_windows, sampled
 from placegraph.formats.capture import open_capture
 from placegraph.formats.scannet_files import axis_alignment, read_text, rigid
-from placegraph.synthetic.walks import drifted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -159,13 +158,6 @@ def _pair(words: list[str]) -> ScanPair:
 # ---------------------------------------------------------------------------------------- queries
 
 
-def sampled(capture: Capture, every: int = EVERY) -> Capture:
-    """Frames of a capture whose number is a multiple of `every`: left-out frames shift nothing."""
-    if every < 1:
-        raise OptionError(f"every is {every}; it is 1 or more.")
-    return replace(capture, frames=tuple(f for f in capture if f.index % every == 0))
-
-
 def true_poses(capture: Capture, folder: Path, pair: ScanPair) -> Floats:
     """True map_from_camera (T, 4, 4) [m] of frames of the query's recording, in `folder`.
 
@@ -210,23 +202,6 @@ def pair_windows(
         The pair's scans are not registered, or `length` or `every` is less than 1.
 
     """
-    if length < 1:
-        raise OptionError(f"length is {length}; it is 1 or more.")
     scan = folder / pair.query
     capture = sampled(open_capture(scan), every)
-    truth = true_poses(capture, scan, pair)
-    found = []
-    for start in starts(len(capture), length, length):
-        rows = slice(start, start + length)
-        window = _drifting(capture[rows], rng)
-        found.append(Window(pair.name, window, truth[start + length - 1]))
-    return found
-
-
-def _drifting(capture: Capture, rng: Generator) -> Capture:
-    """Capture whose odometry leads nowhere near the scan's axes, and drifts."""
-    poses = drifted(capture.odometry, rng)
-    frames = tuple(
-        replace(frame, odometry=pose) for frame, pose in zip(capture, poses, strict=True)
-    )
-    return replace(capture, frames=frames)
+    return drifting_windows(pair.name, capture, true_poses(capture, scan, pair), length, rng)
