@@ -153,7 +153,8 @@ def test_windows_hold_no_truth(scans, rng):
         moved = np.linalg.norm(poses[-1, :3, 3]), np.linalg.norm(true[-1, :3, 3] - true[0, :3, 3])
         assert moved[0] == pytest.approx(moved[1], rel=0.1)
         assert abs(moved[0] - moved[1]) > 1e-6  # it drifts
-        np.testing.assert_allclose(window.capture.gravity, [[0, 1, 0]] * 5, atol=1e-6)
+        np.testing.assert_allclose(window.capture.gravity, [[0, 1, 0]] * 5, atol=0.02)
+        assert np.abs(window.capture.gravity[:, 0]).max() > 1e-4  # a sensor's, not the truth's
         np.testing.assert_array_equal(
             window.capture[0].rgb(), scans.recording.colour[window.capture[0].index]
         )
