@@ -249,7 +249,7 @@ def project(
     """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
     camera, pose = look.camera, look.map_from_camera.astype(np.float32)
     local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
-    depth: NDArray[np.float32] = local[..., 2]
+    depth = np.asarray(local[..., 2], np.float32)
     uv: NDArray[np.floating[Any]]
     if any(camera.distortion):
         uv = camera.project(local)

@@ -165,10 +165,10 @@ def draw_scene(
     frame = Frame.around(plan.bounds, *layout.large)
     items: list[Item] = [
         paint_room(plan, frame, dark=dark),
-        *_names(plan, frame, Taken(), small=True),
+        *names(plan, frame, Taken(), small=True),
     ]
     sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), (0, 0))
-    _measures(sheet, frame)
+    measures(sheet, frame)
     count = len(plan.rows)
     things = f"{count:,} object{'s' * (count != 1)}, {len(plan.triangles):,} triangles"
     sheet.text((14, sheet.height - FOOT / 2), f"{scene.scenes[which]}: {things}", 12, "soft-ink")
@@ -262,7 +262,7 @@ class _Drawing:
         for k in reversed(shown):
             marks += mode_marks(estimate, k, numbered=len(shown) > 1)
         room = paint_room(self.plan, frame, dark=self.dark)
-        items = [room, *_names(self.plan, frame, taken, marked), *marks]
+        items = [room, *names(self.plan, frame, taken, marked), *marks]
         return paint_picture(items, frame, dark=self.dark, reduce=False)
 
     @property
@@ -303,7 +303,7 @@ class _Drawing:
             ),
         ]
         x, y = 14.0, sheet.height - FOOT / 2
-        end = _measures(sheet, frame)
+        end = measures(sheet, frame)
         for wanted, words, draw in keys:
             if wanted and x + 60.0 + face_for([words]).width(words, 12.0) < end:
                 x = draw((x, y), words=words)
@@ -336,7 +336,7 @@ class _Drawing:
         return [*pictures, sheet.image.reduce(SUPERSAMPLE)]
 
 
-def _names(
+def names(
     plan: RoomPlan,
     frame: Frame,
     taken: Taken,
@@ -344,11 +344,12 @@ def _names(
     *,
     small: bool = False,
 ) -> list[Item]:
+    """Names of the larger things of a plan, or of all, where there is room; `marked` ones first."""
     face = face_for(plain_words(label) for label in plan.scene.graph.labels)
     return [*plan.names(frame, face, taken, marked, small=small)]
 
 
-def _measures(sheet: Sheet, frame: Frame) -> float:
+def measures(sheet: Sheet, frame: Frame) -> float:
     """Scale bar and axes of a plan, at the right end of the strip below it; where they begin."""
     metres = round_length(0.15 * frame.width / frame.scale)
     length = metres * frame.scale
