@@ -5,6 +5,8 @@ from __future__ import annotations
 import typer
 
 from placegraph.cli.scene_build import build
+from placegraph.cli.scene_check import check
+from placegraph.cli.scene_diff import diff, update
 from placegraph.cli.scene_export import export
 from placegraph.cli.scene_facts import info
 from placegraph.cli.scene_localize import localize
@@ -16,5 +18,5 @@ app = typer.Typer(
     help="Indoor: a few frames find their pose in a map of objects.",
     no_args_is_help=True,
 )
-for command in (build, info, export, view, localize, refine, render):
+for command in (build, info, check, diff, update, export, view, localize, refine, render):
     app.command()(command)
