@@ -1,5 +1,6 @@
 """GLB: what is written is sound by the standard, and read back it is the same."""
 
+import io
 import json
 import struct
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from PIL import Image
 
 from placegraph.errors import OptionError
 from placegraph.formats import glb_write
@@ -79,6 +81,16 @@ def test_pictures_and_factors_read_back(read):
     assert [p.data for p in model.pictures] == [PNG, None]
     assert model.pictures[1].factor == (0.25, 0.5, 1.0)
     assert model.uv[:4] == pytest.approx(CORNERS[:, :2])
+
+
+def test_webp_says_so(read):
+    file = io.BytesIO()
+    Image.new("RGB", (4, 4), (200, 10, 10)).save(file, "WEBP")
+    parts = [Part("a", [Surface(CORNERS, FACES, 0, CORNERS[:, :2])])]
+    content = content_of(encode_glb(parts, [Material(file.getvalue())]))
+    assert content["extensionsUsed"] == content["extensionsRequired"] == ["EXT_texture_webp"]
+    assert content["images"][0]["mimeType"] == "image/webp"
+    assert read(parts, [Material(file.getvalue())]).pictures[0].data == file.getvalue()
 
 
 @given(hnp.arrays(np.uint8, (4, 3)))

@@ -15,6 +15,8 @@ from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import draw_scene, write_plan, write_plan_animation
 from placegraph.view.canvas import Frame
+from placegraph.view.fonts import face_for
+from placegraph.view.lettering import Taken, covering
 from placegraph.view.painter import SUPERSAMPLE, paint_picture
 from placegraph.view.plan_layout import CAPTION, FOOT, HEAD, Layout, evenly
 from placegraph.view.pose_items import core, levels, swarm, wedge, witnesses
@@ -124,6 +126,48 @@ def test_a_scan_without_labels_shows_its_own_colours():
     assert green > blue + 40
     assert pixel(picture, frame, (-0.0, 2.5)) == light("wall")
     assert plan.names(frame, None, None) == []
+
+
+def named(plan, count, **options):
+    """Names on a plan 1200 px wide, and the discs that cover each."""
+    face = face_for(["chair", "mug"])
+    frame = Frame.around(plan.bounds, 1200, 800)
+    texts = plan.names(frame, face, Taken(), **options)
+    assert len(texts) <= count
+    wide = [face.width(text.text, text.size) for text in texts]
+    discs = [
+        np.array(covering(text, width, frame.scale))
+        for text, width in zip(texts, wide, strict=True)
+    ]
+    return texts, discs, frame
+
+
+def test_small_things_are_named_beside_where_they_stand():
+    mugs = {f"mug_{k}": ((2 * k, 1, 0), (2 * k + 0.1, 1.1, 0.1)) for k in range(4)}
+    plan = RoomPlan(scene_of(BOXES | mugs))
+    assert "mug" not in {text.text for text in named(plan, 99)[0]}
+    texts, _, frame = named(plan, 99, small=True)
+    assert sum(text.text == "mug" for text in texts) == 4
+    for text in texts:
+        x, y = frame.to_px(np.asarray(text.at)) + text.shift
+        assert 0 < x < 1200
+        assert 0 < y < 800
+
+
+def test_names_of_five_hundred_things_do_not_overlap(rng):
+    at = rng.uniform(0, [36, 23], (500, 2))
+    ends = at + rng.uniform(0.1, 1.6, (500, 2))
+    boxes = {
+        f"{'chair' if k % 2 else 'mug'}_{k}": ((*low, 0), (*high, 1))
+        for k, (low, high) in enumerate(zip(at, ends, strict=True))
+    }
+    texts, discs, _ = named(RoomPlan(scene_of(boxes)), 500, small=True)
+    assert len(texts) > 250
+    owner = np.repeat(np.arange(len(discs)), [len(d) for d in discs])
+    every = np.concatenate(discs)
+    apart = np.linalg.norm(every[:, None, :2] - every[None, :, :2], axis=2)
+    reach = every[:, None, 2] + every[None, :, 2]
+    assert np.all((apart >= 0.95 * reach) | (owner[:, None] == owner[None]))
 
 
 def test_of_merged_scenes_one_is_drawn(scene):

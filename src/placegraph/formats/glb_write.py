@@ -26,7 +26,9 @@ GENERATOR = "placegraph"
 _FLOAT, _UINT32, _UINT16 = 5126, 5125, 5123
 _VERTICES, _INDICES = 34962, 34963
 _LINES = 1
-_MIMES = {b"\xff\xd8\xff": "image/jpeg", b"\x89PNG": "image/png", b"RIFF": "image/webp"}
+_WEBP = "image/webp"
+_MIMES = {b"\xff\xd8\xff": "image/jpeg", b"\x89PNG": "image/png", b"RIFF": _WEBP}
+_NEEDED = ("extensionsUsed", "extensionsRequired")
 _LARGEST = 1 << 32
 
 
@@ -35,7 +37,7 @@ class Material:
     """Colour of a surface, without light: an encoded image times a factor, or a factor alone."""
 
     image: bytes | None = None
-    """JPEG, PNG or WebP, as the file will hold it."""
+    """JPEG, PNG or WebP, as the file will hold it; not every program reads WebP in a .glb."""
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Linear, 0 to 1."""
 
@@ -111,6 +113,7 @@ class _Document:
         self.gltf_from_map = gltf_from_map
         self.data = bytearray()
         self.images: dict[bytes, int] = {}
+        self.extensions: set[str] = set()
         self.tables: dict[str, list[Any]] = {
             name: []
             for name in (
@@ -160,14 +163,18 @@ class _Document:
             shading["baseColorFactor"] = [*material.factor, 1.0]
         if material.image is not None:
             if material.image not in self.images:
-                mime = next(
-                    (m for head, m in _MIMES.items() if material.image.startswith(head)), ""
-                )
-                image = {"bufferView": self.view(material.image), "mimeType": mime}
-                row = self.put("textures", {"source": self.put("images", image), "sampler": 0})
-                self.images[material.image] = row
+                self.images[material.image] = self._texture(material.image)
             shading["baseColorTexture"] = {"index": self.images[material.image]}
         self.put("materials", {"doubleSided": True, "pbrMetallicRoughness": shading})
+
+    def _texture(self, image: bytes) -> int:
+        mime = next((m for head, m in _MIMES.items() if image.startswith(head)), "")
+        row = self.put("images", {"bufferView": self.view(image), "mimeType": mime})
+        if mime != _WEBP:
+            return self.put("textures", {"source": row, "sampler": 0})
+        self.extensions.add("EXT_texture_webp")
+        held = {"EXT_texture_webp": {"source": row}}
+        return self.put("textures", {"sampler": 0, "extensions": held})
 
     def part(self, part: Part) -> None:
         """Append a node and its mesh."""
@@ -208,6 +215,7 @@ class _Document:
             "scenes": [scene | ({"extras": dict(extras)} if extras else {})],
             **{name: table for name, table in self.tables.items() if table},
             **({"samplers": [sampler]} if self.images else {}),
+            **dict.fromkeys(_NEEDED if self.extensions else (), sorted(self.extensions)),
             **({"buffers": [{"byteLength": len(self.data)}]} if self.data else {}),
         }
         text = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from pathlib import Path
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 ENDINGS = (".glb", ".ply", ".json")
 MARK = "placegraph scene export"
 """Stands in the head of every file written here, by which it may be overwritten."""
+QUALITY = 92
+"""Of JPEG, for textures that a map has in WebP."""
 EYE = 0.12
 """Length of the pyramid that shows a camera in a .glb [m]."""
 MOST_EYES = 60
@@ -48,7 +51,8 @@ def export(
     """Write a map as a file for other programs; what it becomes is told by the ending.
 
     - ``.glb``: a node for each object, named as it is, with id, label and attributes in `extras`
-      and textures as the map has them. `build_scene` makes the same map of it again.
+      and textures as the map has them, WebP as JPEG. `build_scene` makes the same map of it again,
+      with ``detail="full"`` triangle by triangle.
     - ``.ply``: one mesh with colours by vertex (textures are averaged around each vertex) and
       `objectId` by face; beside it ``NAME.labels.json`` says what the ids are called.
     - ``.json``: a scene graph as Spark-DSG saves it, for Hydra and its kin: objects with boxes,
@@ -126,13 +130,18 @@ def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
     return found
 
 
-def materials(scene: SceneMap) -> list[Material]:
-    """A material for each texture of a map: the encoded image, or the colour of a single texel."""
+def materials(scene: SceneMap, *, webp: bool = False) -> list[Material]:
+    """A material for each texture of a map: the encoded image, or the colour of a single texel.
+
+    `webp`: keep images in WebP, which browsers show and some programs do not; else they become JPEG.
+    """
     made = []
     for texture, blob in zip(scene.mesh.textures, scene.encoded, strict=True):
         if texture.shape[:2] == (1, 1):
             r, g, b = linear_from_srgb(texture[0, 0] / 255.0).tolist()
             made.append(Material(factor=(r, g, b)))
+        elif blob.startswith(b"RIFF") and not webp:
+            made.append(Material(_jpeg(texture)))
         else:
             made.append(Material(blob))
     return made
@@ -162,6 +171,14 @@ def _glb(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
     ]
     parts += [Part(name, lines=path_lines(poses)) for name, poses in paths.items()]
     return encode_glb(parts, materials(scene), extras=_note(scene), generator=MARK)
+
+
+def _jpeg(texture: NDArray[np.uint8]) -> bytes:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(texture).save(file, "JPEG", quality=QUALITY, subsampling=0)
+    return file.getvalue()
 
 
 def _note(scene: SceneMap) -> dict[str, Any]:

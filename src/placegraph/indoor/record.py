@@ -133,7 +133,8 @@ def _history(file: MapFile) -> tuple[PassRecord, ...]:
     poses = file.array("particles", "<i4", 2) * STEPS
     weights = file.array("weights", "<u2") / _FULL
     negative = any(column.min(initial=0) < 0 for column in (counts, lengths))
-    if negative or counts.sum() != len(poses) or lengths.sum() != len(counts):
+    said = (int(counts.sum()), int(lengths.sum()))
+    if negative or said != (len(poses), len(counts)) or len(weights) != len(poses):
         raise ValueError("the counts of particles do not add up")
     ends = np.cumsum(counts)[:-1]
     clouds = zip(frames.tolist(), np.split(poses, ends), np.split(weights, ends), strict=True)

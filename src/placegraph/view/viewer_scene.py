@@ -127,7 +127,7 @@ class SceneView:
         camera.up = (0.0, 0.0, 1.0)
 
     def _objects(self) -> list[viser.GlbHandle]:
-        made = materials(self.scene)
+        made = materials(self.scene, webp=True)
         surfaces = object_surfaces(self.scene.mesh, len(self.scene))
         handles = []
         for row, own in enumerate(surfaces):
