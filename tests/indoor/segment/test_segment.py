@@ -177,7 +177,7 @@ def test_again_the_same():
     np.testing.assert_array_equal(one.object_of, two.object_of)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     points=st.integers(3, 40),
