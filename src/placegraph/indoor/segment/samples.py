@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
-_MOST = 1_500_000
+_MOST = 6_000_000
 """More points than this are not spread: their distance grows instead."""
 
 
