@@ -207,6 +207,7 @@ def _moves(
     """Placement of each suspect that has one, no two at one place: the best fit first."""
     rng = np.random.default_rng(left.options.seed)
     bids: list[tuple[float, int, Placement]] = []
+    every = np.concatenate([np.zeros((0, 3)), *(clump.points for clump in clumps)])
     for row in suspects.tolist():
         thing = Thing(scene.mesh, row, rng)
         if counts.by_colour[row]:
@@ -218,7 +219,7 @@ def _moves(
                 placed
                 for clump in clumps
                 if _reaches(thing, clump, left.options)
-                for placed in placements(left, thing, clump.points)[:2]
+                for placed in placements(left, thing, clump.points, every)[:2]
                 if placed.good
                 and placed.explained >= left.options.least_pixels / 2
                 and placed.worth > _MOVED_GAIN * stays.worth

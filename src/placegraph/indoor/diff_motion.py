@@ -42,7 +42,7 @@ _THROUGH = 2.0
 """A reading behind the surface weighs this many on it."""
 _KEPT = 6
 """Placements of the first round that are fitted."""
-LEAST_FIT = 0.8
+LEAST_FIT = 0.75
 """Share of the readings that have to end on the thing, of those that reach it."""
 LEAST_COVER = 0.5
 """Share of the unexplained readings where it stands that it has to explain."""
@@ -105,8 +105,11 @@ class Thing:
         return np.asarray((self.low + self.high) / 2.0)
 
 
-def placements(scene: Scene, thing: Thing, clump: Floats) -> list[Placement]:
-    """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty."""
+def placements(scene: Scene, thing: Thing, clump: Floats, every: Floats) -> list[Placement]:
+    """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
+
+    `every`: (M, 3) all unexplained points; thin things come in several clumps.
+    """
     chosen = _telling(scene, clump)
     starts = _starts(thing, clump)
     if not chosen or not len(starts):
@@ -119,11 +122,11 @@ def placements(scene: Scene, thing: Thing, clump: Floats) -> list[Placement]:
     )
     found = []
     for start in _distinct(starts, scores):
-        near = _within(thing, start, clump, 0.15)
+        near = _within(thing, start, every, 0.15)
         if np.count_nonzero(near) < 12:
             continue
         begin = inverse(about(thing.middle, start[3], start[:3]))
-        back = register(clump[near], thing.many, begin, reach=0.15, within=0.03)
+        back = register(every[near], thing.many, begin, reach=0.15, within=0.03)
         found.append(judge(scene, thing, inverse(back.motion)))
     return sorted(found, key=lambda p: -p.worth)
 
