@@ -15,12 +15,16 @@ from placegraph.indoor import textures
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from os import PathLike
+    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture import Capture
     from placegraph.geometry import Camera
+    from placegraph.indoor.change import SceneDiff
+    from placegraph.indoor.check import Finding
+    from placegraph.indoor.diff_options import DiffOptions
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.matching import Matcher
     from placegraph.indoor.mesh import Mesh
@@ -334,6 +338,46 @@ class SceneMap:
         from placegraph.indoor.render import render
 
         return render(self, map_from_camera, camera, samples=samples, device=device)
+
+    def diff(
+        self,
+        later: SceneMap | Capture,
+        poses: ArrayLike | PoseEstimate | None = None,
+        *,
+        options: DiffOptions | None = None,
+    ) -> SceneDiff:
+        """What changed since this map was made, as a later map or a capture with poses shows it.
+
+        Parameters, result and errors: `placegraph.indoor.diff.diff`, and of a capture, whose poses
+        (T, 4, 4) are what `localize` said of it, `placegraph.indoor.diff_capture.diff_capture`.
+        """
+        if isinstance(later, SceneMap):
+            from placegraph.indoor.diff import diff
+
+            return diff(self, later, options=options)
+        from placegraph.indoor.diff_capture import diff_capture
+
+        if poses is None:
+            raise OptionError("poses: a capture needs them; give what scene.localize said of it.")
+        return diff_capture(self, later, poses, options=options)
+
+    def updated(self, diff: SceneDiff, **options: Any) -> SceneMap:  # noqa: ANN401  # of `update`
+        """Map that has taken over what changed; options: `placegraph.indoor.update.update`."""
+        from placegraph.indoor.update import update
+
+        return update(self, diff, **options)
+
+    def check(self) -> list[Finding]:
+        """What is odd about the map, worst first: `placegraph.indoor.check.check`."""
+        from placegraph.indoor.check import check
+
+        return check(self)
+
+    def export(self, path: str | PathLike[str], *, overwrite: bool = False) -> tuple[Path, ...]:
+        """Write the map as .glb, .ply or Spark-DSG's .json: `placegraph.indoor.export.export`."""
+        from placegraph.indoor.export import export
+
+        return export(self, path, overwrite=overwrite)
 
     def tracker(self, camera: Camera, *, seed: int = 0, **options: Any) -> Tracker:  # noqa: ANN401
         """Localizer for one frame at a time; see `placegraph.indoor.tracker.Tracker`."""

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.labels import Entry
     from placegraph.indoor.atlas import ColourOf
+    from placegraph.indoor.segment import Segments
     from placegraph.indoor.segment.segmenter import Segmenter
 
 Progress = Callable[[str, int, int], None]
@@ -162,10 +163,7 @@ def cut(model: Model, left_out: Counter[str], progress: Progress | None = None) 
     found = segment(
         model.vertices, model.triangles, model.colours, progress=progress, left_out=left_out
     )
-    things = tuple(
-        Thing(str(i), label, name)
-        for i, (label, name) in enumerate(zip(found.labels, found.names, strict=True))
-    )
+    things = _things(found)
     note = f"It was cut into {len(things)} objects by geometry and colour, as its file names none."
     whole = replace(
         model, things=things, thing_of=found.object_of.astype(np.int64), floor=found.floor
@@ -212,10 +210,7 @@ def captured(
     )  # fmt: skip
     model = Model(
         path=path,
-        things=tuple(
-            Thing(str(i), label, name)
-            for i, (label, name) in enumerate(zip(found.labels, found.names, strict=True))
-        ),
+        things=_things(found),
         vertices=fused.vertices,
         triangles=fused.triangles,
         thing_of=found.object_of.astype(np.int64),
@@ -255,6 +250,10 @@ def _labelled(model: Model, table: Mapping[str, Entry]) -> Model:
         for t, e in zip(model.things, entries, strict=True)
     )
     return replace(model, things=things)
+
+
+def _things(found: Segments) -> tuple[Thing, ...]:
+    return tuple(map(Thing, found.ids, found.labels, found.names))
 
 
 def _notes(path: Path, told: bool, stats: Any, labels: tuple[str, ...]) -> list[str]:  # noqa: ANN401

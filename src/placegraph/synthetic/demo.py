@@ -43,7 +43,7 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
     """Locate sentences and a way in the town, a film in the flat; leave maps and pictures in `out`."""
     _town(out, say)
     _flat(out, say)
-    pages = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png")
+    pages = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", "changes.png")
     say(f"\nLook at {', '.join(f'{out}/{page}' for page in pages)}.")
 
 
@@ -94,6 +94,7 @@ def _flat(out: Path, say: Callable[[str], None]) -> None:
     from placegraph.indoor.options import FilterOptions
     from placegraph.synthetic.walks import stroll, write_walk
     from placegraph.view import draw_scene, write_overlay, write_plan, write_plan_animation
+    from placegraph.view.diff_plan import write_diff
 
     drawing, rng = Flat.load(FLAT), np.random.default_rng(0)
     interior = drawing.furnish(rng)
@@ -112,6 +113,18 @@ def _flat(out: Path, say: Callable[[str], None]) -> None:
     write_overlay(scene, estimate, capture, out / "overlay.png")
     _say_pose(estimate, say)
     _say_truth(estimate, truth, say)
+    found = scene.diff(capture, estimate)
+    say("What changed since the map was made, as the walk shows it:")
+    for change in found.changes:
+        say(
+            f"  {change.kind} {change.name or change.label}, {change.confidence:.0%} sure: {change.reason}"
+        )
+    write_diff(scene, found, out / "changes.png")
+    newer = scene.updated(found)
+    newer.save(out / f"{FLAT}_now.scene")
+    say(
+        f"{out / f'{FLAT}_now.scene'} has taken it over: {len(newer)} objects instead of {len(scene)}."
+    )
 
 
 def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:

@@ -42,21 +42,22 @@ def labelled(capture: Capture, segmenter: Segmenter) -> Capture:
     Images are segmented when their labels are asked for; the last 64 are kept. The capture's own
     labels, if it has any, are hidden.
     """
-    camera = capture.camera.resized(*segmenter.size(capture.camera.width, capture.camera.height))
+    size = segmenter.size(capture.camera.width, capture.camera.height)
+    cameras = [frame.camera.resized(*size) for frame in capture.frames]  # some refocus
     names = dict(segmenter.names)
     cache: OrderedDict[int, NDArray[np.int32]] = OrderedDict()
     frames = tuple(
         replace(
             frame,
-            label_camera=camera,
+            label_camera=cameras[i],
             label_kind="labels",
             label_names=names,
-            images=SegmentedImages(frame.images, segmenter, camera, i, cache),
+            images=SegmentedImages(frame.images, segmenter, cameras[i], i, cache),
         )
         for i, frame in enumerate(capture.frames)
     )
     return replace(
-        capture, frames=frames, label_camera=camera, label_kind="labels", label_names=names
+        capture, frames=frames, label_camera=cameras[0], label_kind="labels", label_names=names
     )
 
 
