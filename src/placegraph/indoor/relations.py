@@ -2,18 +2,28 @@
 
 In this order, of which the first that holds for a pair is kept:
 
+- A *attached to* B first for what is built in, by its label: windows, doors, curtains, where a wall
+  is within 10 cm.
 - A *standing on* B: level triangles of B lie under A's box, from 10 cm below its bottom to 5 cm
   above, and B as a whole lies lower or begins lower; of several B those under at least half of A
-  first, then the highest, then the largest.
-- A *inside* B: A stands on nothing, and at least 90 % of its box lies in B's, which is larger.
+  first, then the highest, then the largest. Nothing stands on a wall, and no ceiling on anything.
+- A *inside* B: A stands on nothing, and at least 90 % of its box lies in B's, which is larger, and
+  nowhere thinner than 20 cm: doors and boards hold nothing.
 - A *attached to* B: A stands on nothing and is in nothing, and B's triangles come within 5 cm of
   its box: of several B walls, ceilings and floors first, then the largest.
-- A *above* B: A's bottom is over B's top, by at most 2 m, and half of the smaller footprint
-  overlaps; of several B the highest.
-- A *next to* B, and B next to A: their boxes overlap in height and are at most 0.5 m apart.
+- A *above* B: A stands on nothing, its bottom is over B's top, by at most 2 m, half of the smaller
+  footprint overlaps, and B itself, not its box alone, lies under the middle of A; of several B
+  those under at least half of A first, of these none that carries another, then the highest.
+- A *next to* B, and B next to A: their boxes overlap in height, by a quarter of the lower one (a
+  window may be 0.5 m higher), and are at most 0.5 m apart; they are not known to be in two rooms,
+  or one is a door.
 
 Walls, floors and ceilings (by the label's last word, or because their footprint is half of the
 map's) are never inside, above or next to anything.
+
+Where rooms are known, A *same room* B besides, and B same room A: as few as tell it of all, namely
+the shortest tree through the things of a room. It goes on from one to the next: what is connected
+by such relations is in one room (`placegraph.indoor.relation_words.find` follows them).
 """
 
 from __future__ import annotations
@@ -23,17 +33,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.floor import label_words
+from placegraph.indoor.floor import is_floor, label_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from placegraph.indoor.mesh import Mesh
 
-STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO = (
-    "standing on", "inside", "attached to", "above", "next to",
+STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM = (
+    "standing on", "inside", "attached to", "above", "next to", "same room",
 )  # fmt: skip
-RELATIONS = (STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO)
+RELATIONS = (STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM)
 
 CONTACT = 0.05
 """What is nearer than this touches [m]."""
@@ -46,7 +56,12 @@ OVER = 2.0
 MOST_OBJECTS = 20_000
 """Beyond this many objects, as of a mesh cut to pieces, no relations are made."""
 
-_STRUCTURE = {"wall", "walls", "floor", "floors", "ground", "ceiling", "roof"}
+_WALLS = frozenset({"wall", "walls"})
+_CEILINGS = frozenset({"ceiling", "ceilings", "roof"})
+_DOORS = frozenset({"door", "doors", "doorway", "doorframe"})
+_BUILT_IN = _DOORS | {"window", "windows", "curtain", "curtains", "blind", "blinds"}
+_HOLLOW = 0.2  # what something else is inside of is at least this thick [m]
+_SIDE_BY_SIDE = 0.25  # of the lower one's height that the higher one shares
 _LEVEL = 0.7
 _THIN = 0.01  # boxes of flat things are given this thickness [m]
 
@@ -59,7 +74,13 @@ class _Boxes(NamedTuple):
     high: Floats
     """(N, 3)"""
     structure: NDArray[np.bool_]
-    """(N,)"""
+    """(N,) walls, floors, ceilings, and what is half of the map."""
+    floor: NDArray[np.bool_]
+    """(N,) by label, as the next four."""
+    wall: NDArray[np.bool_]
+    ceiling: NDArray[np.bool_]
+    door: NDArray[np.bool_]
+    built_in: NDArray[np.bool_]
     footprint: Floats
     """(N,) [m2]"""
 
@@ -87,21 +108,32 @@ class _Triangles(NamedTuple):
         return bool(near.size) and bool(overlap(self.corners[near], low, high).any())
 
 
-def relate(mesh: Mesh, labels: Sequence[str]) -> list[tuple[int, str, int]]:
-    """Relations (row, relation, row) between the objects of a mesh, sorted."""
+def relate(
+    mesh: Mesh, labels: Sequence[str], room_of: NDArray[np.integer] | None = None
+) -> list[tuple[int, str, int]]:
+    """Relations (row, relation, row) between the objects of a mesh, sorted.
+
+    `room_of` (N,) is the room of each object, -1 none, as `placegraph.indoor.rooms` finds it; where
+    it is not given, nothing is in the same room, and things are next to each other through walls.
+    """
     count = len(labels)
     if not 1 < count <= MOST_OBJECTS:
         return []
     boxes = _boxes(mesh, labels)
+    rooms = np.full(count, -1) if room_of is None else np.asarray(room_of, np.int64)
     pairs = _near_pairs(boxes)
     triangles = _triangles(mesh, count)
     found: dict[tuple[int, int], str] = {}
-    grounded = _standing(boxes, triangles, pairs, found)
+    fixed = boxes.built_in[pairs[:, 0]] & boxes.wall[pairs[:, 1]]
+    grounded = _attached(boxes, triangles, pairs[fixed], found, reach=SUPPORT)
+    grounded |= _standing(boxes, triangles, pairs[~grounded[pairs[:, 0]]], found)
     grounded |= _inside(boxes, pairs, found, grounded)
-    _attached(boxes, triangles, pairs, found, grounded)
-    _above(boxes, pairs, found)
-    _next_to(boxes, pairs, found)
-    return sorted((a, relation, b) for (a, b), relation in found.items())
+    free = ~grounded[pairs[:, 0]] & ~boxes.structure[pairs[:, 0]]
+    _attached(boxes, triangles, pairs[free], found, reach=CONTACT)
+    _above(boxes, triangles, pairs, found)
+    _next_to(boxes, pairs[boxes.door[pairs].any(axis=1) | ~_apart(rooms, pairs)], found)
+    edges = [(a, relation, b) for (a, b), relation in found.items()]
+    return sorted(edges + _same_room(boxes, rooms))
 
 
 def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[np.bool_]:
@@ -126,8 +158,14 @@ def _boxes(mesh: Mesh, labels: Sequence[str]) -> _Boxes:
     sides = high - low
     footprint = sides[:, 0] * sides[:, 1]
     whole = np.prod((high.max(axis=0) - low.min(axis=0))[:2])
-    named = np.array([bool(w) and w[-1] in _STRUCTURE for w in map(label_words, labels)])
-    return _Boxes(low, high, named | (footprint >= 0.5 * whole), footprint)
+    words = [(label_words(label) or [""])[-1] for label in labels]
+    floor = np.array([is_floor(label) for label in labels])
+    wall, ceiling, door, built_in = (
+        np.array([word in known for word in words])
+        for known in (_WALLS, _CEILINGS, _DOORS, _BUILT_IN)
+    )
+    structure = floor | wall | ceiling | (footprint >= 0.5 * whole)
+    return _Boxes(low, high, structure, floor, wall, ceiling, door, built_in, footprint)
 
 
 def _triangles(mesh: Mesh, count: int) -> _Triangles:
@@ -183,6 +221,8 @@ def _standing(
     bottom = boxes.low[a, 2]
     under = (boxes.high[b, 2] >= bottom - SUPPORT) & (boxes.low[b, 2] <= bottom + CONTACT)
     lower = (boxes.high[b, 2] <= bottom + CONTACT) | (boxes.low[b, 2] < bottom - CONTACT)
+    lower |= boxes.floor[b] & ~boxes.floor[a]  # of a scan it is as uneven
+    lower &= ~boxes.wall[b] & ~boxes.ceiling[a]
     apart = np.any(
         (boxes.low[a, :2] > boxes.high[b, :2]) | (boxes.low[b, :2] > boxes.high[a, :2]), axis=1
     )
@@ -218,7 +258,7 @@ def _inside(
         boxes.high[a] - boxes.low[a] < _THIN, np.where(shared >= 0, thin[a], 0), shared
     )
     within = np.prod(np.maximum(shared, 0.0), axis=1) >= 0.9 * volume[a]
-    within &= volume[b] > 1.5 * volume[a]
+    within &= (volume[b] > 1.5 * volume[a]) & (thin[b].min(axis=1) >= _HOLLOW)
     inside = np.zeros(len(boxes.low), np.bool_)
     rows = np.flatnonzero(within)
     for i in rows[np.argsort(volume[b[rows]], kind="stable")].tolist():
@@ -233,46 +273,111 @@ def _attached(
     triangles: _Triangles,
     pairs: NDArray[np.int64],
     found: dict[tuple[int, int], str],
-    grounded: NDArray[np.bool_],
-) -> None:
-    a, b = pairs[~grounded[pairs[:, 0]] & ~boxes.structure[pairs[:, 0]]].T
+    *,
+    reach: float,
+) -> NDArray[np.bool_]:
+    """Find what touches what, within `reach` [m]; returns which objects do."""
+    a, b = pairs.T
     touching = np.all(
-        (boxes.low[a] <= boxes.high[b] + CONTACT) & (boxes.low[b] <= boxes.high[a] + CONTACT),
-        axis=1,
+        (boxes.low[a] <= boxes.high[b] + reach) & (boxes.low[b] <= boxes.high[a] + reach), axis=1
     )
     a, b = a[touching], b[touching]
     order = np.lexsort([-boxes.footprint[b], ~boxes.structure[b]])
-    held = grounded.copy()
+    held = np.zeros(len(boxes.low), np.bool_)
     for thing, other in zip(a[order].tolist(), b[order].tolist(), strict=True):
         if held[thing] or (other, thing) in found:
             continue
-        low, high = boxes.low[thing] - CONTACT, boxes.high[thing] + CONTACT
+        low, high = boxes.low[thing] - reach, boxes.high[thing] + reach
         if triangles.in_box(other, low, high):
             found[thing, other] = ATTACHED_TO
             held[thing] = True
+    return held
 
 
-def _above(boxes: _Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]) -> None:
-    a, b = pairs[~boxes.structure[pairs].any(axis=1)].T
+def _above(
+    boxes: _Boxes,
+    triangles: _Triangles,
+    pairs: NDArray[np.int64],
+    found: dict[tuple[int, int], str],
+) -> None:
+    carrier = {one: other for (one, other), kind in found.items() if kind == STANDING_ON}
+    stands = np.zeros(len(boxes.low), np.bool_)
+    stands[list(carrier)] = True
+    a, b = pairs[~boxes.structure[pairs].any(axis=1) & ~stands[pairs[:, 0]]].T
     gap = boxes.low[a, 2] - boxes.high[b, 2]
+    shared = _overlap_2d(boxes, a, b)
     smaller = np.minimum(boxes.footprint[a], boxes.footprint[b])
     rows = np.flatnonzero(
-        (gap >= -CONTACT) & (gap <= OVER) & (_overlap_2d(boxes, a, b) >= 0.5 * smaller)
-        & (smaller > 0)
-    )  # fmt: skip
-    done: set[int] = set()
+        (gap >= -CONTACT) & (gap <= OVER) & (shared >= 0.5 * smaller) & (smaller > 0)
+    )
+    half = shared >= 0.5 * boxes.footprint[a]
+    under: dict[int, dict[bool, list[int]]] = {}
     for i in rows[np.argsort(gap[rows], kind="stable")].tolist():
         one, other = int(a[i]), int(b[i])
-        if one not in done and (one, other) not in found and (other, one) not in found:
-            found[one, other] = ABOVE
-        done.add(one)
+        quarter = (boxes.high[one] - boxes.low[one]) / 4.0
+        low, high = boxes.low[one] + quarter, boxes.high[one] - quarter
+        low[2], high[2] = boxes.low[other, 2], boxes.low[one, 2] + CONTACT
+        if triangles.in_box(other, low, high):
+            under.setdefault(one, {}).setdefault(bool(half[i]), []).append(other)
+    for one, seen in under.items():
+        others = seen.get(True) or seen[False]
+        carrying = {below for thing in others for below in _carriers(carrier, thing)}
+        best = next((other for other in others if other not in carrying), None)
+        if best is not None and (one, best) not in found and (best, one) not in found:
+            found[one, best] = ABOVE
+
+
+def _carriers(carrier: dict[int, int], thing: int) -> Iterator[int]:
+    """What a thing stands on, what that stands on, and so on."""
+    passed = {thing}
+    while thing in carrier and carrier[thing] not in passed:
+        thing = carrier[thing]
+        passed.add(thing)
+        yield thing
+
+
+def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which pairs are known to be in two rooms."""
+    one, other = rooms[pairs].T
+    apart: NDArray[np.bool_] = (one >= 0) & (other >= 0) & (one != other)
+    return apart
 
 
 def _next_to(boxes: _Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]) -> None:
     a, b = pairs[~boxes.structure[pairs].any(axis=1)].T
     apart = np.maximum(boxes.low[a], boxes.low[b]) - np.minimum(boxes.high[a], boxes.high[b])
-    near = (apart[:, 2] < 0) & (np.hypot(*np.maximum(apart[:, :2], 0.0).T) <= NEXT)
+    tall = boxes.high[:, 2] - boxes.low[:, 2]
+    beside = -apart[:, 2] >= _SIDE_BY_SIDE * np.minimum(tall[a], tall[b])
+    beside &= apart[:, 2] < 0
+    # one sits at a window that begins above the seat
+    beside |= (boxes.built_in[a] | boxes.built_in[b]) & (apart[:, 2] <= NEXT)
+    near = beside & (np.hypot(*np.maximum(apart[:, :2], 0.0).T) <= NEXT)
     for one, other in zip(a[near].tolist(), b[near].tolist(), strict=True):
         other_way = found.get((other, one), NEXT_TO)
         if other_way == NEXT_TO:
             found.setdefault((one, other), NEXT_TO)
+
+
+def _same_room(boxes: _Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
+    """Shortest tree through the middles of each room's things, both ways: Prim's algorithm."""
+    middle = (boxes.low + boxes.high) / 2.0
+    edges: list[tuple[int, str, int]] = []
+    for room in range(int(rooms.max(initial=-1)) + 1):
+        left = np.flatnonzero((rooms == room) & ~boxes.structure)
+        if not left.size:
+            continue
+        at, left = int(left[0]), left[1:]
+        distance = np.full(len(left), np.inf)
+        nearest = np.full(len(left), at)
+        while left.size:
+            fresh = ((middle[left] - middle[at]) ** 2).sum(axis=1)
+            nearest[fresh < distance] = at
+            distance = np.minimum(distance, fresh)
+            i = int(distance.argmin())
+            at, other = int(left[i]), int(nearest[i])
+            edges += [(at, SAME_ROOM, other), (other, SAME_ROOM, at)]
+            # the last one takes the place of the one that is done
+            for column in (left, distance, nearest):
+                column[i] = column[-1]
+            left, distance, nearest = left[:-1], distance[:-1], nearest[:-1]
+    return edges
