@@ -95,15 +95,20 @@ def test_build_options(run, ply, tmp_path):
         run("scene", "build", ply, "-o", out, "--object-property", "part"), 3, "'part'", "room.ply"
     )
     fails(run("scene", "build", ply, "-o", out, "--up", "x"), 7, "up is 'x'")
-    fails(run("scene", "build", ply, "-o", out, "--max-texture", "0"), 7, "max_texture")
-    fails(run("scene", "build", ply, "-o", out, "--quality", "0"), 7, "quality")
+    fails(run("scene", "build", ply, "-o", out, "--detail", "huge"), 7, "detail is 'huge'", "tiny")
+    fails(run("scene", "build", ply, "-o", out, "--error", "-1"), 7, "error is -1.0")
+    fails(run("scene", "build", ply, "-o", out, "--texel", "nan"), 7, "texel is nan")
+    fails(run("scene", "build", ply, "-o", out, "--frames", "one"), 7, "--frames", "0:186")
+    fails(run("scene", "build", ply, "-o", out, "--reader", "x"), 7, "--reader", "name=value")
+    fails(run("scene", "build", ply, "-o", out, "--reader", "x=1"), 7, "x: no option of .ply")
     fails(run("scene", "build", ply, "-o", out, "--floor", "nan"), 7, "floor")
 
 
 def test_build_refuses(run, ply, tmp_path):
     out = tmp_path / "a.scene"
     fails(run("scene", "build", tmp_path / "no.glb", "-o", out), 3, "no.glb", "does not exist")
-    fails(run("scene", "build", tmp_path / "a.obj", "-o", out), 3, "unknown ending")
+    (tmp_path / "a.xyz").touch()
+    fails(run("scene", "build", tmp_path / "a.xyz", "-o", out), 3, "unknown ending")
     fails(run("scene", "build", ply, "-o", ply), 7, "room.ply")
     fails(run("scene", "build", ply, "-o", out, "--labels", tmp_path / "no.json"), 3, "no.json")
     fails(run("scene", "build", ply, "-o", tmp_path / "no" / "a.scene"), 4, "a.scene")

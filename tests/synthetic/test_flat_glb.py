@@ -110,7 +110,7 @@ def test_read_back_it_is_the_same_flat(path, interior):
 
 
 def test_as_a_scene_map(path, flat, interior, tmp_path):
-    built = build_scene(path, tmp_path / "flat.scene")
+    built = build_scene(path, tmp_path / "flat.scene", detail="full")
     opened = open_map(tmp_path / "flat.scene")
     for scene in (built, opened):
         assert len(scene.graph) == len(interior.things)
@@ -123,7 +123,7 @@ def test_as_a_scene_map(path, flat, interior, tmp_path):
 
 
 def test_colours_survive_the_way_into_the_map(path, interior, tmp_path):
-    scene = build_scene(path, tmp_path / "flat.scene")
+    scene = build_scene(path, tmp_path / "flat.scene", detail="full")
     own = interior.mesh()
     third = np.full(len(own), 1 / 3, np.float32)
     rows = np.arange(len(own), dtype=np.int32)

@@ -126,7 +126,9 @@ def progress_of(*, hidden: bool) -> Iterator[Callable[[str, int, int], None]]:
         BarColumn(bar_width=28),
         TimeElapsedColumn(),
     )
-    bar = Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True)
+    console = Console(stderr=True)
+    hidden = hidden or not console.is_terminal  # never there for a file or a pipe
+    bar = Progress(*columns, console=console, disable=hidden, transient=True)
     with bar:
         task = bar.add_task("starting", total=None)
         yield lambda step, done, total: bar.update(
