@@ -43,6 +43,12 @@ SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35
 """Share of an object's pixels that have to speak for being gone before a motion is looked for."""
 GONE = 0.6
 """... and without a motion, before it counts as vanished."""
+_NEARNESS = 1.0
+"""Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""
+_RIVAL = 0.7
+"""Another thing that is gone and fits a place this well, against the best, may be it as well."""
+_SHARED = 0.3
+"""Two things whose boxes share this much of the smaller stand at one place."""
 _MOVED_GAIN = 1.2
 """By how much a motion has to explain the frames better than staying does."""
 
@@ -231,18 +237,24 @@ def _moves(
             turn = np.degrees(np.linalg.norm(vector_from_rotation(placed.motion[:3, :3])))
             stirred = shift >= left.options.least_shift or turn >= left.options.least_turn
             if stirred and shift <= left.options.reach:
-                # of things alike the nearest is meant
-                bids.append((placed.worth * (1.0 - 0.5 * shift / left.options.reach), row, placed))
+                bids.append((placed.worth * np.exp(-shift / _NEARNESS), row, placed))
     won: dict[int, Placement] = {}
     places: list[tuple[Floats, Floats]] = []
-    for _, row, placed in sorted(bids, key=lambda bid: -bid[0]):
-        if row in won:
+    for worth, row, placed in sorted(bids, key=lambda bid: -bid[0]):
+        box = _box(scene, row, placed.motion)
+        if row in won or any(_common(*box, *other) > _SHARED for other in places):
             continue
-        low, high = _box(scene, row, placed.motion)
-        shares = [_common(low, high, *other) for other in places]
-        if not any(s > 0.3 for s in shares):
-            won[row] = placed
-            places.append((low, high))
+        rivals = {
+            other: bid
+            for bid, other, too in reversed(bids)
+            if other != row
+            and too.worth > _RIVAL * placed.worth
+            and _common(*box, *_box(scene, other, too.motion)) > _SHARED
+        }
+        share = worth / (worth + sum(rivals.values()))
+        names = tuple(scene.graph.ids[other] for other in rivals)
+        won[row] = replace(placed, rivals=names, share=share)
+        places.append(box)
     return won
 
 
@@ -277,12 +289,14 @@ def _moved(scene: SceneMap, counts: Tally, row: int, placed: Placement) -> Chang
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
     gone = counts.confidence(row)
     sure = placed.fit * (placed.frames + 0.5) / (placed.frames + 1.0)
+    sure *= placed.share  # gone it is; which of those alike came here is a guess
+    alike = f" So does {', '.join(placed.rivals)}, from farther off." if placed.rivals else ""
     return Change(
         kind="moved", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
         confidence=float(np.clip(max(gone, 0.5) * sure, 0.0, 1.0)),
         after_from_before=placed.motion, centre=graph.positions[row], box=np.stack([low, high]),
         reason=f"{counts.share[row]:.0%} of {_pixels(counts, row)} are seen through it; where it is "
-        f"now {placed.fit:.0%} {by} in {placed.frames} frames.",
+        f"now {placed.fit:.0%} {by} in {placed.frames} frames.{alike}",
     )  # fmt: skip
 
 

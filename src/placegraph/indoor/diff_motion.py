@@ -38,6 +38,9 @@ GRID = 0.1
 LOOKS = 6
 """Frames that the first round asks."""
 _CHUNK = 200_000
+_LEAST_POINTS = 12  # that a fit takes
+_NUDGE = 0.15  # by how much a placement is turned to be fitted once more [rad]
+_LIFT = 0.08  # what moved up or down less than this is tried at its old height, too [m]
 _THROUGH = 2.0
 """A reading behind the surface weighs this many on it."""
 _KEPT = 6
@@ -74,6 +77,10 @@ class Placement:
     """Share of the unexplained readings in its box that it explains."""
     frames: int
     """That speak for it."""
+    rivals: tuple[str, ...] = ()
+    """Ids of other things that are gone and fit the place nearly as well."""
+    share: float = 1.0
+    """How likely it is this thing, and none of those, by how far each would have come."""
 
     @property
     def good(self) -> bool:
@@ -123,12 +130,34 @@ def placements(scene: Scene, thing: Thing, clump: Floats, every: Floats) -> list
     found = []
     for start in _distinct(starts, scores):
         near = _within(thing, start, every, 0.15)
-        if np.count_nonzero(near) < 12:
+        if np.count_nonzero(near) < _LEAST_POINTS:
             continue
         begin = inverse(about(thing.middle, start[3], start[:3]))
         back = register(every[near], thing.many, begin, reach=0.15, within=0.03)
         found.append(judge(scene, thing, inverse(back.motion)))
-    return sorted(found, key=lambda p: -p.worth)
+    found.sort(key=lambda p: -p.worth)
+    return [_polished(scene, thing, every, found[0]), *found[1:]] if found else []
+
+
+def _polished(scene: Scene, thing: Thing, every: Floats, placed: Placement) -> Placement:
+    """A placement, or what a fit from a little beside it finds, or that at its old height."""
+    best = placed
+    for turn in (-_NUDGE, 0.0, _NUDGE):
+        middle = moved(placed.motion, thing.middle[None])[0]
+        start = about(middle, turn, middle) @ placed.motion
+        back = moved(inverse(start), every)
+        near = np.all((back > thing.low - 0.08) & (back < thing.high + 0.08), axis=1)
+        if np.count_nonzero(near) < _LEAST_POINTS:
+            continue
+        fitted = register(every[near], thing.many, inverse(start), reach=0.08, within=0.03)
+        motion = inverse(fitted.motion)
+        tried = [motion]
+        if abs(motion[2, 3]) < _LIFT:  # what stood on the floor does so still
+            level = motion.copy()
+            level[2, 3] = 0.0
+            tried.append(level)
+        best = max([best, *(judge(scene, thing, m) for m in tried)], key=lambda p: p.worth)
+    return best
 
 
 def judge(scene: Scene, thing: Thing, motion: Floats) -> Placement:
