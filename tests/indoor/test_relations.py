@@ -114,6 +114,107 @@ def test_next_to_is_mutual_and_ends_half_a_metre_away(boxes):
         assert told(model) == ({"bed next to desk", "desk next to bed"} if near else set())
 
 
+def test_a_lamp_hangs_above_what_lies_under_its_middle(boxes):
+    """The box of an L-shaped sofa does, its seats do not; the table does, and what it carries."""
+    sofa = boxes({"a": ((0, 0, 0), (3, 1, 0.8)), "b": ((0, 0, 0), (0.8, 3, 0.8))})
+    table = boxes({"t": ((1.4, 1.4, 0), (2.6, 2.6, 0.4)), "c": ((1.5, 1.5, 0.4), (1.6, 1.6, 0.5))})
+    lamp = boxes({"lamp": ((1.5, 1.5, 1.8), (2.1, 2.1, 2.2)), "rug": ((0, 0, -0.01), (3, 3, 0))})
+    parts = [sofa, table, lamp]
+    mesh = Mesh.plain(
+        np.concatenate([m.vertices for m in parts]),
+        np.concatenate([m.triangles + 16 * i for i, m in enumerate(parts)]),
+        np.repeat([0, 1, 2, 3, 4], [24, 12, 12, 12, 12]),
+    )
+    labels = ["sofa", "table", "cup", "lamp", "rug"]
+    found = [(labels[a], labels[b]) for a, r, b in relate(mesh, labels) if r == "above"]
+    assert found == [("lamp", "table")]
+
+
+def test_doors_hold_nothing(boxes):
+    """A handle within the box of a door is no jar in a cupboard."""
+    model = boxes({
+        "front door": ((1, 1, 0), (2, 1.12, 2)), "handle": ((1.1, 1.03, 1), (1.2, 1.09, 1.1)),
+        "hall": ((-20, -20, -3), (20, 20, -2.9)),
+    })  # fmt: skip
+    door = boxes({"panel": ((1, 1.06, 0), (2, 1.07, 2))})
+    mesh = Mesh.plain(
+        np.concatenate([model.vertices, door.vertices]),
+        np.concatenate([model.triangles, door.triangles + 24]),
+        np.concatenate([model.thing_of, np.zeros(12, int)]),
+    )
+    assert relate(mesh, [t.label for t in model.things]) == [(1, "attached to", 0)]
+
+
+def test_what_is_built_in_stands_on_nothing(boxes):
+    """Windows do not stand on the sill, doors not on the floor, ceilings not on lamps."""
+    model = boxes(FLOOR | {
+        "north wall": ((0, 5.9, 0), (8, 6, 2.6)), "window sill wall": ((8, 0, 0), (8.2, 6, 0.9)),
+        "window": ((8.05, 2, 0.9), (8.15, 3, 2)), "door": ((1, 5.85, 0), (2, 5.95, 2)),
+        "curtain": ((3, 5.8, 0), (4, 5.82, 2.4)), "glass door": ((4, 3, 0), (5, 3.05, 2)),
+        "ceiling": ((0, 0, 2.6), (8, 6, 2.7)), "lamp": ((4, 1, 2.0), (4.3, 1.3, 2.6)),
+        "sofa": ((7, 2, 0), (7.9, 3, 0.8)),
+    })  # fmt: skip
+    found = {line for line in told(model) if " next to " not in line}
+    assert found == {
+        "north wall standing on floor", "window sill wall standing on floor",
+        "window attached to window sill wall", "door attached to north wall",
+        "curtain attached to north wall", "glass door standing on floor",
+        "lamp attached to ceiling", "sofa standing on floor",
+    }  # fmt: skip
+    assert {"sofa next to window", "window next to sofa"} <= told(model), "it begins above the seat"
+
+
+def test_things_stand_on_an_uneven_floor(boxes):
+    """The box of a scanned floor reaches as high as things' feet are sunk."""
+    model = boxes({"floor": ((0, 0, -0.04), (8, 6, 0)), "bump floor": ((7, 5, 0), (7.2, 5.2, 0.12)),
+                   "sofa": ((1, 1, -0.02), (2, 2, 0.8))})  # fmt: skip
+    mesh = Mesh.plain(model.vertices, model.triangles, np.repeat([0, 0, 1], 12))
+    assert relate(mesh, ["floor", "sofa"]) == [(1, "standing on", 0)]
+
+
+def test_hardly_beside_is_not_next_to(boxes):
+    """A chandelier overhead is not next to a fridge whose top it passes by a little."""
+    for low, near in ((1.8, False), (1.4, True)):
+        model = boxes({"fridge": ((0, 0, 0), (1, 1, 1.9)), "lamp": ((1.1, 0, low), (2, 1, low + 0.9)),
+                       "hall": ((-20, -20, -3), (20, 20, -2.9))})  # fmt: skip
+        assert ("lamp next to fridge" in told(model)) is near
+
+
+def test_nothing_is_next_to_what_is_in_another_room(boxes):
+    model = boxes({"bed": ((0, 0, 0), (2, 2, 0.5)), "desk": ((2.3, 0, 0), (3, 2, 0.7)),
+                   "door": ((2.1, 2.1, 0), (2.2, 3, 2)),
+                   "hall": ((-20, -20, -3), (20, 20, -2.9))})  # fmt: skip
+    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+    labels = [t.label for t in model.things]
+    pairs = [
+        {(a, b) for a, r, b in relate(mesh, labels, np.array(rooms)) if r == "next to"}
+        for rooms in ([0, 0, 0, -1], [0, 1, 0, -1], [0, -1, 0, -1])
+    ]
+    doors = {(0, 2), (2, 0), (1, 2), (2, 1)}
+    assert pairs == [doors | {(0, 1), (1, 0)}, doors, doors | {(0, 1), (1, 0)}]
+
+
+def test_same_room_connects_all_of_a_room_by_few_edges(boxes, rng):
+    low = rng.uniform(0, 30, (60, 3))
+    names = {f"thing{chr(65 + i)}": (a, a + 0.3) for i, a in enumerate(low)}
+    model = boxes(names | {"floor": ((0, 0, -1), (30, 30, 0))})
+    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+    rooms = np.append(rng.integers(-1, 4, 60), 0)
+    found = relate(mesh, [t.label for t in model.things], rooms)
+    assert found == sorted(found)
+    edges = [(a, b) for a, r, b in found if r == "same room"]
+    assert {(b, a) for a, b in edges} == set(edges)
+    assert len(set(edges)) == len(edges) == 2 * sum((rooms[:60] == k).sum() - 1 for k in range(4))
+    group = np.arange(61)
+    for _ in range(60):
+        for a, b in edges:
+            group[a] = group[b] = min(group[a], group[b])
+    for k in range(4):
+        assert len(set(group[:60][rooms[:60] == k])) == 1
+    assert all(rooms[a] == rooms[b] >= 0 for a, b in edges)
+    assert not any(60 in edge for edge in edges), "the floor is no thing in a room"
+
+
 def test_one_object_or_none(boxes):
     assert told(boxes(FLOOR)) == set()
 
@@ -133,6 +234,7 @@ def test_relations_of_any_boxes_are_sane(low, size, boxes):
     assert len(set(pairs)) == len(pairs), "one relation a pair"
     by_kind = {kind: {(a, b) for a, r, b in found if r == kind} for kind in RELATIONS}
     assert sum(map(len, by_kind.values())) == len(found)
+    assert not by_kind["same room"], "no rooms were given"
     for a, b in pairs:
         assert a != b
     for kind in ("standing on", "inside", "above"):
