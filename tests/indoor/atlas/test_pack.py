@@ -7,7 +7,7 @@ from placegraph.indoor.atlas.pack import filled, pack
 
 @given(st.lists(st.tuples(st.integers(1, 128), st.integers(1, 128)), min_size=1, max_size=60))
 def test_rectangles_lie_on_pages_and_nowhere_twice(sizes):
-    page, places, pages = pack(np.array(sizes), 128)
+    page, places, pages = pack(np.array(sizes), 128, np.arange(len(sizes)))
     taken = [np.zeros((h, w), int) for w, h in pages]
     for (w, h), k, (x, y) in zip(sizes, page, places, strict=True):
         assert x + w <= pages[k][0]
@@ -20,7 +20,7 @@ def test_rectangles_lie_on_pages_and_nowhere_twice(sizes):
 
 def test_many_rectangles_fill_their_page(rng):
     sizes = rng.integers(3, 40, (2000, 2))
-    page, _, pages = pack(sizes, 2048)
+    page, _, pages = pack(sizes, 2048, rng.random(2000))
     assert len(pages) == page.max() + 1 == 1
     assert sizes.prod(axis=1).sum() > 0.8 * pages[0].prod()
 

@@ -224,6 +224,7 @@ def _assembled(mesh: Mesh, charts: Charts, sheets: _Sheets, margin: int, largest
     page, places, pages = pack(
         np.concatenate([sheets.sizes[drawn], np.full((cards, 2), across * _PATCH, np.int64)]),
         largest,
+        np.append(sheets.means[drawn].sum(axis=1), np.zeros(cards)),
     )
     canvases = [np.zeros((h, w, 3), np.uint8) for w, h in pages.tolist()]
     masks = [np.zeros((h, w), bool) for w, h in pages.tolist()]

@@ -17,8 +17,11 @@ SIDE = 16
 """A page's sides are multiples of this: its first four halves are exact, and JPEG's blocks whole."""
 
 
-def pack(sizes: Ints, largest: int) -> tuple[Ints, Ints, Ints]:
+def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, Ints]:
     """Places of rectangles (R, 2) width, height on pages no longer than `largest`.
+
+    Of one height, those of like `shade` (R,) lie side by side: in a coarse copy of the page, whose
+    texels are wider than gutters, a chart then mixes with its like.
 
     Returns
     -------
@@ -31,7 +34,7 @@ def pack(sizes: Ints, largest: int) -> tuple[Ints, Ints, Ints]:
 
     """
     room = -(-sizes // GRAIN) * GRAIN
-    order = np.lexsort((-room[:, 0], -room[:, 1]))
+    order = np.lexsort((shade, -room[:, 1]))
     width = max(int(np.sqrt(1.05 * room.prod(axis=1).sum())), int(room[:, 0].max(initial=1)))
     width = min(-(-width // SIDE) * SIDE, largest)
     page, places = np.zeros(len(sizes), np.int64), np.zeros((len(sizes), 2), np.int64)
