@@ -149,7 +149,10 @@ def test_a_pose_is_refined_and_every_frame_with_it(run, world, tmp_path):
     assert written.poses == pytest.approx(np.array(told["trajectory"]), abs=1e-6)
     assert written.poses[-1] == pytest.approx(np.array(best["map_from_camera"]), abs=1e-6)
     assert written.stamps == pytest.approx(read_tum(world.walk / "odometry.tum").stamps[1:])
-    apart = np.linalg.norm(written.poses[:, :3, 3] - world.truth[1:, :3, 3], axis=1)
+    # plain walls alone are seen: how high the camera is they do not tell, and the answer knows it
+    apart = np.linalg.norm(written.poses[:, :2, 3] - world.truth[1:, :2, 3], axis=1)
+    high = np.abs(written.poses[:, 2, 3] - world.truth[1:, 2, 3])
+    assert high.max() < 3.0 * np.sqrt(best["covariance"][2][2])
     assert apart.max() < 0.06, "all frames are refined, not the last alone"
     assert refinement["reason"] in tum.read_text(encoding="utf-8").splitlines()[0]
     with Image.open(look) as sheet:
