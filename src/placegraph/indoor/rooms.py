@@ -30,7 +30,7 @@ from placegraph.indoor.rooms_kernels import areas_within, cover, cut, flood, nea
 from placegraph.indoor.structure import structure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -60,6 +60,7 @@ _BUILT, _TALL, _OVER = (
 )  # of how many of these planes cut what is built, a tall thing, a lintel
 _GAP = 0.5  # a gap of the ground this wide is closed [m], or
 _HOLE = 6.0  # one with ground all around, up to this size [m2]
+_MOSTLY, _PARTLY = 2.0 / 3.0, 1.0 / 3.0  # of a wall, or of a thing, that lies in its room
 _STOREY = 3.5  # what begins higher above the floor is in another storey [m]
 _BELOW = 0.3  # ground may lie this much lower than the floor [m]
 _WIDEST = 6.0  # wider rooms are taken for this wide: no pass wider than 0.6 of it is narrow [m]
@@ -77,6 +78,7 @@ _NAMELESS = frozenset({
 Cells = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
+Corners = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -115,6 +117,23 @@ class Rooms:
         return [{"room": str(room + 1)} if room >= 0 else {} for room in self.room_of.tolist()]
 
 
+def with_rooms(
+    mesh: Mesh, labels: Sequence[str], floor: float, attributes: Sequence[Mapping[str, str]]
+) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
+    """Room of each object (N,), -1 none, and attributes (N,) that say so under "room".
+
+    As the attributes name rooms already, if any does; else as `rooms_of` finds them.
+    """
+    named = [a.get("room", "") for a in attributes]
+    if any(named):
+        number = {name: i for i, name in enumerate(sorted({*named} - {""}))}
+        given = np.array([number.get(name, -1) for name in named], np.int32)
+        return given, [dict(a) for a in attributes]
+    rooms = rooms_of(mesh, labels, floor)
+    both = zip(attributes, rooms.attributes(), strict=True)
+    return rooms.room_of, [{**old, **new} for old, new in both]
+
+
 class _Grid(NamedTuple):
     origin: Floats
     cell: float
@@ -134,7 +153,7 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
         Height of the floor [m, map]. Of several storeys it is this one's rooms that are found.
 
     """
-    corners = mesh.vertices[mesh.triangles].astype(np.float64)
+    corners, normals = mesh.vertices[mesh.triangles], mesh.normals()
     corners[:, :, 2] -= floor
     near = (corners[:, :, 2].min(axis=1, initial=np.inf) < _STOREY) & (
         corners[:, :, 2].max(axis=1, initial=-np.inf) > -_BELOW
@@ -143,7 +162,7 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     if grid is None:
         return _no_rooms(len(labels))
     walls = _walls(mesh, labels, corners, grid)
-    floor_cells, ground = _ground(mesh.normals(), corners, walls, grid)
+    floor_cells, ground = _ground(normals, corners, walls, grid)
     cells = _cut(ground & ~walls, floor_cells, grid)
     areas = np.bincount(cells[cells >= 0], minlength=int(cells.max(initial=-1)) + 1)
     order = np.argsort(-areas, kind="stable")
@@ -157,7 +176,8 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
         cell=grid.cell,
     )
     if len(rooms):
-        rooms.room_of[:] = _rooms_of_objects(mesh, labels, corners, near, rooms)
+        areas = np.linalg.norm(normals, axis=1) / 2.0 * near
+        rooms.room_of[:] = _rooms_of_objects(mesh.object_of, labels, corners, areas, rooms)
     return rooms
 
 
@@ -166,12 +186,12 @@ def _no_rooms(count: int) -> Rooms:
     return Rooms(none, np.zeros(0), np.full((1, 1), -1, np.int32), np.zeros(2), CELL)
 
 
-def _grid(corners: Floats) -> _Grid | None:
+def _grid(corners: Corners) -> _Grid | None:
     """Grid around triangles, with a margin in which gaps can be closed."""
     if not len(corners):
         return None
-    low, high = corners[:, :, :2].min(axis=(0, 1)), corners[:, :, :2].max(axis=(0, 1))
-    low, high = low - 2.0 * _GAP, high + 2.0 * _GAP
+    flat = corners[:, :, :2].astype(np.float64)
+    low, high = flat.min(axis=(0, 1)) - 2.0 * _GAP, flat.max(axis=(0, 1)) + 2.0 * _GAP
     cell = max(CELL, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
     if cell > _COARSEST:
         return None
@@ -179,7 +199,7 @@ def _grid(corners: Floats) -> _Grid | None:
     return _Grid(low, cell, (nx, ny))
 
 
-def _walls(mesh: Mesh, labels: Sequence[str], corners: Floats, grid: _Grid) -> Mask:
+def _walls(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: _Grid) -> Mask:
     """Cells (nx, ny) that no room goes through."""
     words = [(label_words(label) or [""])[-1] for label in labels]
     built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
@@ -236,7 +256,7 @@ def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return out
 
 
-def _ground(normals: Floats, corners: Floats, walls: Mask, grid: _Grid) -> tuple[Mask, Mask]:
+def _ground(normals: Floats, corners: Corners, walls: Mask, grid: _Grid) -> tuple[Mask, Mask]:
     """Cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
     level = np.abs(normals[:, 2]) > 0.7 * np.linalg.norm(normals, axis=1)
     level &= corners[:, :, 2].min(axis=1) > -_BELOW
@@ -311,18 +331,18 @@ def _owner(owner: NDArray[np.int64], i: int) -> int:
 
 
 def _rooms_of_objects(
-    mesh: Mesh, labels: Sequence[str], corners: Floats, near: Mask, rooms: Rooms
+    object_of: NDArray[np.int32],
+    labels: Sequence[str],
+    corners: Corners,
+    areas: Floats,
+    rooms: Rooms,
 ) -> NDArray[np.int32]:
+    """Room (N,) over whose floor most of an object's triangles lie, by their areas [m2]; -1: none."""
     number = nearest(rooms.cells >= 0, int(REACH / rooms.cell))[1]
     within = np.where(number >= 0, rooms.cells.reshape(-1)[number], np.int32(-1))
-    areas = np.linalg.norm(mesh.normals(), axis=1) / 2.0 + 1e-9
     votes = np.zeros((len(labels), len(rooms) + 1))
-    object_of = mesh.object_of
-    areas_within(
-        corners[near], areas[near], object_of[near], rooms.origin, rooms.cell, within, votes
-    )
-    whole = np.maximum(np.bincount(object_of, areas, len(labels)), 1e-12)
+    areas_within(corners, areas, object_of, rooms.origin, rooms.cell, within, votes)
     best = votes[:, :-1].argmax(axis=1)
-    share = votes[np.arange(len(labels)), best] / whole
-    needed = np.where(structure(labels), 2.0 / 3.0, 0.34)
+    share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
+    needed = np.where(structure(labels), _MOSTLY, _PARTLY)
     return np.where(share >= needed, best, -1).astype(np.int32)

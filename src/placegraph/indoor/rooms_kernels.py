@@ -129,6 +129,8 @@ def _root(parent, i):
 def flood(width, order, least, narrow, door, narrow_door):
     """Basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
 
+    Cells are neighbours by their sides: walls askew touch at corners.
+
     Parameters
     ----------
     width
@@ -150,13 +152,13 @@ def flood(width, order, least, narrow, door, narrow_door):
     flat = width.reshape(-1)
     parent = np.arange(nx * ny)
     seen = np.zeros(nx * ny, np.bool_)
-    meetings = np.empty((4 * len(order), 2), np.int64)
+    meetings = np.empty((3 * len(order), 2), np.int64)
     count = 0
     for i in order:
         seen[i] = True
         x, y = i // ny, i % ny
         best = -1
-        for k in range(8):  # the widest neighbour's basin, if there is one, takes the cell
+        for k in range(4):  # the widest neighbour's basin, if there is one, takes the cell
             u, v = x + _X[k], y + _Y[k]
             j = u * ny + v
             if 0 <= u < nx and 0 <= v < ny and seen[j] and (best < 0 or flat[j] > flat[best]):
@@ -164,7 +166,7 @@ def flood(width, order, least, narrow, door, narrow_door):
         if best < 0:
             continue
         parent[i] = _root(parent, best)
-        for k in range(8):
+        for k in range(4):
             u, v = x + _X[k], y + _Y[k]
             j = u * ny + v
             if not (0 <= u < nx and 0 <= v < ny and seen[j]):
