@@ -285,3 +285,31 @@ def test_many_objects(count, boxes, rng):
     gap = np.maximum(box.low[:, None] - box.high[None], box.low[None] - box.high[:, None])[..., :2]
     expected = {(int(a), int(b)) for a, b in np.argwhere(np.all(gap <= NEXT, axis=2)) if a != b}
     assert set(map(tuple, _near_pairs(box).tolist())) == expected
+
+
+def test_the_house_as_one_would_say_it(shared):
+    """What is where in the house, and what boxes alone get wrong there."""
+    from placegraph.formats.glb import read_glb
+    from placegraph.indoor.rooms import rooms_of
+
+    model = read_glb(shared / "data/house/map/house.glb")
+    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+    labels, names = [t.label for t in model.things], [t.name for t in model.things]
+    edges = relate(mesh, labels, rooms_of(mesh, labels, 0.0).room_of)
+    found = {f"{names[a]} {r} {names[b]}" for a, r, b in edges}
+    for line in (
+        "Sofa standing on Carpet", "CoffeeTable standing on Carpet", "Tablet standing on CoffeeTable",
+        "Tableware standing on KitchenTable", "Bed next to NightStand", "NightStand next to Bed",
+        "Rangehood above CookingBench", "CookingBench standing on KitchenCabinet",
+        "Chandelier_01_004 above CoffeeTable", "Door attached to HouseWall", "Handle attached to Door",
+        "RoomWindow attached to HouseWall", "TV_02 attached to RoomWall", "Chair next to KitchenTable",
+        "Sofa next to CoffeeTable", "ReadingDesk next to RoomWindow", "Vase standing on Board",
+    ):  # fmt: skip
+        first, relation = line.split(" ", 1)
+        assert any(e.startswith(first) and f" {relation}" in e for e in found), line
+    for first, wrong in (
+        ("RoomWindow", "standing on"), ("Ceiling", "standing on"), ("Handle", "inside"),
+        ("Chandelier", "above Sofa"), ("Chandelier", "next to Refrigerator"),
+        ("PortraitE_02", "next to TV_02"), ("DeskPortrait", "above Carpet"),
+    ):  # fmt: skip
+        assert not [e for e in found if e.startswith(first) and f" {wrong}" in e], (first, wrong)
