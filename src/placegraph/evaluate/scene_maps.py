@@ -37,7 +37,7 @@ MAKING = (
 )  # fmt: skip
 """Code that decides what the maps are, and how they are measured."""
 EMBEDDING = 512
-"""Length of the embeddings whose bytes are measured; a map built from a mesh has none."""
+"""Length of the embeddings whose bytes are measured."""
 CHEAP = 30.0
 """What takes less than this is built three times, and the median told [s]."""
 _LAUNCHER = """
@@ -112,7 +112,7 @@ class Made:
     bytes: int
     parts: dict[str, int]
     """Bytes of graph, surface, colour; and of embeddings of 512 random numbers an object, which
-    are not among `bytes`: nothing compresses them, so that real ones take at most as many."""
+    are not among `bytes`: a map that is just built has none."""
     objects: int
     labelled: int
     """Objects whose label says something."""
@@ -300,7 +300,7 @@ def opening(path: Path, times: int = 5) -> float:
 
 
 def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
-    """Bytes of 8-bit embeddings of random numbers: nothing compresses those."""
+    """Bytes of 8-bit embeddings of random normal numbers."""
     vectors = np.random.default_rng(0).standard_normal((len(scene), length))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "embedded.scene"
