@@ -170,7 +170,9 @@ def draw_scene(
     sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), (0, 0))
     measures(sheet, frame)
     count = len(plan.rows)
-    things = f"{count:,} object{'s' * (count != 1)}, {len(plan.triangles):,} triangles"
+    rooms = len({room for row in plan.rows if (room := scene.attributes[row].get("room"))})
+    within = f" in {rooms} room{'s' * (rooms != 1)}" if rooms else ""
+    things = f"{count:,} object{'s' * (count != 1)}{within}, {len(plan.triangles):,} triangles"
     sheet.text((14, sheet.height - FOOT / 2), f"{scene.scenes[which]}: {things}", 12, "soft-ink")
     return sheet.save(path)
 
