@@ -150,7 +150,9 @@ class _Run:
         """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""
         facets = self.volume.facets
         v, u = np.nonzero(facets[..., 4])
-        chosen = np.unique(np.linspace(0, max(len(v) - 1, 0), min(self.each, len(v))).astype(np.int64))
+        chosen = np.unique(
+            np.linspace(0, max(len(v) - 1, 0), min(self.each, len(v))).astype(np.int64)
+        )
         v, u = v[chosen], u[chosen]
         fx, fy, cx, cy = view.eyes[0]
         z = facets[v, u, 4].astype(np.float64)

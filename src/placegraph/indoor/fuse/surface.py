@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64]
     Colours = NDArray[np.uint8]
 
-STEEPEST = 2.5
-"""Between neighbouring voxels the distance changes by one voxel at most, and by its noise [voxels]."""
+STEEPEST = 1.0
+"""Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""
 
 
 def surface_of(
@@ -39,19 +39,20 @@ def surface_of(
     loop_of, loops = loop_tables()
     count = volume.count
     around = kernels.neighbours(volume.keys, volume.rows, volume.places, count)
-    cases, sizes = kernels.cases_of(
-        around, volume.distance, volume.weight, least, STEEPEST * volume.voxel, loops
+    cases, crossed, sizes = kernels.cells_of(
+        around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loop_of, loops
     )
     starts = _starts(sizes)
     points, colours, first = kernels.vertices_of(
-        around, volume.places, volume.distance, volume.colour, volume.paint, cases, starts, loop_of,
-        loops, volume.voxel,
+        around, volume.places, volume.distance, volume.colour, volume.paint, cases, crossed,
+        starts, loop_of, loops, volume.voxel,
     )  # fmt: skip
     none = np.zeros((0, 4), np.int32)
-    ends = _starts(kernels.quads_of(around, cases, first, loop_of, np.zeros(count, np.int64), none))
+    grid = around, volume.distance, cases, crossed, first, loop_of
+    ends = _starts(kernels.quads_of(*grid, np.zeros(count, np.int64), none))
     quads = np.empty((ends[-1], 4), np.int32)
-    kernels.quads_of(around, cases, first, loop_of, ends, quads)
-    del around, cases, first
+    kernels.quads_of(*grid, ends, quads)
+    del around, cases, crossed, first, grid
     triangles = kernels.split(points, quads)
     return without_specks(points, triangles, colours, speck, left_out)
 
@@ -80,9 +81,11 @@ def loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
 
     On each face of a cell the surface joins crossed edges in pairs. Where all four are crossed, the
     two corners behind the surface are cut off one by one; the cell beyond the face does the same.
+    Case 0 stands for cells that are known in part: all their crossed edges share one vertex.
     """
     loop_of = np.full((256, 12), -1, np.int8)
     loops = np.zeros(256, np.int8)
+    loop_of[0], loops[0] = 0, 1
     edges = {}
     for edge in range(12):
         low = int(kernels.low_corner(edge))
@@ -92,7 +95,7 @@ def loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
         one, two = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
         for side in (0, 1 << axis):
             faces.append((side, side | one, side | one | two, side | two))
-    for case in range(256):
+    for case in range(1, 256):
         group = {e: e for pair, e in edges.items() if len({case >> c & 1 for c in pair}) == 2}
         for face in faces:
             round_ = [edges[frozenset((face[n], face[(n + 1) % 4]))] for n in range(4)]

@@ -17,7 +17,9 @@ def neighbours(keys, rows, places, count):
     for row in prange(count):
         x, y, z = np.int64(places[row, 0]), np.int64(places[row, 1]), np.int64(places[row, 2])
         for side in range(27):
-            out[row, side] = row_of(keys, rows, x + side // 9 - 1, y + side // 3 % 3 - 1, z + side % 3 - 1)
+            out[row, side] = row_of(
+                keys, rows, x + side // 9 - 1, y + side // 3 % 3 - 1, z + side % 3 - 1
+            )
     return out
 
 
@@ -29,16 +31,19 @@ def corner_of(around, row, i, j, k):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def cases_of(around, distance, weight, least, steepest, loops):
-    """Signs of the corners of every cell (B, SIZE) uint8, 0: no surface; and vertices by block (B,).
+def cells_of(around, distance, weight, least, steepest, loop_of, loops):
+    """Where the surface is: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
-    Cell i, j, k reaches from voxel i, j, k to the next along every axis; bit c of its case is set where corner c
-    (x + 2 y + 4 z) lies behind the surface. Cells with an unknown corner, and those in which the
-    distance jumps by more than `steepest` [m] along an edge, show none: there a carved voxel lies beside
-    one behind something. `loops`: (256,) vertices of each case.
+    Also the number of vertices by block (B,). Cell i, j, k reaches from voxel i, j, k to the next along
+    every axis. Bit e of `crossed` is set where edge e (4 axis + 0 to 3, see `low_corner`) leads
+    from free space to behind the surface, between voxels that weigh more than `least`; not where the
+    distance jumps by more than `steepest` [m]: there a carved voxel lies beside one behind
+    something. Bit c of a case is set where corner c (x + 2 y + 4 z) lies behind the surface; a cell
+    of which not all is known has case 0. `loop_of`, `loops`: see `surface.loop_tables`.
     """
     count = len(around)
     cases = np.zeros((count, SIZE), np.uint8)
+    crossed = np.zeros((count, SIZE), np.uint16)
     sizes = np.zeros(count, np.int64)
     for row in prange(count):
         gap = np.full((_WIDE, _WIDE, _WIDE), np.nan, np.float32)
@@ -48,35 +53,36 @@ def cases_of(around, distance, weight, least, steepest, loops):
                     block, at = corner_of(around, row, i, j, k)
                     if block >= 0 and weight[block, at] > least:
                         gap[i, j, k] = distance[block, at]
-        for i in range(SIDE):
-            for j in range(SIDE):
-                for k in range(SIDE):
-                    case = 0
-                    known = True
-                    for c in range(8):
-                        value = gap[i + (c & 1), j + (c >> 1 & 1), k + (c >> 2)]
-                        known &= not np.isnan(value)
-                        case |= (value < 0) << c
-                    if not known or case == 0 or case == 255:
-                        continue
-                    for c in range(8):
-                        for a in range(3):
-                            if c >> a & 1:
-                                continue
-                            d = c | 1 << a
-                            one = gap[i + (c & 1), j + (c >> 1 & 1), k + (c >> 2)]
-                            two = gap[i + (d & 1), j + (d >> 1 & 1), k + (d >> 2)]
-                            known &= (one < 0) == (two < 0) or abs(one - two) <= steepest
-                    if known:
-                        cases[row, (i * SIDE + j) * SIDE + k] = case
-                        sizes[row] += loops[case]
-    return cases, sizes
+        for cell in range(SIZE):
+            i, j, k = cell // (SIDE * SIDE), cell // SIDE % SIDE, cell % SIDE
+            case, some, whole = 0, False, True
+            for c in range(8):
+                value = gap[i + (c & 1), j + (c >> 1 & 1), k + (c >> 2)]
+                case |= (value < 0) << c
+                some |= value >= 0
+                whole &= not np.isnan(value)
+            if case == 0 or not some:
+                continue
+            mask = 0
+            for edge in range(12):
+                c = low_corner(edge)
+                d = c | 1 << (edge >> 2)
+                one = gap[i + (c & 1), j + (c >> 1 & 1), k + (c >> 2)]
+                two = gap[i + (d & 1), j + (d >> 1 & 1), k + (d >> 2)]
+                if (one < 0) != (two < 0):
+                    if abs(one - two) <= steepest:  # false where one is unknown
+                        mask |= 1 << edge
+                    else:
+                        whole = False
+            if mask:
+                crossed[row, cell] = mask
+                cases[row, cell] = case if whole else 0
+                sizes[row] += loops[cases[row, cell]]
+    return cases, crossed, sizes
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def vertices_of(
-    around, places, distance, colour, paint, cases, starts, loop_of, loops, voxel
-):
+def vertices_of(around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel):
     """Vertices (V, 3) [m], colours (V, 3), and the first vertex of every cell (B, SIZE) int64.
 
     `starts`: (B + 1,) first vertex of each block; `loop_of`: (256, 12), see `surface.loop_tables`.
@@ -89,15 +95,17 @@ def vertices_of(
     for row in prange(count):
         at = starts[row]
         for cell in range(SIZE):
-            case = cases[row, cell]
-            if case == 0:
+            if crossed[row, cell] == 0:
                 continue
+            case = cases[row, cell]
             first[row, cell] = at
             i, j, k = cell // (SIDE * SIDE), cell // SIDE % SIDE, cell % SIDE
             gap = np.zeros(8)
             shade = np.zeros((8, 4))
             for c in range(8):
-                block, voxel_at = corner_of(around, row, i + (c & 1), j + (c >> 1 & 1), k + (c >> 2))
+                block, voxel_at = corner_of(
+                    around, row, i + (c & 1), j + (c >> 1 & 1), k + (c >> 2)
+                )
                 gap[c] = distance[block, voxel_at]
                 if paint[block, voxel_at] > 0:
                     shade[c, 3] = 1
@@ -106,7 +114,7 @@ def vertices_of(
             for loop in range(loops[case]):
                 x, y, z, n = 0.0, 0.0, 0.0, 0
                 for edge in range(12):
-                    if loop_of[case, edge] != loop:
+                    if loop_of[case, edge] != loop or not crossed[row, cell] >> edge & 1:
                         continue
                     axis, c = edge >> 2, low_corner(edge)
                     share = gap[c] / (gap[c] - gap[c | 1 << axis])
@@ -123,7 +131,11 @@ def vertices_of(
                 for c in range(8):
                     if shade[c, 3] == 0:
                         continue
-                    near = (1 - abs(x - (c & 1))) * (1 - abs(y - (c >> 1 & 1))) * (1 - abs(z - (c >> 2)))
+                    near = (
+                        (1 - abs(x - (c & 1)))
+                        * (1 - abs(y - (c >> 1 & 1)))
+                        * (1 - abs(z - (c >> 2)))
+                    )
                     near = max(near, 1e-6)
                     total += near
                     for channel in range(3):
@@ -144,7 +156,7 @@ def low_corner(edge):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def quads_of(around, cases, first, loop_of, starts, quads):
+def quads_of(around, distance, cases, crossed, first, loop_of, starts, quads):
     """Vertices around every edge that the surface crosses: count by block (B,), or fill `quads`.
 
     `quads`: (Q, 4) int32, empty for counting; `starts`: (B + 1,) first quad of each block. Seen from free
@@ -154,36 +166,31 @@ def quads_of(around, cases, first, loop_of, starts, quads):
     sizes = np.zeros(count, np.int64)
     for row in prange(count):
         at = starts[row]
+        corners = np.zeros(4, np.int32)
         for cell in range(SIZE):
-            case = cases[row, cell]
-            if case == 0:
-                continue
             i, j, k = cell // (SIDE * SIDE), cell // SIDE % SIDE, cell % SIDE
+            behind = distance[row, cell] < 0
             for axis in range(3):
-                behind = case & 1
-                if behind == case >> (1 << axis) & 1:
+                if not crossed[row, cell] >> 4 * axis & 1:
                     continue
                 one, two = (axis + 1) % 3, (axis + 2) % 3
-                corners = np.zeros(4, np.int32)
                 whole = True
                 for turn in range(4):
-                    a, b = (turn == 1 or turn == 2), turn >= 2  # steps back along one and two
+                    a, b = 1 <= turn <= 2, turn >= 2  # steps back along one and two
                     p = i - (a and one == 0) - (b and two == 0)
                     q = j - (a and one == 1) - (b and two == 1)
                     r = k - (a and one == 2) - (b and two == 2)
                     block, other = corner_of(around, row, p, q, r)
-                    if block < 0 or cases[block, other] == 0:
+                    if block < 0:
                         whole = False
                         break
-                    edge = 4 * axis + a + 2 * b
-                    # a free corner 0 turns the quad round
-                    place = turn if behind else 3 - turn
-                    corners[place] = first[block, other] + loop_of[cases[block, other], edge]
-                if not whole:
-                    continue
-                if len(quads):
-                    quads[at] = corners
-                at += 1
+                    loop = loop_of[cases[block, other], 4 * axis + a + 2 * b]
+                    # free space at the edge's low end turns the quad round
+                    corners[turn if behind else 3 - turn] = first[block, other] + loop
+                if whole:
+                    if len(quads):
+                        quads[at] = corners
+                    at += 1
         sizes[row] = at - starts[row]
     return sizes
 

@@ -83,7 +83,9 @@ def view_of(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
         # Outside of the image lies no colour: depth is not asked there either, or shows the edge.
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
-    return View(row, np.ascontiguousarray(depth), np.ascontiguousarray(image), eyes, map_from_camera)
+    return View(
+        row, np.ascontiguousarray(depth), np.ascontiguousarray(image), eyes, map_from_camera
+    )
 
 
 @lru_cache(maxsize=8)

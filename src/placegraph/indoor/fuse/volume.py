@@ -102,7 +102,15 @@ class Volume:
         back = np.linalg.inv(pose)
         far = kernels.farthest(facets, TILE)
         chosen = kernels.visible(
-            self.places, self.count, edge, far, TILE, depth_eye, facets.shape[:2], back, self.truncation
+            self.places,
+            self.count,
+            edge,
+            far,
+            TILE,
+            depth_eye,
+            facets.shape[:2],
+            back,
+            self.truncation,
         )
         kernels.integrate(
             self.distance, self.weight, self.colour, self.paint, self.places, chosen, self.voxel,

@@ -75,9 +75,21 @@ def touch(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
             for part in range(parts):
                 at = max(z + (2 * part / (parts - 1) - 1) * band / ray, 0.0)
                 px, py = x * at, y * at
-                bx = np.int64(np.floor((pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * at + pose[0, 3]) / edge))
-                by = np.int64(np.floor((pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * at + pose[1, 3]) / edge))
-                bz = np.int64(np.floor((pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * at + pose[2, 3]) / edge))
+                bx = np.int64(
+                    np.floor(
+                        (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * at + pose[0, 3]) / edge
+                    )
+                )
+                by = np.int64(
+                    np.floor(
+                        (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * at + pose[1, 3]) / edge
+                    )
+                )
+                bz = np.int64(
+                    np.floor(
+                        (pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * at + pose[2, 3]) / edge
+                    )
+                )
                 if abs(bx) >= RANGE or abs(by) >= RANGE or abs(bz) >= RANGE:
                     continue
                 key = key_of(bx, by, bz)
@@ -116,7 +128,11 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
     n = 0
     radius = 0.5 * np.sqrt(3.0) * edge
     for row in range(count):
-        px, py, pz = (places[row, 0] + 0.5) * edge, (places[row, 1] + 0.5) * edge, (places[row, 2] + 0.5) * edge
+        px, py, pz = (
+            (places[row, 0] + 0.5) * edge,
+            (places[row, 1] + 0.5) * edge,
+            (places[row, 2] + 0.5) * edge,
+        )
         z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
         if z < -radius:
             continue
@@ -145,7 +161,20 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def integrate(
-    distance, weight, colour, paint, places, chosen, voxel, truncation, facets, image, gain, eyes, pose, band
+    distance,
+    weight,
+    colour,
+    paint,
+    places,
+    chosen,
+    voxel,
+    truncation,
+    facets,
+    image,
+    gain,
+    eyes,
+    pose,
+    band,
 ):
     """Take one view into the blocks `chosen`, in place.
 
@@ -188,7 +217,9 @@ def integrate(
                 at = line * SIDE + k
                 new = facet[5]
                 weight[row, at] += new
-                distance[row, at] += new / weight[row, at] * (min(gap, truncation) - distance[row, at])
+                distance[row, at] += (
+                    new / weight[row, at] * (min(gap, truncation) - distance[row, at])
+                )
                 near = 1 - abs(gap) / band
                 if near <= 0:
                     continue
@@ -251,9 +282,15 @@ def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pos
             if max(pixel[0], pixel[1], pixel[2]) > 245 or seen < 12:
                 continue  # clipped, or noise
             px, py = x * z, y * z
-            a = np.int64(np.floor((pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * z + pose[0, 3]) / voxel))
-            b = np.int64(np.floor((pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * z + pose[1, 3]) / voxel))
-            c = np.int64(np.floor((pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * z + pose[2, 3]) / voxel))
+            a = np.int64(
+                np.floor((pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * z + pose[0, 3]) / voxel)
+            )
+            b = np.int64(
+                np.floor((pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * z + pose[1, 3]) / voxel)
+            )
+            c = np.int64(
+                np.floor((pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * z + pose[2, 3]) / voxel)
+            )
             row = row_of(keys, rows, a // SIDE, b // SIDE, c // SIDE)
             if row < 0:
                 continue
