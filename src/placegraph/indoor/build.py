@@ -13,7 +13,8 @@ from placegraph.indoor import textures
 from placegraph.indoor.clean import check, cleaned, in_metres, snapped, upright
 from placegraph.indoor.detail import Detail, detail_named
 from placegraph.indoor.floor import floor_height
-from placegraph.indoor.relations import relate
+from placegraph.indoor.relations import SAME_ROOM, relate
+from placegraph.indoor.rooms import with_rooms
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.simplify import simplify
 from placegraph.indoor.sources import FromCapture, Progress, Source, Up, read_source
@@ -162,14 +163,15 @@ def scene_of(
         progress("simplifying", 0, 1)
     coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left)
     _tell_giants(coarse, things, told)
+    room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
     return SceneMap.create(
         coarse,
         [t.id for t in things],
         labels,
         floor=height,
         names=[t.name for t in things],
-        attributes=[t.attributes for t in things],
-        relations=_relations(model, row, relate(coarse, labels)),
+        attributes=attributes,
+        relations=_relations(model, row, relate(coarse, labels, room_of)),
         scene=model.path.stem or "scene",
         source=model.path.name,
         encoded=blobs,
@@ -231,14 +233,19 @@ def _patterned(mesh: Mesh) -> bool:
 def _relations(
     model: Model, row: NDArray[np.int64], computed: list[tuple[int, str, int]]
 ) -> list[tuple[int, str, int]]:
-    """The source's own relations, and those computed between pairs that it says nothing of."""
+    """The source's own relations, and those computed between pairs that it says nothing of.
+
+    `same room` stands beside any other: its edges are a tree, which no branch may be missing of.
+    """
     own = [
         (int(row[a]), name, int(row[b]))
         for a, name, b in model.relations
         if row[a] >= 0 and row[b] >= 0 and a != b
     ]
     said = {frozenset((a, b)) for a, _, b in own}
-    return sorted({*own, *(edge for edge in computed if frozenset(edge[::2]) not in said)})
+    return sorted(
+        {*own, *(e for e in computed if e[1] == SAME_ROOM or frozenset(e[::2]) not in said)}
+    )
 
 
 def _tell_giants(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.mesh import Mesh
 
+BLEED = 0.1
+"""Share of a texture's surface whose charts may be mixed with their neighbours."""
+
 
 class Surface(NamedTuple):
     """T triangles of V vertices with K textures of up to L mip levels, as plain arrays."""
@@ -40,7 +43,8 @@ class Surface(NamedTuple):
     @classmethod
     def of(cls, mesh: Mesh) -> Surface:
         """Surface of a mesh."""
-        pyramids = [_pyramid(texture) for texture in mesh.textures]
+        most = _useful_levels(mesh)
+        pyramids = [_pyramid(t, n) for t, n in zip(mesh.textures, most.tolist(), strict=True)]
         depth = max(len(p) for p in pyramids)
         levels = np.zeros((len(pyramids), depth, 3), np.int32)
         first = 0
@@ -62,12 +66,62 @@ class Surface(NamedTuple):
         )
 
 
-def _pyramid(texture: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
-    """Texture (h, w, 3) and its halves, quarters, ... down to one texel."""
+def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
+    """Mip levels (K,) of each texture beyond the first that hold what belongs together.
+
+    A texture of many charts mixes neighbours that have nothing to do with each other as soon as a
+    texel is as wide as half a chart: the shorter side that all but `BLEED` of the surface has decides.
+    """
+    sizes = np.array([(a.shape[1], a.shape[0]) for a in mesh.textures], np.float64)
+    most = np.ceil(np.log2(sizes.max(axis=1))).astype(np.int64)
+    if not len(mesh) or (most == 0).all():
+        return most
+    chart = chart_of(mesh.triangles, len(mesh.vertices))[mesh.triangles[:, 0]]
+    rows, chart = np.unique(chart, return_inverse=True)
+    uv = mesh.uv[mesh.triangles]
+    low, high = np.full((len(rows), 2), np.inf), np.full((len(rows), 2), -np.inf)
+    np.minimum.at(low, chart, uv.min(axis=1))
+    np.maximum.at(high, chart, uv.max(axis=1))
+    texture = np.zeros(len(rows), np.int64)
+    texture[chart] = mesh.texture_of
+    side = np.minimum((high - low) * sizes[texture], sizes[texture]).min(axis=1)
+    area = np.bincount(chart, np.linalg.norm(mesh.normals(), axis=1), len(rows))
+    for k in np.flatnonzero(most > 0).tolist():
+        own = np.flatnonzero((texture == k) & (side > 0))
+        whole = (side[own] >= 0.5 * sizes[k].min()).any()  # one chart has it all
+        if own.size and not whole:
+            order = own[np.argsort(side[own])]
+            total = np.cumsum(area[order])
+            least = side[order[np.searchsorted(total, BLEED * total[-1])]]
+            most[k] = min(most[k], max(int(np.log2(max(least, 2.0) / 2.0)), 1))
+    return most
+
+
+@njit(cache=True, nogil=True)
+def chart_of(triangles, vertices):
+    """Lowest vertex (V,) of the connected part, joined by triangles (T, 3), of each vertex."""
+    root = np.arange(vertices)
+    for t in range(len(triangles)):
+        for k in range(2):
+            a, b = triangles[t, k], triangles[t, k + 1]
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            root[max(a, b)] = min(a, b)
+    for v in range(vertices):
+        root[v] = root[root[v]]  # lower vertices are done
+    return root
+
+
+def _pyramid(texture: NDArray[np.uint8], most: int) -> list[NDArray[np.uint8]]:
+    """Texture (h, w, 3) and its halves, quarters, ... down to one texel, or `most` of them."""
     from PIL import Image
 
     out = [texture]
-    while max(out[-1].shape[:2]) > 1:
+    while max(out[-1].shape[:2]) > 1 and len(out) <= most:
         h, w = out[-1].shape[:2]
         smaller = Image.fromarray(out[-1]).resize(
             (max(1, w // 2), max(1, h // 2)), Image.Resampling.BOX

@@ -17,7 +17,8 @@ from placegraph.indoor.change import KINDS
 from placegraph.indoor.mesh import WHITE, Mesh
 from placegraph.indoor.mesh_order import ordered
 from placegraph.indoor.register import moved
-from placegraph.indoor.relations import ATTACHED_TO, STANDING_ON, relate
+from placegraph.indoor.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
+from placegraph.indoor.rooms import with_rooms
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
@@ -197,7 +198,14 @@ class _Things:
         mesh = ordered(mesh.snapped())
         boxes = mesh.object_bounds(len(rows))
         labels = [self._labels[i] for i in rows]
-        edges = self._edges(mesh, labels, rows, place)
+        attributes = [self._attributes[i] for i in rows]
+        room_of = None
+        if len(self._before.scenes) == 1:  # of merged scenes rooms stay as they were
+            bare = [
+                {k: v for k, v in a.items() if k != "room" or not v.isdigit()} for a in attributes
+            ]
+            room_of, attributes = with_rooms(mesh, labels, float(self._before.floors[0]), bare)
+        edges = self._edges(relate(mesh, labels, room_of), rows, place)
         graph = SceneGraph(
             ids=tuple(self._ids[i] for i in rows),
             labels=tuple(labels),
@@ -213,7 +221,7 @@ class _Things:
             self._before,
             graph=graph,
             mesh=mesh,
-            attributes=tuple(self._attributes[i] for i in rows),
+            attributes=tuple(attributes),
             scene_of=self._scene_of(rows, graph.positions),
             encoded=encoded,
         )
@@ -298,12 +306,11 @@ class _Things:
 
     def _edges(
         self,
-        mesh: Mesh,
-        labels: Sequence[str],
+        found: Sequence[tuple[int, str, int]],
         rows: NDArray[np.int64],
         place: NDArray[np.int64],
     ) -> list[tuple[int, str, int]]:
-        """Relations between what stayed as they were, the others as they are found now."""
+        """Relations between what stayed as they were, the others, and all rooms, as `found` now."""
         graph = self._before.graph
         stirred = np.isin(rows, list(self._stirred))
         before = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
@@ -311,13 +318,14 @@ class _Things:
             (int(place[s]), relation, int(place[t]))
             for s, relation, t in before
             if self._kept[s] and self._kept[t] and not {s, t} & self._stirred
+            if relation != SAME_ROOM or len(self._before.scenes) > 1
         ]
         known = {(s, t) for s, _, t in edges}
-        found = relate(mesh, labels)
         edges += [
             (s, relation, t)
             for s, relation, t in found
-            if (stirred[s] or stirred[t] or self._loose(int(rows[s]))) and (s, t) not in known
+            if relation == SAME_ROOM
+            or ((stirred[s] or stirred[t] or self._loose(int(rows[s]))) and (s, t) not in known)
         ]
         return sorted(edges)
 
