@@ -1,5 +1,6 @@
 """Surfaces as compiled code reads them: the mesh's own colours, near and from afar."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -153,6 +154,33 @@ def test_the_level_fits_the_footprint():
     left = (np.array([1]), np.array([0.1]), np.array([0.7]))  # x = 0.1
     assert looked_at(surface, *left, 0.25).tolist() == [[0, 0, 0]]
     np.testing.assert_allclose(looked_at(surface, *left, 1.6), [[0.5, 0.5, 0.5]], atol=0.01)
+
+
+def test_charts_of_an_atlas_are_not_mixed_from_afar():
+    """Two quads share a texture, one its red corner, one its blue: a far ray sees no violet."""
+    texture = np.zeros((64, 64, 3), np.uint8)
+    texture[:, :32], texture[:, 32:] = (250, 0, 0), (0, 0, 250)
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    quads = [
+        np.column_stack([corners, np.full(4, z)]) * [4, 4, 1] for z in range(8)
+    ]  # eight charts, four of each colour
+    uv = [
+        corners * 0.2 + (0.02 + 0.5 * (z % 2) + 0.25 * (z // 2 % 2), 0.25 * (z // 4))
+        for z in range(8)
+    ]
+    triangles = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * z for z in range(8)])
+    mesh = Mesh(
+        np.concatenate(quads).astype(np.float32), triangles.astype(np.int32), np.zeros(16, np.int32),
+        np.full((32, 3), 255, np.uint8), np.concatenate(uv).astype(np.float32),
+        np.zeros(16, np.int32), (texture,),
+    )  # fmt: skip
+    surface = Surface.of(mesh)
+    third = np.array([1 / 3])
+    for triangle, wanted in ((0, (250, 0, 0)), (2, (0, 0, 250))):
+        seen = looked_at(surface, np.array([triangle]), third, third, footprint=100.0)
+        np.testing.assert_allclose(255 * seen, [wanted], atol=2)
+    whole = Surface.of(replace(mesh, uv=np.tile(corners, (8, 1))))
+    assert (whole.levels[0, -1, 1:] == 1).all(), "one picture ends in one texel"
 
 
 # --------------------------------------------------------------------------- opponents
