@@ -32,6 +32,8 @@ STAYED = 0.6
 """Share of an object's points that lie on one object of the other map: that is it, and it stayed."""
 EXPLAINED = 0.7
 """Share that lies on any surface of the other map: it is there, cut into objects another way."""
+PART = 0.1
+"""The same of walls and floors."""
 COVERED = 0.4
 """Share of what is around an object that the other map has: it covers the place."""
 FITS = 0.6
@@ -124,14 +126,15 @@ def _stayed(
 def _cut_otherwise(body: Body, shares: Floats, others: Sequence[Body], taken: set[int]) -> bool:
     """Whether a body is there in the other map, as part of another object or in several parts.
 
-    A wall that has its own counterpart does not explain the picture that hung on it.
+    A wall that has its own counterpart does not explain the picture that hung on it. Of a wall
+    itself a part will do: the other map may end there.
     """
     parts = [
         share
         for k, share in enumerate(shares)
         if share > 0 and (k not in taken or others[k].label == body.label)
     ]
-    return sum(parts) >= EXPLAINED
+    return sum(parts) >= (PART if body.built_in else EXPLAINED)
 
 
 def _by_id(pairs: dict[int, int], known: dict[int, int]) -> dict[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.diff_motion import Scene
+    from placegraph.indoor.fuse import Fused
 
 _MARGIN = 0.12
 """What lies this near to a thing that moved belongs to it [m]."""
@@ -100,38 +101,43 @@ def appeared(
 
     `used`: of each moved object its box before, and the motion back.
     """
-    options, changes = scene.options, []
+    options = scene.options
     least = min(options.least_frames, len(scene.looks))
+    kept: list[tuple[Clump, int]] = []
     for clump in found:
-        free = np.ones(len(clump.points), np.bool_)
-        for low, high, back in used:
-            before = moved(back, clump.points)
-            inside = np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
-            free &= ~inside
-        if np.count_nonzero(free) < max(4, 0.3 * len(free)):
+        part = _unused(clump, used)
+        pixels = clump.pixels * len(part.points) // len(clump.points)
+        if len(part.points) < max(4, 0.3 * len(clump.points)) or clump.frames < least:
             continue
-        points = clump.points[free]
-        pixels = clump.pixels * np.count_nonzero(free) / len(free)
-        low, high = points.min(axis=0), points.max(axis=0)
-        sizes = np.sort(high - low)
-        if clump.frames < least or pixels < options.least_pixels or sizes[2] < options.least_box:
-            continue
-        piece = _piece(clump, free, frames, poses, options.voxel)
-        box = np.stack([piece.vertices.min(axis=0), piece.vertices.max(axis=0)])
-        size = " x ".join(f"{v:.2f}" for v in np.ptp(box, axis=0))
-        shown = clump.frames
-        changes.append(
-            Change(
-                kind="appeared",
-                label="unknown",
-                box=box,
-                piece=piece,
-                confidence=(shown + 0.5) / (shown + 1.0) * min(1.0, pixels / 400.0),
-                reason=f"{pixels:,.0f} readings in {shown} frames end before the map, in a box of "
-                f"{size} m.",
-            )
-        )
-    return changes
+        if pixels >= options.least_pixels and np.max(part.high - part.low) >= options.least_box:
+            kept.append((part, pixels))
+    fused = _fused(frames, poses) if kept else None
+    return [_change(part, pixels, _piece(part, fused, options.voxel)) for part, pixels in kept]
+
+
+def _unused(clump: Clump, used: Sequence[tuple[Floats, Floats, Floats]]) -> Clump:
+    """What of a clump does not belong to a thing that moved."""
+    free = np.ones(len(clump.points), np.bool_)
+    for low, high, back in used:
+        before = moved(back, clump.points)
+        free &= ~np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
+    return replace(
+        clump, points=clump.points[free], colours=clump.colours[free], cells=clump.cells[free]
+    )
+
+
+def _change(clump: Clump, pixels: int, piece: Piece) -> Change:
+    box = np.stack([piece.vertices.min(axis=0), piece.vertices.max(axis=0)])
+    size = " x ".join(f"{v:.2f}" for v in np.ptp(box, axis=0))
+    shown = clump.frames
+    return Change(
+        kind="appeared",
+        label="unknown",
+        box=box,
+        piece=piece,
+        confidence=(shown + 0.5) / (shown + 1.0) * min(1.0, pixels / 400.0),
+        reason=f"{pixels:,} readings in {shown} frames end before the map, in a box of {size} m.",
+    )
 
 
 def _carved(scene: Scene, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -148,31 +154,27 @@ def _carved(scene: Scene, points: Floats, views: NDArray[np.int64]) -> NDArray[n
     return np.asarray(through > _SEEN_THROUGH * (through + views))
 
 
-def _piece(
-    clump: Clump,
-    free: NDArray[np.bool_],
-    frames: Sequence[Frame],
-    poses: Sequence[Floats],
-    voxel: float,
-) -> Piece:
-    """Surface of a clump: fused from the frames; a box where fusing shows nothing there."""
-    from placegraph.indoor.fuse import fuse
-
-    points = clump.points[free]
-    middle = np.median(points, axis=0)
-    chosen = [i for i, p in enumerate(poses) if np.linalg.norm(p[:3, 3] - middle) < 6.0]
-    try:
-        fused = fuse([frames[i] for i in chosen], np.array([poses[i] for i in chosen]), voxel=_FINE)
-    except InputError:
-        fused = None
+def _piece(clump: Clump, fused: Fused | None, voxel: float) -> Piece:
+    """What was fused in a clump's cells; a box where that is nothing."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
-        inside = _touching(centres, clump.cells[free])
+        inside = _touching(centres, clump.cells)
         if np.count_nonzero(inside) >= _LEAST_TRIANGLES:
             rows, triangles = np.unique(fused.triangles[inside], return_inverse=True)
             return Piece(fused.vertices[rows], triangles.reshape(-1, 3), fused.colours[rows])
-    colour = np.median(clump.colours[free], axis=0).astype(np.uint8)
-    return Piece.box(points.min(axis=0) - voxel / 4, points.max(axis=0) + voxel / 4, colour)
+    points, half = clump.points, voxel / 4
+    colour = np.median(clump.colours, axis=0).astype(np.uint8)
+    return Piece.box(points.min(axis=0) - half, points.max(axis=0) + half, colour)
+
+
+def _fused(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
+    """Surface of all that the frames show; None where they show none."""
+    from placegraph.indoor.fuse import fuse
+
+    try:
+        return fuse(frames, np.array(poses), voxel=_FINE)
+    except InputError:
+        return None
 
 
 def _touching(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -43,6 +43,8 @@ SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35
 """Share of an object's pixels that have to speak for being gone before a motion is looked for."""
 GONE = 0.6
 """... and without a motion, before it counts as vanished."""
+_AGREE = 0.5
+"""Share of all readings that have to end on the map, whatever changed."""
 _NEARNESS = 1.0
 """Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""
 _RIVAL = 0.7
@@ -83,7 +85,7 @@ def diff_capture(
     Raises
     ------
     InputError
-        An image is broken; the estimate is lost.
+        An image is broken; the estimate is lost, or the poses are none in this map.
     OptionError
         Poses are none, not rigid, or not one for each frame.
 
@@ -98,6 +100,7 @@ def diff_capture(
         looks.append(seen if options.depth else replace(seen, depth=None))
     if all(seen.depth is None for seen in looks) and not options.colour:
         raise OptionError("The capture has no depth, and colour is off: nothing can be compared.")
+    _check_poses(looks, options, name)
     counts = tally(looks, len(scene), options)
     share, built_in = counts.share, structure(scene.graph.labels)
     least = np.where(counts.by_colour, SUSPECT_BY_COLOUR, SUSPECT)
@@ -155,6 +158,26 @@ def _posed(
             f"poses: shape {matrices.shape}; (T, 4, 4) belongs, one for each of {len(frames)} frames."
         )
     return frames, [checked_pose(m) for m in matrices]
+
+
+def _check_poses(looks: Sequence[Look], options: DiffOptions, name: str) -> None:
+    """Raise where so few readings end on the map that the poses, not the place, are other ones."""
+    readings = agree = 0
+    for seen in looks:
+        if seen.depth is not None:
+            there = np.isfinite(seen.depth) & np.isfinite(seen.front.depth)
+            near, far = around(seen.front.depth)
+            slack = tolerance(seen.depth, options)
+            with np.errstate(invalid="ignore"):
+                agree += int(
+                    (there & (seen.depth > near - slack) & (seen.depth < far + slack)).sum()
+                )
+            readings += int(there.sum())
+    if agree < _AGREE * readings:
+        raise InputError(
+            f"{name or 'The capture'}: only {agree / readings:.0%} of its depth readings end on the "
+            "map's surfaces; its poses are not in this map, or its depth has another unit."
+        )
 
 
 def _left(

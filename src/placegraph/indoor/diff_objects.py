@@ -118,6 +118,7 @@ class Cover:
     def __init__(
         self, some: Sequence[Body], other: SceneMap, motion: Floats, options: DiffOptions
     ) -> None:
+        self._built_in = [body.built_in for body in some]
         self._boxes = np.stack([body.box for body in some])
         self._points = np.concatenate([body.surface.points for body in some])
         self._owner = np.repeat(np.arange(len(some)), [len(body.surface) for body in some])
@@ -136,11 +137,13 @@ class Cover:
     def around(self, row: int, lost: Sequence[int]) -> float:
         """Share of what is around a body, of its own map, that the other map has too.
 
-        Other bodies that are `lost` say nothing, as long as there is anything else.
+        Other bodies that are `lost` say nothing, as long as there is anything else: furniture, that
+        is; the floor it stood on speaks where it is lost, too.
         """
         low, high = self._boxes[row]
         others = self._owner != row
-        staying = others & ~np.isin(self._owner, lost)
+        gone = [i for i in lost if not self._built_in[i]]
+        staying = others & ~np.isin(self._owner, gone)
         for margin, near in ((_AROUND, staying), (2 * _AROUND, staying), (2 * _AROUND, others)):
             inside = np.all((self._points > low - margin) & (self._points < high + margin), axis=1)
             if np.count_nonzero(near & inside) >= _LEAST_AROUND:
