@@ -1,0 +1,160 @@
+"""What changed between two maps of one drawn room, in the same axes and in others."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.geometry import rotation_z
+from placegraph.indoor.build import build_scene
+from placegraph.indoor.diff import DiffOptions, diff
+from placegraph.indoor.register import moved, rigid
+from placegraph.indoor.scene_map import SceneMap
+
+
+def built(interior, folder, name):
+    interior.write_glb(folder / f"{name}.glb")
+    return build_scene(folder / f"{name}.glb", None)
+
+
+def with_mesh(scene, mesh, *, ids=None, labels=None, floor=None):
+    """The same objects with another mesh, other ids, other labels."""
+    return SceneMap.create(
+        mesh,
+        scene.graph.ids if ids is None else ids,
+        scene.graph.labels if labels is None else labels,
+        names=scene.graph.names,
+        floor=float(scene.floors[0]) if floor is None else floor,
+        encoded=scene.encoded,
+        source="later",
+    )
+
+
+def only(scene, keep):
+    """The part of a map whose triangles are kept (T,), with the objects that have any."""
+    mesh = scene.mesh
+    rows = np.unique(mesh.object_of[keep])
+    place = np.full(len(scene), -1)
+    place[rows] = np.arange(len(rows))
+    mesh = replace(
+        mesh,
+        triangles=mesh.triangles[keep],
+        object_of=place[mesh.object_of[keep]].astype(np.int32),
+        texture_of=mesh.texture_of[keep],
+    )
+    graph = scene.graph
+    return SceneMap.create(
+        mesh,
+        [graph.ids[i] for i in rows],
+        [graph.labels[i] for i in rows],
+        names=[graph.names[i] for i in rows],
+        floor=float(scene.floors[0]),
+        encoded=scene.encoded,
+    )
+
+
+@pytest.fixture(scope="module")
+def later(room_world, tmp_path_factory):
+    """The room after a while: the desk's chair moved, the lamp gone; and its map."""
+    interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
+    scene = built(interior, tmp_path_factory.mktemp("later"), "later")
+    truth = rigid(rotation_z(0.6), np.zeros(3))
+    middle = room_world.interior.thing("chair").bounds.mean(axis=0)
+    truth[:3, 3] = middle + (0.5, -0.6, 0.0) - truth[:3, :3] @ middle
+    return SimpleNamespace(scene=scene, motion=truth, middle=middle)
+
+
+def by_name(found, kind):
+    return {change.name or change.label: change for change in found.of(kind)}
+
+
+def test_a_map_differs_from_itself_by_nothing(room):
+    found = diff(room, room)
+    assert len(found) == 0
+    assert not found.unseen
+    assert found.same == room.graph.ids
+    np.testing.assert_allclose(found.b_from_a, np.eye(4), atol=1e-3)
+
+
+def test_what_moved_and_what_vanished_is_named(room, later):
+    found = diff(room, later.scene)
+    assert set(by_name(found, "moved")) == {"chair"}
+    assert set(by_name(found, "vanished")) == {"lamp"}
+    assert len(found) == 2
+    chair = by_name(found, "moved")["chair"]
+    off = moved(chair.after_from_before, later.middle[None]) - moved(
+        later.motion, later.middle[None]
+    )
+    assert np.linalg.norm(off) < 0.03
+    assert chair.turn_deg == pytest.approx(np.degrees(0.6), abs=3.0)
+    assert chair.shift_m == pytest.approx(np.hypot(0.5, 0.6), abs=0.05)
+    assert 0.5 < chair.confidence < 1.0
+
+
+def test_the_other_way_round_the_lamp_appears(room, later):
+    found = diff(later.scene, room)
+    assert set(by_name(found, "appeared")) == {"lamp"}
+    lamp = by_name(found, "appeared")["lamp"]
+    row = room.graph.names.index("lamp")
+    np.testing.assert_allclose(lamp.box.mean(axis=0), room.graph.positions[row], atol=0.02)
+    assert len(lamp.piece.triangles) == np.count_nonzero(room.mesh.object_of == row)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.4, 3.0])
+def test_maps_may_have_other_axes_and_other_ids(room, later, turn):
+    b_from_a = rigid(rotation_z(turn), np.array([3.0, -2.0, 0.4]))
+    mesh = later.scene.mesh
+    there = replace(mesh, vertices=moved(b_from_a, mesh.vertices.astype(float)).astype(np.float32))
+    ids = [f"n{i}" for i in range(len(later.scene))]
+    other = with_mesh(later.scene, there, ids=ids, floor=0.4)
+    found = diff(room, other)
+    np.testing.assert_allclose(found.b_from_a, b_from_a, atol=0.02)
+    assert set(by_name(found, "moved")) == {"chair"}
+    assert set(by_name(found, "vanished")) == {"lamp"}
+    assert len(found) == 2
+    assert by_name(found, "moved")["chair"].other.startswith("n")
+    given = diff(room, other, options=DiffOptions(b_from_a=b_from_a))
+    assert {c.id for c in given} == {c.id for c in found}
+    assert given.alignment.startswith("given")
+
+
+def test_a_transform_that_does_not_fit_is_refused(room, later):
+    wrong = rigid(np.eye(3), np.array([30.0, 0.0, 0.0]))
+    with pytest.raises(OptionError, match="b_from_a: only"):
+        diff(room, later.scene, options=DiffOptions(b_from_a=wrong))
+    with pytest.raises(OptionError, match="not rigid"):
+        DiffOptions(b_from_a=np.diag([2.0, 2.0, 2.0, 1.0]))
+
+
+def test_another_label_is_told(room):
+    row = room.graph.labels.index("desk")
+    labels = [("workbench" if i == row else label) for i, label in enumerate(room.graph.labels)]
+    found = diff(room, with_mesh(room, room.mesh, labels=labels))
+    assert [(c.kind, c.label, c.new_label) for c in found] == [("relabelled", "desk", "workbench")]
+
+
+def test_what_the_other_map_does_not_cover_is_unseen_not_vanished(room):
+    centres = room.mesh.vertices[room.mesh.triangles].mean(axis=1)
+    spanning = [room.graph.labels.index(label) for label in ("floor", "ceiling")]
+    half = only(room, (centres[:, 0] > 3.1) & ~np.isin(room.mesh.object_of, spanning))
+    found = diff(room, half, options=DiffOptions(b_from_a=np.eye(4)))
+    far = {id_ for id_, at in zip(room.graph.ids, room.graph.positions, strict=True) if at[0] < 2}
+    assert far <= set(found.unseen)
+    assert not {c.id for c in found} & far
+
+
+def test_two_places_are_not_laid_on_each_other(room, boxes):
+    from placegraph.indoor.build import scene_of_model
+
+    elsewhere = scene_of_model(
+        boxes({"floor": ((0, 0, -0.1), (30, 2, 0)), "wall": ((0, 2, 0), (30, 2.1, 5))})
+    )
+    with pytest.raises(OptionError, match="no way is found"):
+        diff(room, elsewhere)
+
+
+def test_the_same_seed_gives_the_same_diff(room, later):
+    one, other = (diff(room, later.scene).to_dict() for _ in range(2))
+    assert one == other
