@@ -62,7 +62,7 @@ def later(room_world, tmp_path_factory):
     scene = built(interior, tmp_path_factory.mktemp("later"), "later")
     truth = rigid(rotation_z(0.6), np.zeros(3))
     middle = room_world.interior.thing("chair").bounds.mean(axis=0)
-    truth[:3, 3] = middle + (0.5, -0.6, 0.0) - truth[:3, :3] @ middle
+    truth[:3, 3] = middle + np.array([0.5, -0.6, 0.0]) - truth[:3, :3] @ middle
     return SimpleNamespace(scene=scene, motion=truth, middle=middle)
 
 

@@ -40,6 +40,8 @@ _PLACES = 24
 """Places from which holes are looked for."""
 _SKY, _OPEN = 0.03, 0.3
 """Share of the rays from inside that leave the map: told, and much."""
+_LEVEL_RAY = 0.2
+"""Rays that rise or fall more steeply than this may pass over low walls, and under none."""
 _BACK = 0.3
 """Share of the rays from inside that meet the back of a triangle."""
 
@@ -151,7 +153,8 @@ def places(scene: SceneMap, options: FilterOptions | None) -> Iterator[Found]:
     options = options or FilterOptions()
     table = scene.visibility(options)
     said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
-    if not len(table):
+    over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
+    if not len(table) or over:
         rooms = _height(scene)
         yield (
             "error",
@@ -179,7 +182,7 @@ def _holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Fou
     share = float(missed.mean())
     if share <= _SKY:
         return
-    up, down = rays[:, 2] > 0.77, rays[:, 2] < -0.77
+    up, down = rays[:, 2] > _LEVEL_RAY, rays[:, 2] < -_LEVEL_RAY
     parts = {"above": up, "below": down, "around": ~(up | down)}
     shares = {where: float(missed[:, which].mean()) for where, which in parts.items()}
     listed = ", ".join(f"{s:.0%} {where}" for where, s in shares.items() if s > _SKY)
