@@ -11,6 +11,7 @@ at once: run it again and it goes on where it was cut. `docs/benchmarks.md` expl
 from __future__ import annotations
 
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -103,6 +104,9 @@ def main(
     maps = Maps(data, weights, cache, Journal(path), lambda text: typer.echo(text, err=True))
     asked = {r.place for r in rows} | {r.place for r in refining}
     wanted = {place: sizes_of(place, names) for place in PLACES if place in asked}
+    if not (weights.exists() and find_spec("ai_edge_litert")):
+        typer.echo("No labelled maps: they need --weights and the extra `segment`.", err=True)
+        wanted = {place: [s for s in of if s != LABELLED] for place, of in wanted.items()}
     made = [maps.made(place, size) for place, of in wanted.items() for size in of]
     apart = {
         maps.made(place, size).name: maps.apart(place, size)

@@ -242,9 +242,10 @@ def test_it_prints_and_writes_what_it_measured(script, tmp_path):
     out = tmp_path / "out.json"
     result = invoke(
         script, "--only", "none: *; house found: *", "--sizes", "default,error 10 mm",
-        "--cache", str(tmp_path), "--out", str(out),
+        "--cache", str(tmp_path), "--out", str(out), "--weights", str(tmp_path / "none.tflite"),
     )  # fmt: skip
     assert result.exit_code == 0, result.output
+    assert "extra `segment`" in result.output
     text = result.stdout
     assert "| *SG2Loc, 3RScan / ScanNet*" in text
     assert "bytes against recall" in text
