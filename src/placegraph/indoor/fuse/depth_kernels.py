@@ -17,7 +17,7 @@ def facets_of(depth, eye, reach, edges):
 
     Columns 0 to 2: unit normal n in the camera, away from it; 3: n @ x of the plane's points x, so
     that column 3 - n @ p is how far a point p lies in front; 4: the reading [m], 0: none, or not to be
-    believed; 5: weight, cosine / reading^2. `depth`: (h, w) float32 [m], NaN: none; `eye`: fx, fy,
+    believed; 5: weight, cosine / reading^4. `depth`: (h, w) float32 [m], NaN: none; `eye`: fx, fy,
     cx, cy; `reach`: greatest reading used [m]; `edges`: whether readings at depth edges are dropped.
 
     Planes are linear in the image if written for 1 / depth: slopes are a least-squares fit over
@@ -79,7 +79,7 @@ def facets_of(depth, eye, reach, edges):
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = a / length, b / length, c / length
             out[v, u, 3] = 1 / length
             out[v, u, 4] = 1 / here
-            out[v, u, 5] = cosine * here * here
+            out[v, u, 5] = cosine * here**4
     return out
 
 

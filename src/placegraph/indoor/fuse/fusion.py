@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.indoor.fuse.depth_kernels import facets_of
 from placegraph.indoor.fuse.result import Fused, FuseOptions, FuseStats
 from placegraph.indoor.fuse.surface import surface_of
 from placegraph.indoor.fuse.views import checked_poses, good_poses, views_of
 from placegraph.indoor.fuse.volume import FullError, Volume
+from placegraph.indoor.fuse.volume_kernels import SIZE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -137,18 +139,16 @@ class _Run:
         """Take in all frames."""
         for view in views_of(frames, poses, good_poses(poses), passed_over):
             if view is not None:
-                self.gains[view.row] = self.volume.take(
-                    view, reach=reach, edges=self.options.edges, gains=self.options.gains
-                )
-                self.witnesses.append(self.some_points(view))
+                facets = facets_of(view.depth, view.eyes[0], reach, self.options.edges)
+                self.gains[view.row] = self.volume.take(view, facets, gains=self.options.gains)
+                self.witnesses.append(self.some_points(view, facets))
                 self.seen_by.append(view.row)
             self.done += 1
             if progress is not None:
                 progress(self.done, len(frames))
 
-    def some_points(self, view: View) -> Floats:
+    def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
         """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""
-        facets = self.volume.facets
         v, u = np.nonzero(facets[..., 4])
         chosen = np.unique(
             np.linspace(0, max(len(v) - 1, 0), min(self.each, len(v))).astype(np.int64)
@@ -156,8 +156,9 @@ class _Run:
         v, u = v[chosen], u[chosen]
         fx, fy, cx, cy = view.eyes[0]
         z = facets[v, u, 4].astype(np.float64)
-        points = np.stack([(u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z, z], axis=1)
-        return points @ view.map_from_camera[:3, :3].T + view.map_from_camera[:3, 3]
+        points: Floats = np.stack([(u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z, z], axis=1)
+        moved: Floats = points @ view.map_from_camera[:3, :3].T + view.map_from_camera[:3, 3]
+        return moved
 
     def finish(self, start: float, why: str, counts: Counter[str]) -> Fused:
         """The mesh, and what there is to say."""
@@ -182,7 +183,7 @@ class _Run:
             seconds=perf_counter() - start,
             frames=len(self.seen_by),
             voxel=volume.voxel,
-            voxels=volume.count * 512,
+            voxels=volume.count * SIZE,
             memory=volume.bytes,
             agreement=float(np.median(every)),
             apart=float((every > 0.5 * volume.truncation).mean()),

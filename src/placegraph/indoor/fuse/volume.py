@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.fuse import volume_kernels as kernels
-from placegraph.indoor.fuse.depth_kernels import facets_of
 from placegraph.indoor.fuse.volume_kernels import SIDE, SIZE
 
 if TYPE_CHECKING:
@@ -32,6 +31,10 @@ BRIGHTNESS_STEP = 4
 """Likewise, for comparing brightness."""
 ENOUGH = 200
 """Places that brightness must be compared at."""
+DARKEST, BRIGHTEST = 0.5, 2.0
+"""What an image is multiplied by, at most."""
+BAND = 2.0
+"""Colour is taken this near to the surface [voxels]."""
 
 
 class FullError(Exception):
@@ -52,7 +55,7 @@ class Volume:
         self.distance = np.zeros((room, SIZE), np.float32)
         """[m], positive in front of surfaces, cut at the truncation"""
         self.weight = np.zeros((room, SIZE), np.float32)
-        """sum of cos(incidence) / depth^2 of the views [1 / m^2]"""
+        """sum of cos(incidence) / depth^4 of the views [1 / m^4]"""
         self.colour = np.zeros((room, SIZE, 3), np.float32)
         """mean sRGB near surfaces, 0 to 255"""
         self.paint = np.zeros((room, SIZE), np.float32)
@@ -84,12 +87,14 @@ class Volume:
         """Memory of the blocks that are used."""
         return self.count * BLOCK
 
-    def take(self, view: View, *, reach: float, edges: bool, gains: bool) -> float:
-        """Take in a view, in place; how much its image was brightened to fit those before."""
+    def take(self, view: View, facets: NDArray[np.float32], *, gains: bool) -> float:
+        """Take in a view, in place; what its image was multiplied by to fit those before.
+
+        `facets`: (h, w, 6) of `depth_kernels.facets_of`. Raises `FullError` where memory ends.
+        """
         pose, depth_eye = view.map_from_camera, view.eyes[0]
-        facets = facets_of(view.depth, depth_eye, reach, edges)
+        edge = SIDE * self.voxel
         while True:
-            edge = SIDE * self.voxel
             count = kernels.touch(
                 self.keys, self.rows, self.places, self.count, len(self.places), facets, depth_eye,
                 pose, edge, self.truncation, STEP,
@@ -114,12 +119,10 @@ class Volume:
         )
         kernels.integrate(
             self.distance, self.weight, self.colour, self.paint, self.places, chosen, self.voxel,
-            self.truncation, facets, view.image, gain, view.eyes, back, self.band,
+            self.truncation, facets, view.image, gain, view.eyes, back,
+            BAND * self.voxel,
         )  # fmt: skip
-        self.facets = facets
         return gain
-
-    band = 0.06
 
     def gain(self, view: View, facets: NDArray[np.float32]) -> float:
         """What brings a view's image to the brightness of the model; 1 where they hardly overlap."""
@@ -127,7 +130,7 @@ class Volume:
             self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
             view.map_from_camera, BRIGHTNESS_STEP, 0.0,
         )  # fmt: skip
-        return float(np.clip(np.median(ratios), 0.5, 2.0)) if len(ratios) >= ENOUGH else 1.0
+        return float(np.clip(np.median(ratios), DARKEST, BRIGHTEST)) if len(ratios) >= ENOUGH else 1.0
 
     def gaps(self, points: Floats) -> NDArray[np.float32]:
         """Distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
