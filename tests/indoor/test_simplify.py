@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
 from placegraph.indoor.mesh import Mesh
-from placegraph.indoor.simplify import batches, clustered, simplify
+from placegraph.indoor.simplify import batches, simplify, tiles, wedged
+from placegraph.indoor.simplify_groups import groups
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
@@ -231,12 +232,36 @@ def test_bad_options(bad):
         simplify(plain(*sheet(2)), **bad)
 
 
-def test_vast_meshes_are_brought_to_a_grid_first():
-    points, triangles = sheet(40)
-    mesh = clustered(plain(points, triangles, object_of=np.arange(len(triangles)) // 1600), 0.2)
-    assert 100 < len(mesh) < 400
-    assert area(mesh.vertices, mesh.triangles) == pytest.approx(4.0, rel=0.2)
-    assert set(mesh.object_of.tolist()) == {0, 1}
+def test_large_objects_are_simplified_in_tiles_without_cracks(monkeypatch):
+    monkeypatch.setattr("placegraph.indoor.simplify.TILE", 300)
+    points, triangles = ball(16)
+    whole = wedged(plain(points, triangles))[0]
+    parts = tiles(whole, np.arange(len(triangles)))
+    assert sorted(np.concatenate(parts).tolist()) == list(range(len(triangles)))
+    assert 11 <= len(parts) <= 16
+    assert max(map(len, parts)) <= 300
+    mesh = simplify(plain(points, triangles), error=0.02)
+    assert len(mesh) < 0.4 * len(triangles)
+    assert not outline(mesh), "no crack"
+    reach = np.linalg.norm(mesh.vertices, axis=1)
+    assert 0.975 <= reach.min() <= reach.max() <= 1.025
+    flat = simplify(plain(*sheet(30)), error=0.0)
+    assert len(flat) <= 8, "tiles leave no trace"
+
+
+@given(
+    st.integers(1, 40).flatmap(
+        lambda n: st.lists(
+            st.tuples(st.integers(-2, 2), st.integers(-2, 2)), min_size=n, max_size=n
+        )
+    )
+)
+def test_equal_rows_are_grouped(rows):
+    keys = np.array(rows, np.int64)
+    group, first = groups(keys)
+    known = list(dict.fromkeys(rows))
+    assert [known[g] for g in group] == rows
+    assert first.tolist() == [rows.index(k) for k in known]
 
 
 @given(st.lists(st.integers(0, 9), min_size=1, max_size=60))
