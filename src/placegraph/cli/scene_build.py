@@ -11,7 +11,7 @@ import typer
 
 from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
 from placegraph.cli.scene_answer import progress_of
-from placegraph.cli.scene_facts import facts, sizes
+from placegraph.cli.scene_facts import facts
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -129,7 +129,9 @@ def build(
 def _summary(
     scene: SceneMap, out: Path, seconds: float, notes: list[str], left_out: Counter[str]
 ) -> None:
-    parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in sizes(out).items())
+    from placegraph.indoor.scene_file import bytes_of
+
+    parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in bytes_of(out).items())
     typer.echo(
         f"{out}: {len(scene):,} objects, {len(scene.mesh):,} triangles, floor at "
         f"{scene.floors[0]:.2f} m, {out.stat().st_size / 1e3:,.0f} kB ({parts}), built in "

@@ -15,13 +15,6 @@ from placegraph.cli.scene_query import MapFile  # noqa: TC001  # Typer reads the
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
 
-PARTS = {
-    "surface": ("vertices", "triangles", "object_of", "texture_of"),
-    "colour": ("colours", "uv", "textures", "texture_bytes"),
-    "embeddings": ("embeddings", "embedding_scales"),
-}
-"""Columns of a map file by what they are for; all others are the graph's."""
-
 
 def info(
     map_file: MapFile,
@@ -32,10 +25,11 @@ def info(
 
     Example: placegraph scene info house.scene --png plan.png
     """
+    from placegraph.indoor.scene_file import bytes_of
     from placegraph.indoor.scene_map import SceneMap
 
     scene = SceneMap.open(map_file)
-    told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": sizes(map_file)}
+    told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": bytes_of(map_file)}
     if png is not None:
         from placegraph.view import draw_scene
 
@@ -62,15 +56,3 @@ def facts(scene: SceneMap) -> dict[str, object]:
         "low_m": [round(float(v), 3) for v in scene.bounds[0]],
         "high_m": [round(float(v), 3) for v in scene.bounds[1]],
     }
-
-
-def sizes(path: Path) -> dict[str, int]:
-    """Bytes of a map file's parts: graph, surface, colour, embeddings."""
-    from placegraph.store import read_header
-
-    part_of = {column: part for part, columns in PARTS.items() for column in columns}
-    total: Counter[str] = Counter({"graph": 0})
-    for block in read_header(path).blocks:
-        total[part_of.get(block.name, "graph")] += block.length
-    total["graph"] += path.stat().st_size - sum(total.values())
-    return dict(total)

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from placegraph.cli.scene_facts import sizes
 from placegraph.errors import PlacegraphError
 from placegraph.evaluate.decimate import coarse
 from placegraph.evaluate.indoor_maps import COARSE, with_mesh
 from placegraph.evaluate.journal import fingerprint
 from placegraph.evaluate.scene_maps_surface import Apart, compare
+from placegraph.indoor.scene_file import bytes_of
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
@@ -280,7 +280,7 @@ def measured(path: Path) -> dict[str, Any]:
     return {
         "digest": digest(path),
         "bytes": path.stat().st_size,
-        "parts": sizes(path) | {"embeddings": embedding_bytes(scene)},
+        "parts": bytes_of(path) | {"embeddings": embedding_bytes(scene)},
         "objects": len(scene),
         "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
         "triangles": len(scene.mesh),
@@ -305,7 +305,7 @@ def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "embedded.scene"
         scene.with_embeddings(vectors).save(path)
-        return sizes(path)["embeddings"]
+        return bytes_of(path)["embeddings"]
 
 
 def digest(path: Path) -> str:

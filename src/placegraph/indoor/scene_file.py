@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +14,22 @@ from placegraph.indoor import textures
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.mesh_order import from_high_water, high_water
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.store import pack_strings
+from placegraph.store import pack_strings, read_header
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from numpy.typing import NDArray
 
     from placegraph.store import MapFile
+
+
+PARTS = {
+    "surface": ("vertices", "triangles", "object_of", "texture_of"),
+    "colour": ("colours", "uv", "textures", "texture_bytes"),
+    "embeddings": ("embeddings", "embedding_scales"),
+}
+"""Columns of a map file by what they are for; all others are the graph's."""
 
 
 def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -81,6 +92,20 @@ def scene_map(file: MapFile) -> SceneMap:
         raise MapError(
             f"{path}: its columns contradict each other ({error}). Build it again."
         ) from (error)
+
+
+def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
+    """Bytes of a map file's parts: graph, surface, colour, embeddings.
+
+    Raises `InputError` and `MapError` as `placegraph.store.read_header` does.
+    """
+    part_of = {column: part for part, columns in PARTS.items() for column in columns}
+    header = read_header(path)
+    total: Counter[str] = Counter({"graph": 0})
+    for block in header.blocks:
+        total[part_of.get(block.name, "graph")] += block.length
+    total["graph"] += header.file_size - sum(total.values())
+    return dict(total)
 
 
 def _graph(file: MapFile) -> SceneGraph:
