@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import InputError
 from placegraph.formats.glb import Z_UP
 from placegraph.indoor.floor import is_floor
-from placegraph.indoor.mesh import GRAIN, Mesh
+from placegraph.indoor.mesh import GRAIN, Mesh, portions
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -90,21 +90,22 @@ def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], li
     Textures are placeholders of one texel. Returns also the things and pictures that are left, and
     the new row (N,) of every thing of the model, -1 of those that are left out.
     """
-    reach = float(np.abs(model.vertices[model.triangles.ravel()]).max())
+    used, _ = _used(model.triangles, len(model.vertices))
+    reach = float(np.abs(model.vertices[used]).max())
     if reach > LARGEST:
         raise InputError(
             f"{model.path} reaches {reach:.3g} m from its origin; is it in millimetres? Then pass "
             "scale=0.001; else move it to its origin."
         )
-    order = np.argsort(model.thing_of, kind="stable")
-    triangles, thing_of, picture_of = (
-        column[order] for column in (model.triangles, model.thing_of, model.picture_of)
-    )
-    flat = dispensable(model.vertices, triangles, thing_of)
+    flat = dispensable(model.vertices, model.triangles, model.thing_of)
     if flat.any():
         left_out["triangles without area"] += int(flat.sum())
-        keep = ~flat
-        triangles, thing_of, picture_of = triangles[keep], thing_of[keep], picture_of[keep]
+    rows = np.flatnonzero(~flat)
+    if (np.diff(model.thing_of[rows]) < 0).any():
+        rows = rows[np.argsort(model.thing_of[rows], kind="stable")]
+    triangles, thing_of, picture_of = (
+        column[rows] for column in (model.triangles, model.thing_of, model.picture_of)
+    )
     corner, compact = _used(triangles, len(model.vertices))
     thing, things = _used(thing_of, len(model.things))
     picture, pictures = _used(picture_of, len(model.pictures))
@@ -113,11 +114,11 @@ def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], li
         left_out["objects without a triangle"] += missing
     mesh = Mesh(
         vertices=model.vertices[corner].astype(np.float32),
-        triangles=compact.astype(np.int32),
-        object_of=things.astype(np.int32),
+        triangles=compact,
+        object_of=things,
         colours=model.colours[corner],
         uv=model.uv[corner].astype(np.float32),
-        texture_of=pictures.astype(np.int32),
+        texture_of=pictures,
         textures=(np.zeros((1, 1, 3), np.uint8),) * len(picture),
     )
     row = np.full(len(model.things), -1)
@@ -134,8 +135,10 @@ def dispensable(
     vertices: NDArray[Any], triangles: NDArray[Any], object_of: NDArray[Any], grain: float = GRAIN
 ) -> NDArray[np.bool_]:
     """Triangles (T,) without area once their corners are snapped, but for the last of an object."""
-    a, b, c = np.moveaxis(np.rint(vertices[triangles].astype(np.float64) / grain), 1, 0)
-    flat = ~np.asarray(np.cross(b - a, c - a).any(axis=1))
+    flat = np.zeros(len(triangles), np.bool_)
+    for part in portions(len(triangles)):
+        a, b, c = np.moveaxis(np.rint(vertices[triangles[part]].astype(np.float64) / grain), 1, 0)
+        flat[part] = ~np.cross(b - a, c - a).any(axis=1)
     bare = np.setdiff1d(object_of, object_of[~flat])
     flat &= ~np.isin(object_of, bare)  # an object that is nothing but a line stays one
     return flat
@@ -166,9 +169,9 @@ def _times(model: Model, scale: float) -> Model:
     return replace(model, vertices=model.vertices * scale, floor=floor)
 
 
-def _used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Rows that are used, ascending, and `rows` in terms of these."""
     used = np.zeros(count, np.bool_)
     used[rows.ravel()] = True
-    place = np.cumsum(used) - 1
+    place = np.cumsum(used, dtype=np.int32) - np.int32(1)
     return np.flatnonzero(used), place[rows]

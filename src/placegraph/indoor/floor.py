@@ -46,7 +46,7 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     """
     normals = mesh.normals()
     areas = np.linalg.norm(normals, axis=1) / 2.0
-    heights = mesh.vertices[mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
+    heights = mesh.vertices[:, 2][mesh.triangles].mean(axis=1, dtype=np.float64)
     upward = normals[:, 2] / np.maximum(2.0 * areas, 1e-300)
     floors = np.array([is_floor(label) for label in labels])
     labelled = (np.abs(upward) > LEVEL) & floors[mesh.object_of]

@@ -15,12 +15,15 @@ import numpy as np
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import ArrayLike, NDArray
 
 GRAIN = 2.0**-13
 """Step of vertices [m], 0.12 mm; a power of two, so that float32 holds multiples exactly."""
 UV_GRAIN = 2.0**-14
 """Step of texture coordinates: a sixteenth of a texel of 1024."""
+_PORTION = 1 << 19  # rows
 _MAX_STEPS = 1 << 22  # of 24 bits that float32 has: sums of two coordinates are exact too
 
 WHITE = np.full((1, 1, 3), 255, np.uint8)
@@ -128,9 +131,11 @@ class Mesh:
 
     def normals(self) -> NDArray[np.float64]:
         """(T, 3) float64 normals, twice as long as the triangles' areas [m2]."""
-        a, b, c = np.moveaxis(self.vertices[self.triangles].astype(np.float64), 1, 0)
-        normal: NDArray[np.float64] = np.cross(b - a, c - a)
-        return normal
+        normals = np.empty((len(self), 3))
+        for part in portions(len(self)):
+            a, b, c = np.moveaxis(self.vertices[self.triangles[part]].astype(np.float64), 1, 0)
+            normals[part] = np.cross(b - a, c - a)
+        return normals
 
     def colour_at(
         self, triangle: NDArray[np.int32], u: NDArray[np.float32], v: NDArray[np.float32]
@@ -188,6 +193,12 @@ class Mesh:
         These are `GRAIN` and `UV_GRAIN` or 2^k times them.
         """
         return _step(self.vertices, GRAIN), _step(self.uv, UV_GRAIN)
+
+
+def portions(count: int) -> Iterator[slice]:
+    """Slices of `count` rows, so many at a time that what is computed of them stays small."""
+    for start in range(0, count, _PORTION):
+        yield slice(start, min(start + _PORTION, count))
 
 
 def _least_step(values: NDArray[np.float32], least: float) -> float:

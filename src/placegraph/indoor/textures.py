@@ -32,6 +32,7 @@ FINEST = 0.25
 KEPT = ("WEBP", "PNG", "JPEG")
 """Formats of textures in a map file."""
 _FEW = 256  # colours of a drawing, that PNG may hold better
+_SMALL, _FEW = 1 << 12, 1 << 10  # texels and colours of pictures that PNG may suit
 _LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
 
 
@@ -149,19 +150,20 @@ def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> t
 
 
 def _encode(image: Image, quality: int) -> bytes:
-    """PNG of few colours where that is smaller, as for flat ones and drawings; else WebP."""
-    tiny = image.width * image.height <= 64
-    forms: list[tuple[str, dict[str, Any]]] = []
-    if tiny or image.getcolors(_FEW) is not None:
-        forms.append(("PNG", {"optimize": True}))
-    if not tiny:
-        forms.append(("WEBP", {"quality": quality or QUALITY, "method": 4}))
-    files = []
-    for form, options in forms:
-        file = io.BytesIO()
-        image.save(file, form, **options)
-        files.append(file.getvalue())
-    return min(files, key=len)
+    """PNG where that is smaller, as for flat colours and drawings; else WebP."""
+    forms = []
+    few = image.width * image.height <= _SMALL or image.getcolors(_FEW) is not None
+    if few:  # of more colours WebP is smaller always, and PNG slow
+        forms.append(_bytes(image, "PNG", optimize=True))
+    if not few or image.width * image.height > 64:
+        forms.append(_bytes(image, "WEBP", quality=quality or QUALITY, method=4))
+    return min(forms, key=len)
+
+
+def _bytes(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  # of Pillow's encoder
+    file = io.BytesIO()
+    image.save(file, form, **options)
+    return file.getvalue()
 
 
 def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
