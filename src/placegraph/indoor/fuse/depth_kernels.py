@@ -120,7 +120,9 @@ def torn(depth, v, u, here, allowed):
         # a plane's 1 / depth is linear: no second difference, however steep
         if abs(before + after - 2 * here) > allowed:
             return True
-        if not np.isfinite(before + after):
-            if abs(before - here) > 2 * allowed or abs(after - here) > 2 * allowed:
-                return True
+        # at a hole only one side can be asked (a comparison with NaN is false)
+        if np.isnan(before + after) and (
+            abs(before - here) > 2 * allowed or abs(after - here) > 2 * allowed
+        ):
+            return True
     return False

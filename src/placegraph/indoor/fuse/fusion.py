@@ -112,9 +112,9 @@ def fuse(
                     f"voxel: {need}; try voxel={COARSER * edge:.3g}, a shorter reach, or fewer frames."
                 ) from error
             edge *= COARSER
-            why = f"{need}; they are {100 * edge:.3g} cm now."
+            why = why or need
     counts.update(passed_over)
-    return run.finish(start, why, counts)
+    return run.finish(start, why and f"{why}; they are {100 * edge:.3g} cm now.", counts)
 
 
 class _Run:

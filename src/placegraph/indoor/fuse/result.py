@@ -9,8 +9,8 @@ from placegraph.errors import OptionError
 from placegraph.indoor.options import check_numbers, check_positive
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
     import numpy as np
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)

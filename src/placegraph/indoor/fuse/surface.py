@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.0
 """Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""
+NOTHING = 1e-12
+"""Triangles of no more than this are none [m^2]."""
 
 
 def surface_of(
@@ -40,7 +42,7 @@ def surface_of(
     count = volume.count
     around = kernels.neighbours(volume.keys, volume.rows, volume.places, count)
     cases, crossed, sizes = kernels.cells_of(
-        around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loop_of, loops
+        around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loops
     )
     starts = _starts(sizes)
     points, colours, first = kernels.vertices_of(
@@ -68,7 +70,8 @@ def without_specks(
     dropped = np.unique(root[size[root] < least])
     if len(dropped):
         left_out["parts of the surface that are too small"] += len(dropped)
-    kept = triangles[size[root] >= least]
+    # where knowledge ends in one line, both triangles of a quad may have no area
+    kept = triangles[(size[root] >= least) & (area > NOTHING)]
     used = np.zeros(len(points), np.bool_)
     used[kept.ravel()] = True
     place = np.cumsum(used) - 1
@@ -90,11 +93,11 @@ def loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
     for edge in range(12):
         low = int(kernels.low_corner(edge))
         edges[frozenset((low, low | 1 << (edge >> 2)))] = edge
-    faces = []
-    for axis in range(3):
-        one, two = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
-        for side in (0, 1 << axis):
-            faces.append((side, side | one, side | one | two, side | two))
+    faces = [
+        (side, side | one, side | one | two, side | two)
+        for one, two, axis in ((2, 4, 1), (4, 1, 2), (1, 2, 4))
+        for side in (0, axis)
+    ]
     for case in range(1, 256):
         group = {e: e for pair, e in edges.items() if len({case >> c & 1 for c in pair}) == 2}
         for face in faces:

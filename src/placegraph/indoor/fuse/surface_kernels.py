@@ -31,7 +31,7 @@ def corner_of(around, row, i, j, k):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def cells_of(around, distance, weight, least, steepest, loop_of, loops):
+def cells_of(around, distance, weight, least, steepest, loops):
     """Where the surface is: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
     Also the number of vertices by block (B,). Cell i, j, k reaches from voxel i, j, k to the next along
@@ -39,7 +39,7 @@ def cells_of(around, distance, weight, least, steepest, loop_of, loops):
     from free space to behind the surface, between voxels that weigh more than `least`; not where the
     distance jumps by more than `steepest` [m]: there a carved voxel lies beside one behind
     something. Bit c of a case is set where corner c (x + 2 y + 4 z) lies behind the surface; a cell
-    of which not all is known has case 0. `loop_of`, `loops`: see `surface.loop_tables`.
+    of which not all is known has case 0. `loops`: see `surface.loop_tables`.
     """
     count = len(around)
     cases = np.zeros((count, SIZE), np.uint8)
@@ -82,7 +82,9 @@ def cells_of(around, distance, weight, least, steepest, loop_of, loops):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def vertices_of(around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel):
+def vertices_of(
+    around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel
+):
     """Vertices (V, 3) [m], colours (V, 3), and the first vertex of every cell (B, SIZE) int64.
 
     `starts`: (B + 1,) first vertex of each block; `loop_of`: (256, 12), see `surface.loop_tables`.

@@ -25,6 +25,8 @@ FARTHEST = 1e4
 """Cameras farther from the map's origin than this are damage [m]."""
 JUMP = 0.5
 """A pose that leaves its neighbours by more, while they stay together, is a slip [m]."""
+AHEAD = 2
+"""Frames that are read while one is fused."""
 WIDEST = 2.0
 """An undistorted image is at most this much wider and higher than the image."""
 
@@ -48,7 +50,7 @@ def views_of(
 ) -> Iterator[View | None]:
     """Views of all frames in order, None for those without depth or whose pose is not `good` (T,).
 
-    The next frame is read while the caller works on the last. Raises `InputError` where an image
+    The next frames are read while the caller works on the last. Raises `InputError` where an image
     is broken.
     """
 
@@ -56,12 +58,11 @@ def views_of(
         return view_of(frames[row], row, poses[row]) if good[row] else None
 
     with ThreadPoolExecutor(1) as reader:
-        ahead = reader.submit(view, 0) if len(frames) else None
+        ahead = [reader.submit(view, row) for row in range(min(AHEAD, len(frames)))]
         for row in range(len(frames)):
-            assert ahead is not None
-            found = ahead.result()
-            if row + 1 < len(frames):
-                ahead = reader.submit(view, row + 1)
+            found = ahead.pop(0).result()
+            if row + AHEAD < len(frames):
+                ahead.append(reader.submit(view, row + AHEAD))
             if not good[row]:
                 left_out["frames with a broken pose"] += 1
             elif found is None:
@@ -80,7 +81,6 @@ def view_of(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
         depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
     if any(camera.distortion):
         camera, table = undistorted(camera)
-        # Outside of the image lies no colour: depth is not asked there either, or shows the edge.
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
     return View(
@@ -138,7 +138,7 @@ def good_poses(poses: Floats) -> NDArray[np.bool_]:
     with np.errstate(all="ignore"):
         turn = poses[:, :3, :3]
         square = turn @ np.swapaxes(turn, 1, 2)
-        good = np.isfinite(poses).all(axis=(1, 2))
+        good: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
         good &= (np.abs(square - np.eye(3)) < 1e-2).all(axis=(1, 2))
         good &= np.linalg.det(np.where(good[:, None, None], turn, np.eye(3))) > 0
         good &= (np.abs(poses[:, :3, 3]) < FARTHEST).all(axis=1)

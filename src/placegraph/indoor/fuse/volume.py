@@ -130,7 +130,9 @@ class Volume:
             self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
             view.map_from_camera, BRIGHTNESS_STEP, 0.0,
         )  # fmt: skip
-        return float(np.clip(np.median(ratios), DARKEST, BRIGHTEST)) if len(ratios) >= ENOUGH else 1.0
+        return (
+            float(np.clip(np.median(ratios), DARKEST, BRIGHTEST)) if len(ratios) >= ENOUGH else 1.0
+        )
 
     def gaps(self, points: Floats) -> NDArray[np.float32]:
         """Distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""

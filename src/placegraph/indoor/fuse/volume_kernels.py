@@ -226,7 +226,9 @@ def integrate(
                 u, v = eyes[1, 0] * a + eyes[1, 2], eyes[1, 1] * b + eyes[1, 3]
                 if u < 0 or v < 0 or u >= wide or v >= tall:
                     continue
-                new = near * np.sqrt(new)  # near and frontal views count most, yet noise is averaged
+                new = near * np.sqrt(
+                    new
+                )  # near and frontal views count most, yet noise is averaged
                 paint[row, at] += new
                 share = new / paint[row, at]
                 pixel = image[int(v), int(u)]
