@@ -219,7 +219,7 @@ def _relations(scene: SceneMap) -> Iterator[Found]:
 
 
 def _costs(scene: SceneMap, size: int | None, seconds: float | None) -> Iterator[Found]:
-    mend = "--triangles N and --max-texture N make it smaller."
+    mend = "--detail small, or tiny, makes it smaller; so do --error and --texel."
     if len(scene.mesh) > _MANY_TRIANGLES:
         yield "warning", f"The map has {len(scene.mesh):,} triangles.", [], mend
     if size is not None and size > _LARGE_FILE:
