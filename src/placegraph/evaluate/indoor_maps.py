@@ -12,20 +12,22 @@ import numpy as np
 from placegraph.evaluate.decimate import coarse
 from placegraph.evaluate.indoor_windows import HALVES, true_poses
 from placegraph.evaluate.journal import fingerprint
-from placegraph.evaluate.tsdf import fuse, write_ply
 from placegraph.formats.capture import open_capture
+from placegraph.formats.ply_write import write_ply
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.fuse import fuse
+from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.simplify import simplify
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.indoor.mesh import Mesh
-
 MAKING = (
     "geometry.py", "graph.py", "store.py", "columns.py", "formats/*.py", "indoor/mesh.py",
     "indoor/textures.py", "indoor/scene*.py", "indoor/build.py", "indoor/floor.py",
-    "indoor/relations.py", "evaluate/tsdf*.py", "evaluate/decimate*.py",
+    "indoor/relations.py", "indoor/fuse/*.py", "indoor/simplify*.py",
+    "evaluate/decimate.py",
 )  # fmt: skip
 """Code that decides what the maps are."""
 COARSE = 20_000
@@ -58,10 +60,12 @@ def office(data: Path, cache: Path, half: str, triangles: int = OFFICE_TRIANGLES
     if not path.exists():
         folder = data / "office"
         capture, truth = open_capture(folder), true_poses(folder)
-        mesh = fuse(capture[low:high], truth[low:high]).mesh(triangles)
+        fused = fuse(capture[low:high].frames, truth[low:high])
+        mesh = Mesh.plain(fused.vertices, fused.triangles, colours=fused.colours)
+        mesh = simplify(mesh, error=np.inf, target=triangles)
         ply = path.with_suffix(".ply")
-        write_ply(ply, mesh)
-        build_scene(ply, path)
+        write_ply(ply, mesh.vertices, mesh.triangles, mesh.colours)
+        build_scene(ply, path, segment=False, detail="full")
         ply.unlink()
     return SceneMap.open(path)
 
