@@ -15,7 +15,7 @@ from placegraph.cli.scene_render import render
 from placegraph.cli.scene_view import view
 
 app = typer.Typer(
-    help="Indoor: a few frames find their pose in a map of objects.",
+    help="Indoor: make maps of rooms, and find the pose of a few frames in them.",
     no_args_is_help=True,
 )
 for command in (build, info, check, diff, update, export, view, localize, refine, render):

@@ -45,7 +45,8 @@ def build(
         typer.Option(help="Metres in one unit of a mesh: 0.001 for millimetres."),
     ] = None,
     detail: Annotated[
-        str, typer.Option(help="How much is kept: full, fine, default, small or tiny.")
+        str,
+        typer.Option(help="How much is kept: full (every triangle), fine, default, small, tiny."),
     ] = "default",
     error: Annotated[
         float | None, typer.Option(help="Greatest error of the surface [m], instead of --detail's.")
@@ -60,7 +61,8 @@ def build(
         bool | None,
         typer.Option(
             "--segment/--no-segment",
-            help="Cut a mesh into objects by geometry and colour; if it names none, by itself.",
+            help="Cut a mesh into objects by geometry and colour; if not given, only a large mesh "
+            "that is one object without a name.",
         ),
     ] = None,
     frames: Annotated[
@@ -69,8 +71,8 @@ def build(
     poses: Annotated[
         str | None,
         typer.Option(
-            help="Poses of a capture: odometry, trajectory, or a TUM file; by itself trajectory.tum "
-            "where there is one."
+            help="Poses of a capture: odometry, trajectory, or a TUM file; if not given, "
+            "trajectory.tum where there is one, else the recorder's own."
         ),
     ] = None,
     voxel: Annotated[
@@ -94,7 +96,8 @@ def build(
     """Build a scene map from a mesh, a scan, a predicted graph or an RGB-D capture.
 
     A mesh that names its objects keeps them; else, and for a capture, floor, walls and objects are
-    found, by label images where there are any. The surface is simplified to an error of 5 mm.
+    found, by label images where there are any. What is printed below the summary was found out or
+    taken for granted. The surface is simplified to an error of 5 mm, unless --detail says otherwise.
 
     Example: placegraph scene build house.glb -o house.scene
 

@@ -24,7 +24,10 @@ def check(
     map_file: MapFile,
     height: Annotated[
         list[float] | None,
-        typer.Option(help="Height of the camera above the floor [m]; may be repeated."),
+        typer.Option(
+            help="Height above the floor at which cameras will be [m], 1.5 to 1.8 if not given; may be "
+            "repeated."
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

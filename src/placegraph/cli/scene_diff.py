@@ -125,7 +125,9 @@ def update(
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
-    """Write a map that has taken over what changed. The map itself stays as it is.
+    """Write a map that has taken over what changed; the old one stays, unless --in-place is given.
+
+    Each object that changed tells of it in its attribute `history`; `placegraph scene view` shows it.
 
     Example: placegraph scene update house.scene changes.json -o house-now.scene
     """

@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 def info(
     map_file: MapFile,
     as_json: AsJson = False,
-    png: Annotated[Path | None, typer.Option(help="Write a plan of the (first) scene.")] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="Write a plan with names; of merged scenes, of the first.")
+    ] = None,
 ) -> None:
-    """Say what a scene map holds, and what its parts take.
+    """Say what a scene map holds, and how many bytes its parts take.
 
     Example: placegraph scene info house.scene --png plan.png
     """

@@ -18,7 +18,10 @@ MapFile = Annotated[
 ]
 CaptureFolder = Annotated[
     Path,
-    typer.Argument(help="Folder with rgb/, camera.json, odometry.tum; depth/ and labels help."),
+    typer.Argument(
+        help="Folder with rgb/, camera.json, odometry.tum (depth/ and labels help), or what another "
+        "recorder wrote: Record3D, Polycam, Stray Scanner, ScanNet, ..."
+    ),
 ]
 Frames = Annotated[
     str | None,
