@@ -32,7 +32,7 @@ FINEST = 0.25
 KEPT = ("WEBP", "PNG", "JPEG")
 """Formats of textures in a map file."""
 _FEW = 256  # colours of a drawing, that PNG may hold better
-_SMALL, _FEW = 1 << 12, 1 << 10  # texels and colours of pictures that PNG may suit
+_SLACK = 2.0  # what PNG's best may save of its quickest
 _LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
 
 
@@ -151,13 +151,12 @@ def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> t
 
 def _encode(image: Image, quality: int) -> bytes:
     """PNG where that is smaller, as for flat colours and drawings; else WebP."""
-    forms = []
-    few = image.width * image.height <= _SMALL or image.getcolors(_FEW) is not None
-    if few:  # of more colours WebP is smaller always, and PNG slow
-        forms.append(_bytes(image, "PNG", optimize=True))
-    if not few or image.width * image.height > 64:
-        forms.append(_bytes(image, "WEBP", quality=quality or QUALITY, method=4))
-    return min(forms, key=len)
+    if image.width * image.height <= 64:
+        return _bytes(image, "PNG", optimize=True)
+    webp = _bytes(image, "WEBP", quality=quality or QUALITY, method=4)
+    if len(_bytes(image, "PNG", compress_level=1)) > _SLACK * len(webp):
+        return webp  # PNG's best takes long
+    return min(webp, _bytes(image, "PNG", optimize=True), key=len)
 
 
 def _bytes(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  # of Pillow's encoder
