@@ -427,3 +427,16 @@ def test_the_house_looks_as_in_its_pictures(house, shared):
     for one, other in ((0, 1), (2, 1)):  # red and blue against green: lighting changes little of it
         a, b = (np.log((c[:, one] + 8) / (c[:, other] + 8)) for c in (mine, theirs))
         assert np.corrcoef(a, b)[0, 1] > 0.6
+
+
+def test_what_may_lie_on_its_side_is_told(boxes):
+    """A room of 7 x 5 x 2.6 m whose labels say nothing, as a y-up exporter would write it."""
+    model = boxes({"a": ((0, 0, 0), (7, 2.6, 5)), "b": ((1, 0, 1), (2, 0.7, 2))})
+    notes = []
+    scene_of_model(model, up="auto", floor=0.0, notes=notes)
+    assert "2.6 m along y" in notes[0]
+    assert "--up y" in notes[0]
+    upright = boxes({"a": ((0, 0, 0), (7, 5, 2.6)), "b": ((1, 0, 1), (2, 0.7, 2))})
+    quiet = []
+    scene_of_model(upright, up="auto", floor=0.0, notes=quiet)
+    assert quiet == []

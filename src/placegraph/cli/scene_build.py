@@ -189,5 +189,16 @@ def _reader(options: list[str]) -> dict[str, Any]:
         name, equals, value = option.partition("=")
         if not (name and equals):
             raise OptionError(f"--reader is {option!r}; give name=value, as reference_frame=true.")
-        given[name.replace("-", "_")] = {"true": True, "false": False}.get(value.lower(), value)
+        given[name.replace("-", "_")] = _value(value)
     return given
+
+
+def _value(text: str) -> Any:  # noqa: ANN401  # what a reader takes
+    """True, false, a number or several with commas between; else the text itself."""
+    if text.lower() in {"true", "false"}:
+        return text.lower() == "true"
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return text
+    return numbers[0] if len(numbers) == 1 else numbers

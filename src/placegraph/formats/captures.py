@@ -87,13 +87,19 @@ FORMATS = (
         "scan3r_sequence",
         "scan3r_sequence",
     ),
-    Format("ScanNet", "a .sens file, or a folder with one", "sens", "sens", ("labels",)),
+    Format(
+        "ScanNet",
+        "a .sens file, or a folder with one",
+        "sens",
+        "sens",
+        ("labels", "label_column", "partial"),
+    ),
     Format(
         "ScanNet's exporter",
         "color/, pose/ and intrinsic_color.txt",
         "sens",
         "scannet_export",
-        ("labels",),
+        ("labels", "label_column"),
     ),
     Format(
         "COLMAP",

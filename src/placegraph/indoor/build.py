@@ -60,7 +60,7 @@ def build_scene(
     source
         A mesh with objects (GLB with one node an object; PLY or OBJ with ids or groups), a scan's
         folder of 3RScan or ScanNet, a graph of SceneGraphFusion or Spark-DSG, or an RGB-D capture
-        with poses of any recorder that `open_capture` knows: `docs/formats.md`.
+        with poses of any recorder that `open_capture` knows: `docs/sources.md`.
     out_path
         Map file to write (atomically); None writes nothing.
     labels
@@ -83,8 +83,8 @@ def build_scene(
     capture
         How a capture becomes a mesh.
     reader
-        Options of the source's own reader, as `reference_frame` of `read_scan3r` or `label_column`
-        of `read_scannet`.
+        Options of the source's own reader, as `reference_frame` of `read_scan3r`, `label_column` of
+        `read_scannet`, or `scale` and `up` of `read_colmap`.
     left_out
         Is told what of the source could not be used, by reason.
     notes
@@ -112,8 +112,8 @@ def build_scene(
 
     def made() -> SceneMap:
         read = read_source(
-            source, labels=labels, up=up, object_property=object_property, segment=segment,
-            capture=capture, reader=reader, left_out=counts, progress=progress,
+            source, labels=labels, up=up, scale=scale, object_property=object_property,
+            segment=segment, capture=capture, reader=reader, left_out=counts, progress=progress,
         )  # fmt: skip
         return scene_of(
             read, floor=floor, up=up, scale=scale, detail=detail, left_out=counts, notes=notes,

@@ -23,6 +23,8 @@ TALLEST = 60.0
 """What is higher than this is not in metres, unless a scale is given [m]."""
 FLATTEST = 0.3
 """What is neither wide nor high by this is told [m]."""
+ROOM = 2.0, 4.0
+"""Rooms are this high [m]."""
 LARGEST = 1e5
 """Coordinates beyond this [m] are another unit, or damage."""
 _SOME = 200_000  # triangles that are looked at to tell unit and axis
@@ -70,6 +72,9 @@ def upright(model: Model, up: str, notes: list[str]) -> Model:
     if up != "auto":
         return model
     rows = np.array([is_floor(t.label) for t in model.things], np.bool_)[model.thing_of]
+    if not rows.any():
+        _tell_side(model, notes)
+        return model
     corners = model.vertices[model.triangles]
     a, b, c = np.moveaxis(corners[rows], 1, 0)
     along = np.abs(np.cross(b - a, c - a)).sum(axis=0)
@@ -82,6 +87,17 @@ def upright(model: Model, up: str, notes: list[str]) -> Model:
     )
     turn = Z_UP if below else Z_UP.T
     return replace(model, vertices=model.vertices @ turn.T, floor=None)
+
+
+def _tell_side(model: Model, notes: list[str]) -> None:
+    """Note a model that is as high along y as rooms are, and much longer along z."""
+    low, high = np.quantile(_some(model).reshape(-1, 3), (0.01, 0.99), axis=0)
+    x, y, z = high - low
+    if ROOM[0] < y < ROOM[1] and z > ROOM[1] and y < 0.75 * min(x, z):
+        notes.append(
+            f"It is {z:.1f} m high, and {y:.1f} m along y, as rooms are high: if it lies on its side, "
+            "pass --up y."
+        )
 
 
 def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], list[Picture], Any]:

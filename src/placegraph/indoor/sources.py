@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture import open_capture
-from placegraph.formats.captures import FORMATS, is_capture
+from placegraph.formats.captures import FORMATS, format_of, is_capture
 from placegraph.formats.labels import label_table
 from placegraph.formats.model import Model, Picture, Thing
 
@@ -101,7 +100,7 @@ class Kind(NamedTuple):
 
 KINDS = (
     Kind(".glb", "glb", "glb", ".glb", ("up",)),
-    Kind(".obj", "obj", "obj", ".obj", ("up", "table")),
+    Kind(".obj", "obj", "obj", ".obj", ("up", "table"), own=("groups",)),
     Kind(
         "a 3RScan scan's folder",
         "scan3r",
@@ -114,7 +113,7 @@ KINDS = (
         "scannet",
         own=("label_table", "label_column", "align"),
     ),
-    Kind("what SceneGraphFusion predicted", "scenegraphfusion", "scenegraphfusion"),
+    Kind("what SceneGraphFusion predicted", "scenegraphfusion", "scenegraphfusion", own=("mesh",)),
     Kind("Spark-DSG's .json", "spark_dsg", "spark_dsg"),
     Kind(".ply", "ply", "ply", ".ply", ("up", "table", "object_property")),
 )
@@ -126,6 +125,7 @@ def read_source(
     *,
     labels: Any = None,  # noqa: ANN401  # see `label_table`
     up: Up = "auto",
+    scale: float | None = None,
     object_property: str | None = None,
     segment: bool | Literal["auto"] = "auto",
     capture: FromCapture | None = None,
@@ -139,7 +139,13 @@ def read_source(
     if kind is None:
         if not is_capture(path):
             raise InputError(_unknown(path))
-        source = captured(path, capture or FromCapture(), left_out, progress)
+        idle = {"up": up != "auto", "scale": scale, "object_property": object_property}
+        if any(idle.values()) or segment != "auto":
+            raise OptionError(
+                f"{path} is a capture, in metres and upright: up, scale, object_property and segment "
+                "belong to meshes; leave them out."
+            )
+        source = captured(path, capture or FromCapture(), left_out, progress, reader=reader)
         return source if labels is None else replace(source, model=named(source.model, labels))
     table = None if labels is None else label_table(labels, scan=path.absolute().parent.name)
     options: dict[str, Any] = {"up": _axis(kind, up), "object_property": object_property}
@@ -148,15 +154,19 @@ def read_source(
     if table is not None:
         model = _labelled(model, table)
     alone = len(model.things) == 1 and model.things[0].label == UNKNOWN
-    if segment is True or (segment == "auto" and alone and len(model.triangles) > _FEW):
+    if segment is True:
         return cut(model, left_out, progress)
+    if segment == "auto" and alone and len(model.triangles) > _FEW:
+        return cut(model, left_out, progress, why=", as its file names none")
     return Source(model)
 
 
 _FEW = 1000  # triangles: what is one object of fewer is meant to be one
 
 
-def cut(model: Model, left_out: Counter[str], progress: Progress | None = None) -> Source:
+def cut(
+    model: Model, left_out: Counter[str], progress: Progress | None = None, *, why: str = ""
+) -> Source:
     """Model whose objects are found by geometry and colour instead of the file's."""
     from placegraph.indoor.segment import segment
 
@@ -164,7 +174,7 @@ def cut(model: Model, left_out: Counter[str], progress: Progress | None = None) 
         model.vertices, model.triangles, model.colours, progress=progress, left_out=left_out
     )
     things = _things(found)
-    note = f"It was cut into {len(things)} objects by geometry and colour, as its file names none."
+    note = f"It was cut into {len(things)} objects by geometry and colour{why}."
     whole = replace(
         model, things=things, thing_of=found.object_of.astype(np.int64), floor=found.floor
     )
@@ -172,11 +182,17 @@ def cut(model: Model, left_out: Counter[str], progress: Progress | None = None) 
 
 
 def captured(
-    path: Path, how: FromCapture, left_out: Counter[str], progress: Progress | None = None
+    path: Path,
+    how: FromCapture,
+    left_out: Counter[str],
+    progress: Progress | None = None,
+    *,
+    reader: Mapping[str, Any] | None = None,
 ) -> Source:
     """Model of RGB-D frames: fused, and cut into objects by their labels or by geometry and colour.
 
-    Raises `InputError` where the capture has no depth.
+    `reader`: options of the recorder's own reader, such as `scale` and `up` of COLMAP. Raises
+    `InputError` where the capture has no depth.
     """
     from placegraph.indoor.atlas import frame_colours
     from placegraph.indoor.fuse import fuse
@@ -184,7 +200,7 @@ def captured(
 
     told = how.poses is None and (path / "trajectory.tum").exists()
     poses = "trajectory" if told else how.poses
-    capture = open_capture(path, poses=poses)[how.frames]
+    capture = format_of(path).open(path, {"poses": poses, **(reader or {})})[how.frames]
     if not len(capture):
         raise OptionError(f"frames: {path} has no frame in {_shown(how.frames)}.")
     if capture.depth_camera is None:
