@@ -6,8 +6,8 @@ from PIL import Image
 
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.change import Change, Piece, SceneDiff
-from placegraph.indoor.register import rigid
+from placegraph.indoor.change.changes import Change, Piece, SceneDiff
+from placegraph.indoor.change.register import rigid
 from placegraph.view.canvas import Stroke, Text
 from placegraph.view.diff_plan import COLOR, marks_of, write_diff
 from placegraph.view.room_plan import RoomPlan

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.change import SceneDiff
-    from placegraph.indoor.diff_options import DiffOptions
+    from placegraph.indoor.change.changes import SceneDiff
+    from placegraph.indoor.change.options import DiffOptions
     from placegraph.indoor.scene_map import SceneMap
 
 MOST_IDS = 8
@@ -131,9 +131,9 @@ def update(
 
     Example: placegraph scene update house.scene changes.json -o house-now.scene
     """
-    from placegraph.indoor.change import KINDS, read_diff
+    from placegraph.indoor.change.changes import KINDS, read_diff
+    from placegraph.indoor.change.update import update_file
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.update import update_file
 
     if (diff_file is None) == (later is None):
         raise OptionError("Give a diff's JSON file, or --from with a later map or capture.")
@@ -173,8 +173,8 @@ def compared(
     tell: Callable[[str, int, int], None],
 ) -> SceneDiff:
     """Diff of a map and a later look, which is a map file or a capture; raises as these do."""
-    from placegraph.indoor.diff import diff as diff_of
-    from placegraph.indoor.diff import diff_capture
+    from placegraph.indoor.change.diff import diff as diff_of
+    from placegraph.indoor.change.diff import diff_capture
     from placegraph.indoor.scene_map import SceneMap
 
     if later.suffix.lower() == MAP_ENDING:
@@ -215,7 +215,7 @@ def show(found: SceneDiff) -> None:
 def _options(
     axes: str | None, least_shift: float, *, depth: bool, colour: bool, seed: int
 ) -> DiffOptions:
-    from placegraph.indoor.diff_options import DiffOptions
+    from placegraph.indoor.change.options import DiffOptions
 
     return DiffOptions(
         b_from_a=_motion(axes), least_shift=least_shift, depth=depth, colour=colour, seed=seed
@@ -229,7 +229,7 @@ def _motion(axes: str | None) -> Floats | None:
     import numpy as np
 
     from placegraph.geometry import rotation_z
-    from placegraph.indoor.register import rigid
+    from placegraph.indoor.change.register import rigid
 
     try:
         numbers = [float(part) for part in axes.split(",")]

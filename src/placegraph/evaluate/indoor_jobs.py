@@ -25,7 +25,7 @@ Labels = Literal["instances", "classes", "none"]
 ANSWERING = (
     "geometry.py", "estimate.py", "formats/*.py", "indoor/**/*.py", "evaluate/label_noise.py",
     "evaluate/indoor_windows.py", "evaluate/indoor_metrics.py", "evaluate/indoor_maps.py",
-    "evaluate/tsdf*.py", "evaluate/decimate*.py",
+    "evaluate/decimate*.py",
 )  # fmt: skip
 """Code that decides what the answers are."""
 QUICK_EVERY = 13

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.register import about, register, sample
+from placegraph.indoor.change.register import about, register, sample
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.register import Fit
+    from placegraph.indoor.change.register import Fit
     from placegraph.indoor.scene_map import SceneMap
 
 WITHIN = 0.05

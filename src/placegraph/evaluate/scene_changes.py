@@ -18,9 +18,9 @@ from placegraph.evaluate.indoor_metrics import rotation_error
 from placegraph.evaluate.tables import markdown, number, share
 from placegraph.formats.capture import open_capture
 from placegraph.formats.tum import read_tum
-from placegraph.indoor.diff import DiffOptions, diff_capture
-from placegraph.indoor.diff_looks import look
-from placegraph.indoor.register import moved
+from placegraph.indoor.change.diff import DiffOptions, diff_capture
+from placegraph.indoor.change.looks import look
+from placegraph.indoor.change.register import moved
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture import Capture
     from placegraph.geometry import Floats
-    from placegraph.indoor.change import Change
+    from placegraph.indoor.change.changes import Change
     from placegraph.indoor.scene_map import SceneMap
 
 GONE = ("moved", "vanished")

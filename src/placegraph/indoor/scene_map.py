@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture import Capture
     from placegraph.geometry import Camera
-    from placegraph.indoor.change import SceneDiff
+    from placegraph.indoor.change.changes import SceneDiff
+    from placegraph.indoor.change.options import DiffOptions
     from placegraph.indoor.check import Finding
-    from placegraph.indoor.diff_options import DiffOptions
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.matching import Matcher
     from placegraph.indoor.mesh import Mesh
@@ -348,22 +348,22 @@ class SceneMap:
     ) -> SceneDiff:
         """What changed since this map was made, as a later map or a capture with poses shows it.
 
-        Parameters, result and errors: `placegraph.indoor.diff.diff`, and of a capture, whose poses
-        (T, 4, 4) are what `localize` said of it, `placegraph.indoor.diff_capture.diff_capture`.
+        Parameters, result and errors: `placegraph.indoor.change.diff.diff`, and of a capture, whose poses
+        (T, 4, 4) are what `localize` said of it, `placegraph.indoor.change.capture.diff_capture`.
         """
         if isinstance(later, SceneMap):
-            from placegraph.indoor.diff import diff
+            from placegraph.indoor.change.diff import diff
 
             return diff(self, later, options=options)
-        from placegraph.indoor.diff_capture import diff_capture
+        from placegraph.indoor.change.capture import diff_capture
 
         if poses is None:
             raise OptionError("poses: a capture needs them; give what scene.localize said of it.")
         return diff_capture(self, later, poses, options=options)
 
     def updated(self, diff: SceneDiff, **options: Any) -> SceneMap:  # noqa: ANN401  # of `update`
-        """Map that has taken over what changed; options: `placegraph.indoor.update.update`."""
-        from placegraph.indoor.update import update
+        """Map that has taken over what changed; options: `placegraph.indoor.change.update.update`."""
+        from placegraph.indoor.change.update import update
 
         return update(self, diff, **options)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.change import Change, SceneDiff
+    from placegraph.indoor.change.changes import Change, SceneDiff
     from placegraph.indoor.scene_map import SceneMap
 
 COLOR = {"moved": "transit", "appeared": "leisure", "vanished": "mode", "relabelled": "amber"}

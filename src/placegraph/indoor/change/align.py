@@ -9,15 +9,15 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import rotation_z
-from placegraph.indoor.register import inverse, moved, register, rigid, sample, touching
+from placegraph.indoor.change.register import inverse, moved, register, rigid, sample, touching
 from placegraph.indoor.structure import structure
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_options import DiffOptions
-    from placegraph.indoor.register import Sampled
+    from placegraph.indoor.change.options import DiffOptions
+    from placegraph.indoor.change.register import Sampled
     from placegraph.indoor.scene_map import SceneMap
 
 POINTS = 20_000

@@ -15,15 +15,15 @@ import numpy as np
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import vector_from_rotation
-from placegraph.indoor.change import Change, SceneDiff
-from placegraph.indoor.diff_appeared import Clump, appeared, gather
-from placegraph.indoor.diff_looks import look
-from placegraph.indoor.diff_motion import Placement, Scene, Thing, judge, placements
-from placegraph.indoor.diff_options import DiffOptions
-from placegraph.indoor.diff_slide import slid
-from placegraph.indoor.diff_tally import around, summed, tally, tolerance
+from placegraph.indoor.change.appeared import Clump, appeared, gather
+from placegraph.indoor.change.changes import Change, SceneDiff
+from placegraph.indoor.change.looks import look
+from placegraph.indoor.change.motion import Placement, Scene, Thing, judge, placements
+from placegraph.indoor.change.options import DiffOptions
+from placegraph.indoor.change.register import inverse, moved
+from placegraph.indoor.change.slide import slid
+from placegraph.indoor.change.tally import around, summed, tally, tolerance
 from placegraph.indoor.raycast import RayCaster
-from placegraph.indoor.register import inverse, moved
 from placegraph.indoor.render import checked_pose
 from placegraph.indoor.structure import structure
 
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from placegraph.formats.capture import Capture
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_looks import Look
-    from placegraph.indoor.diff_tally import Tally
+    from placegraph.indoor.change.looks import Look
+    from placegraph.indoor.change.tally import Tally
     from placegraph.indoor.scene_map import SceneMap
 
 SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_looks import Look
-    from placegraph.indoor.diff_options import DiffOptions
+    from placegraph.indoor.change.looks import Look
+    from placegraph.indoor.change.options import DiffOptions
 
     Mask = NDArray[np.bool_]
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from placegraph.indoor import check_space
-from placegraph.indoor.check_mesh import mesh_findings
+from placegraph.indoor.check import space as check_space
+from placegraph.indoor.check.mesh import mesh_findings
 from placegraph.indoor.floor import label_words
 from placegraph.indoor.relations import MOST_OBJECTS
 from placegraph.indoor.structure import structure

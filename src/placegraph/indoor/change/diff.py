@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.change import Change, Piece, SceneDiff
-from placegraph.indoor.diff_align import align
-from placegraph.indoor.diff_capture import diff_capture
-from placegraph.indoor.diff_objects import Body, Cover, bodies, motion_between, same_ids
-from placegraph.indoor.diff_options import DiffOptions
-from placegraph.indoor.register import inverse, moved
+from placegraph.indoor.change.align import align
+from placegraph.indoor.change.capture import diff_capture
+from placegraph.indoor.change.changes import Change, Piece, SceneDiff
+from placegraph.indoor.change.objects import Body, Cover, bodies, motion_between, same_ids
+from placegraph.indoor.change.options import DiffOptions
+from placegraph.indoor.change.register import inverse, moved
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_objects import Motion
+    from placegraph.indoor.change.objects import Motion
     from placegraph.indoor.scene_map import SceneMap
 
 __all__ = ["DiffOptions", "diff", "diff_capture"]

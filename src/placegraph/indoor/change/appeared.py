@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.indoor.change import Change, Piece
-from placegraph.indoor.clumps import clumps
-from placegraph.indoor.diff_motion import project
-from placegraph.indoor.diff_tally import tolerance
-from placegraph.indoor.register import moved
+from placegraph.indoor.change.changes import Change, Piece
+from placegraph.indoor.change.clumps import clumps
+from placegraph.indoor.change.motion import project
+from placegraph.indoor.change.register import moved
+from placegraph.indoor.change.tally import tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_motion import Scene
+    from placegraph.indoor.change.motion import Scene
     from placegraph.indoor.fuse import Fused
 
 _MARGIN = 0.12

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.geometry import vector_from_rotation
-from placegraph.indoor.register import about, inverse, moved, register, sample, touching
+from placegraph.indoor.change.register import about, inverse, moved, register, sample, touching
 from placegraph.indoor.structure import structure
 
 if TYPE_CHECKING:
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_options import DiffOptions
+    from placegraph.indoor.change.options import DiffOptions
+    from placegraph.indoor.change.register import Sampled
     from placegraph.indoor.raycast import RayCaster
-    from placegraph.indoor.register import Sampled
     from placegraph.indoor.scene_map import SceneMap
 
 _DENSITY = 400.0  # most points a square metre of an object

@@ -13,10 +13,10 @@ import numpy as np
 from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor import textures
-from placegraph.indoor.change import KINDS
+from placegraph.indoor.change.changes import KINDS
+from placegraph.indoor.change.register import moved
 from placegraph.indoor.mesh import WHITE, Mesh
 from placegraph.indoor.mesh_order import ordered
-from placegraph.indoor.register import moved
 from placegraph.indoor.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
 from placegraph.indoor.rooms import with_rooms
 from placegraph.indoor.scene_map import SceneMap
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.indoor.change import Change, Piece, SceneDiff
+    from placegraph.indoor.change.changes import Change, Piece, SceneDiff
 
 LEAST = 0.5
 """Findings less sure than this are not taken over, unless that is asked for."""

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.diff_tally import tolerance
+from placegraph.indoor.change.register import about, inverse, moved, register, sample
+from placegraph.indoor.change.tally import tolerance
 from placegraph.indoor.raycast import RayCaster
-from placegraph.indoor.register import about, inverse, moved, register, sample
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_looks import Look
-    from placegraph.indoor.diff_options import DiffOptions
+    from placegraph.indoor.change.looks import Look
+    from placegraph.indoor.change.options import DiffOptions
+    from placegraph.indoor.change.register import Sampled
     from placegraph.indoor.mesh import Mesh
-    from placegraph.indoor.register import Sampled
 
 POINTS = 120
 """On a thing, for the first round."""

@@ -9,8 +9,8 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.geometry import rotation_z
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.diff import DiffOptions, diff
-from placegraph.indoor.register import moved, rigid
+from placegraph.indoor.change.diff import DiffOptions, diff
+from placegraph.indoor.change.register import moved, rigid
 from placegraph.indoor.scene_map import SceneMap
 
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.diff_motion import Placement, project
-from placegraph.indoor.diff_tally import summed, tolerance
-from placegraph.indoor.register import rigid
+from placegraph.indoor.change.motion import Placement, project
+from placegraph.indoor.change.register import rigid
+from placegraph.indoor.change.tally import summed, tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.diff_looks import Look
-    from placegraph.indoor.diff_motion import Scene, Thing
+    from placegraph.indoor.change.looks import Look
+    from placegraph.indoor.change.motion import Scene, Thing
 
 ACROSS, UP = 1.6, 0.4
 """How far along the wall and up and down it is looked for [m]."""

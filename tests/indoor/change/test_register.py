@@ -6,9 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.geometry import rotation_from_vector, rotation_z
+from placegraph.indoor.change.register import (
+    about,
+    inverse,
+    moved,
+    register,
+    rigid,
+    sample,
+    touching,
+)
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.raycast import RayCaster
-from placegraph.indoor.register import about, inverse, moved, register, rigid, sample, touching
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 0.4, 0], [0, 0.7, 0], [0.2, 0.1, 0.9]], float)
 FACES = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])

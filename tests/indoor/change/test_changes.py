@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import rotation_z
-from placegraph.indoor.change import Change, Piece, SceneDiff, read_diff
-from placegraph.indoor.register import rigid
+from placegraph.indoor.change.changes import Change, Piece, SceneDiff, read_diff
+from placegraph.indoor.change.register import rigid
 
 
 @pytest.fixture

@@ -5,11 +5,11 @@ import pytest
 
 from placegraph.errors import MapError, OptionError
 from placegraph.geometry import rotation_z
-from placegraph.indoor.change import Change, Piece, SceneDiff
-from placegraph.indoor.diff import diff
-from placegraph.indoor.register import moved, rigid
+from placegraph.indoor.change.changes import Change, Piece, SceneDiff
+from placegraph.indoor.change.diff import diff
+from placegraph.indoor.change.register import moved, rigid
+from placegraph.indoor.change.update import update, update_file
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.update import update, update_file
 
 
 def diff_of(*changes):
