@@ -65,9 +65,7 @@ def real_path(path: str | os.PathLike[str]) -> Path:
 
 def cannot_write(target: Path, error: OSError) -> MapError:
     """Error that says why a file cannot be written."""
-    return MapError(
-        f"{target} cannot be written: {error.strerror or error}. Choose another place."
-    )
+    return MapError(f"{target} cannot be written: {error.strerror or error}. Choose another place.")
 
 
 def _sync_folder(folder: Path) -> None:

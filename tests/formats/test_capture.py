@@ -322,7 +322,9 @@ def test_folders(folder, tmp_path_factory):
         open_capture(folder.path / "no")
     empty = tmp_path_factory.mktemp("empty")
     for nothing in (folder.path / "camera.json", empty):
-        with pytest.raises(InputError, match=r"no capture of a known recorder.*Polycam.*odometry.tum"):
+        with pytest.raises(
+            InputError, match=r"no capture of a known recorder.*Polycam.*odometry.tum"
+        ):
             open_capture(nothing)
     (empty / "rgb").mkdir()
     with pytest.raises(InputError, match=r"camera.json does not exist"):
