@@ -98,7 +98,10 @@ def test_build_options(run, ply, tmp_path):
     fails(run("scene", "build", ply, "-o", out, "--detail", "huge"), 7, "detail is 'huge'", "tiny")
     fails(run("scene", "build", ply, "-o", out, "--error", "-1"), 7, "error is -1.0")
     fails(run("scene", "build", ply, "-o", out, "--texel", "nan"), 7, "texel is nan")
-    fails(run("scene", "build", ply, "-o", out, "--frames", "one"), 7, "--frames", "0:186")
+    fails(run("scene", "build", ply, "-o", out, "--frames", "one"), 7, "--frames", "10:20")
+    fails(run("scene", "build", ply, "-o", out, "--frames", "::0"), 7, "--frames", "1 or more")
+    for option in (("--frames", "1:2"), ("--voxel", "0.1"), ("--poses", "odometry")):
+        fails(run("scene", "build", ply, "-o", out, *option), 7, "room.ply is no capture")
     fails(run("scene", "build", ply, "-o", out, "--reader", "x"), 7, "--reader", "name=value")
     fails(run("scene", "build", ply, "-o", out, "--reader", "x=1"), 7, "x: no option of .ply")
     fails(run("scene", "build", ply, "-o", out, "--floor", "nan"), 7, "floor")

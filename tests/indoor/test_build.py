@@ -17,6 +17,7 @@ from placegraph.formats.glb import Z_UP
 from placegraph.formats.model import Picture
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.detail import Detail
+from placegraph.indoor.sources import FromCapture
 from placegraph.indoor.textures import linear_from_srgb, srgb_from_linear
 from placegraph.store import writing
 
@@ -168,7 +169,7 @@ def test_no_floor_needs_a_height(boxes):
 def test_millimetres_are_noticed(boxes):
     model = boxes({"floor": ((0, 0, -100), (5e5, 4e5, 0))})
     with pytest.raises(
-        InputError, match=r"looks like millimetres. Pass scale=0.001 \(--scale 0.001\)"
+        InputError, match=r"looks like millimetres. Pass scale=0.001 \(--scale 0.001; inches"
     ):
         scene_of_model(model)
     assert scene_of_model(model, scale=0.001).bounds[1].tolist() == [500, 400, 0]
@@ -440,3 +441,30 @@ def test_what_may_lie_on_its_side_is_told(boxes):
     quiet = []
     scene_of_model(upright, up="auto", floor=0.0, notes=quiet)
     assert quiet == []
+
+
+def test_what_lies_on_a_countrys_grid_is_to_be_moved(boxes):
+    far = boxes({"floor": ((500_000, 5_400_000, 0), (500_005, 5_400_004, 0.1))})
+    with pytest.raises(InputError, match="a country's grid's: subtract a corner"):
+        scene_of_model(far)
+
+
+def test_what_is_cut_anew_has_no_relations_of_what_it_was(boxes, tmp_path):
+    whole = scene_of_model(boxes({**ROOM, "cup": ((1.4, 1.4, 0.7), (1.5, 1.5, 0.8))}))
+    whole.export(tmp_path / "room.glb")
+    counts = Counter()
+    scene = build_scene(tmp_path / "room.glb", None, segment=True, left_out=counts)
+    assert counts["relations of objects that were cut anew"] == len(whole.graph.relations) > 0
+    edges = zip(scene.graph.sources, scene.graph.targets, strict=True)
+    half = scene.graph.extents / 2
+    for a, b in edges:
+        gap = np.abs(scene.graph.positions[a] - scene.graph.positions[b]) - half[a] - half[b]
+        assert gap.max() < 2.0, "what is related is near"
+    unasked = build_scene(tmp_path / "room.glb", None)
+    assert unasked.graph.labels == whole.graph.labels
+
+
+@pytest.mark.parametrize("how", [{"capture": FromCapture()}, {"reader": {"groups": "o"}}])
+def test_options_of_other_sources_are_refused(how, ply):
+    with pytest.raises(OptionError, match=r"room\.ply is no capture|groups: no option of \.ply"):
+        build_scene(ply, None, **how)

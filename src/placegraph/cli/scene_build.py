@@ -12,12 +12,16 @@ import typer
 from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
 from placegraph.cli.scene_answer import progress_of
 from placegraph.cli.scene_facts import facts
+from placegraph.cli.scene_query import rows_of
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.indoor.detail import Detail
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.sources import FromCapture
+
+
+_YES, _NO = frozenset({"true", "yes", "on"}), frozenset({"false", "no", "off"})
 
 
 def build(
@@ -66,8 +70,9 @@ def build(
         ),
     ] = None,
     frames: Annotated[
-        str, typer.Option(help="Frames of a capture that are used, such as 0:186 or ::5.")
-    ] = "",
+        str | None,
+        typer.Option(help="Frames of a capture that are used, such as 0:186 or ::5; all if none."),
+    ] = None,
     poses: Annotated[
         str | None,
         typer.Option(
@@ -76,8 +81,9 @@ def build(
         ),
     ] = None,
     voxel: Annotated[
-        float, typer.Option(help="Edge of a voxel that depth is fused into [m].")
-    ] = 0.03,
+        float | None,
+        typer.Option(help="Edge of a voxel that depth is fused into [m]; 0.03 if not given."),
+    ] = None,
     segmenter: Annotated[
         Path | None,
         typer.Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
@@ -160,27 +166,24 @@ def _detail(name: str, error: float | None, texel: float | None) -> Detail:
     return detail
 
 
-def _capture(frames: str, poses: str | None, voxel: float, segmenter: Path | None) -> FromCapture:
+def _capture(
+    frames: str | None, poses: str | None, voxel: float | None, segmenter: Path | None
+) -> FromCapture | None:
+    """How a capture is made into a mesh; None where no option says anything of it."""
     from placegraph.indoor.sources import FromCapture
 
-    network = None
+    given: dict[str, Any] = {}
+    if frames is not None:
+        given["frames"] = rows_of(frames)
+    if poses is not None:
+        given["poses"] = poses
+    if voxel is not None:
+        given["voxel"] = voxel
     if segmenter is not None:
         from placegraph.indoor.segment.tflite import segmenter as load
 
-        network = load(segmenter)
-    return FromCapture(_slice(frames), poses, voxel=voxel, segmenter=network)
-
-
-def _slice(frames: str) -> slice:
-    try:
-        parts = [int(part) if part else None for part in frames.split(":")]
-        if len(parts) > 3 or (frames and len(parts) < 2):
-            raise ValueError(frames)  # noqa: TRY301  # one mend for all of it
-    except ValueError as error:
-        raise OptionError(
-            f"--frames is {frames!r}; give first:last, such as 0:186, or ::5 for every fifth."
-        ) from error
-    return slice(*parts) if frames else slice(None)
+        given["segmenter"] = load(segmenter)
+    return FromCapture(**given) if given else None
 
 
 def _reader(options: list[str]) -> dict[str, Any]:
@@ -194,9 +197,9 @@ def _reader(options: list[str]) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:  # noqa: ANN401  # what a reader takes
-    """True, false, a number or several with commas between; else the text itself."""
-    if text.lower() in {"true", "false"}:
-        return text.lower() == "true"
+    """Yes or no, a number or several with commas between; else the text itself."""
+    if text.lower() in _YES | _NO:
+        return text.lower() in _YES
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -93,6 +93,17 @@ def chosen_frames(capture: Capture, frames: str | None) -> Capture:
     """
     if frames is None:
         return capture
+    chosen = capture[rows_of(frames)]
+    if not len(chosen):
+        raise OptionError(
+            f"--frames {frames} selects none of the {len(capture)} frames of {capture.path}; "
+            f"they are 0 to {len(capture) - 1}."
+        )
+    return chosen
+
+
+def rows_of(frames: str) -> slice:
+    """Rows of a text such as 10:20, -5:, ::2 or 7; `OptionError` where it is no such thing."""
     parts = frames.split(":")
     try:
         numbers = [int(part) if part.strip() else None for part in parts]
@@ -105,10 +116,4 @@ def chosen_frames(capture: Capture, frames: str | None) -> Capture:
         raise OptionError(f"--frames is {frames!r}; time runs forward, so the step is 1 or more.")
     if len(parts) == 1 and first is not None:
         last = first + 1 or None  # -1 is the last frame, and -1:0 would be none
-    chosen = capture[first:last:step]
-    if not len(chosen):
-        raise OptionError(
-            f"--frames {frames} selects none of the {len(capture)} frames of {capture.path}; "
-            f"they are 0 to {len(capture) - 1}."
-        )
-    return chosen
+    return slice(first, last, step)

@@ -60,7 +60,7 @@ def in_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
         unit, factor = ("millimetres", 0.001) if tiny else ("centimetres", 0.01)
         raise InputError(
             f"{model.path} is {size} units large: it looks like {unit}. Pass scale={factor} "
-            f"(--scale {factor}); or scale=1 (--scale 1), if it is that many metres."
+            f"(--scale {factor}; inches: 0.0254); or scale=1 (--scale 1), if it is that many metres."
         )
     if sides.max() < FLATTEST:
         notes.append(f"It is only {size} m large; if its unit is not the metre, pass --scale.")
@@ -109,10 +109,13 @@ def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], li
     used, _ = _used(model.triangles, len(model.vertices))
     reach = float(np.abs(model.vertices[used]).max())
     if reach > LARGEST:
-        raise InputError(
-            f"{model.path} reaches {reach:.3g} m from its origin; is it in millimetres? Then pass "
-            "scale=0.001; else move it to its origin."
+        span = float(np.ptp(model.vertices[used], axis=0).max())
+        mend = (
+            "its coordinates are a country's grid's: subtract a corner of it, in whole metres"
+            if span < 0.1 * reach
+            else "is it in millimetres? Then pass scale=0.001; else move it to its origin"
         )
+        raise InputError(f"{model.path} reaches {reach:.3g} m from its origin; {mend}.")
     flat = dispensable(model.vertices, model.triangles, model.thing_of)
     if flat.any():
         left_out["triangles without area"] += int(flat.sum())

@@ -147,6 +147,11 @@ def read_source(
             )
         source = captured(path, capture or FromCapture(), left_out, progress, reader=reader)
         return source if labels is None else replace(source, model=named(source.model, labels))
+    if capture is not None:
+        raise OptionError(
+            f"{path} is no capture: frames, poses, voxel and segmenter belong to captures; leave them "
+            "out."
+        )
     table = None if labels is None else label_table(labels, scan=path.absolute().parent.name)
     options: dict[str, Any] = {"up": _axis(kind, up), "object_property": object_property}
     model = kind.read(path, options | {"table": table} | dict(reader or {}))
@@ -174,9 +179,15 @@ def cut(
         model.vertices, model.triangles, model.colours, progress=progress, left_out=left_out
     )
     things = _things(found)
+    if model.relations:
+        left_out["relations of objects that were cut anew"] += len(model.relations)
     note = f"It was cut into {len(things)} objects by geometry and colour{why}."
     whole = replace(
-        model, things=things, thing_of=found.object_of.astype(np.int64), floor=found.floor
+        model,
+        things=things,
+        thing_of=found.object_of.astype(np.int64),
+        floor=found.floor,
+        relations=(),
     )
     return Source(whole, notes=(note,))
 
@@ -296,7 +307,8 @@ def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] 
 
 
 def _shown(frames: slice) -> str:
-    return f"{frames.start or 0}:{'' if frames.stop is None else frames.stop}"
+    parts = [frames.start, frames.stop, *([frames.step] if frames.step else [])]
+    return ":".join("" if part is None else str(part) for part in parts)
 
 
 def _unknown(path: Path) -> str:
