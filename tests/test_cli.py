@@ -80,7 +80,10 @@ def test_mistyped_commands(arguments, run):
 
 def test_the_installed_script_and_the_module(city):
     script = Path(sys.executable).with_name("placegraph")
-    for command in ([script], [sys.executable, "-m", "placegraph.cli"]):
+    for command in (
+        [script],
+        *([sys.executable, "-m", m] for m in ("placegraph", "placegraph.cli")),
+    ):
         done = subprocess.run(  # noqa: S603  # our own script
             [*command, "city", "locate", city, CLEAR, "--json"],
             capture_output=True,

@@ -1,4 +1,4 @@
-"""`python -m placegraph.cli`."""
+"""`python -m placegraph.cli`: as `python -m placegraph`."""
 
 from placegraph.cli import main
 

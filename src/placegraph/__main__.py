@@ -1,0 +1,6 @@
+"""`python -m placegraph`."""
+
+from placegraph.cli import main
+
+if __name__ == "__main__":
+    main()
