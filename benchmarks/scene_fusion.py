@@ -1,0 +1,179 @@
+"""RGB-D frames into a mesh: frames a second, memory, and how right the mesh is.
+
+    python benchmarks/scene_fusion.py
+    python benchmarks/scene_fusion.py --quick
+
+House: the four sequences in which nothing was moved, fused with their true poses, beside the true
+mesh. Office: five of six frames are fused, and foretell the sixth. Prints Markdown tables and writes
+JSON. Where Open3D is installed, its volume has a row.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from importlib.util import find_spec
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+import numba
+import numpy as np
+import typer
+
+from placegraph.evaluate.indoor_metrics import dumps
+from placegraph.evaluate.indoor_windows import true_poses
+from placegraph.evaluate.machine import machine
+from placegraph.evaluate.scene_fusion import House, Office, Way, open3d_volume, own
+from placegraph.evaluate.tables import markdown, number
+from placegraph.formats.capture import open_capture
+from placegraph.indoor.fuse import FuseOptions, fuse
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared/data"
+WAYS = (
+    Way("defaults", own()),
+    Way("voxels of 2 cm", own(voxel=0.02)),
+    Way("voxels of 5 cm", own(voxel=0.05)),
+    Way("truncation 3 voxels", own(truncation=0.09)),
+    Way("readings at edges kept", own(FuseOptions(edges=False))),
+    Way("exposure as it is", own(FuseOptions(gains=False))),
+)
+
+
+def main(
+    data: Annotated[Path, typer.Option(help="Folder with house and office.")] = DATA,
+    out: Annotated[Path, typer.Option(help="JSON file.")] = ROOT
+    / "benchmarks/results/scene_fusion.json",
+    *,
+    quick: Annotated[bool, typer.Option(help="Defaults alone.")] = False,
+) -> None:
+    """Measure fusion and print Markdown."""
+    ways = WAYS[:1] if quick else WAYS
+    rival = find_spec("open3d") is not None
+    if rival:
+        ways = (*ways, Way("Open3D", open3d_volume()))
+    cores = os.cpu_count() or 1
+    speed = [alone(data / "office", n, "own") for n in (1, 2) if n <= cores]
+    if rival:
+        speed.append(alone(data / "office", min(2, cores), "Open3D"))
+    print(f"#### Office, all frames\n\n{speed_table(speed)}\n")
+    house, office, rng = House(data / "house"), Office(data / "office"), np.random.default_rng(0)
+    right = [told(way.name, house.row(way, rng)) for way in ways]
+    print(f"#### House, beside its mesh\n\n{house_table(right)}\n")
+    foretold = [told(way.name, office.row(way)) for way in ways]
+    print(f"#### Office, every sixth frame left out\n\n{office_table(foretold)}\n")
+    record = {"machine": machine(), "speed": speed, "house": right, "office": foretold}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(dumps(record), encoding="utf-8")
+
+
+def told(name: str, row: dict[str, Any]) -> dict[str, Any]:
+    """The row, said to be done."""
+    print(name, file=sys.stderr)
+    return row
+
+
+def alone(folder: Path, threads: int, what: str) -> dict[str, Any]:
+    """Speed and memory of a process that does nothing else, on as many processors as threads."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(timed, folder, threads, what).result()
+
+
+def timed(folder: Path, threads: int, what: str) -> dict[str, Any]:
+    """Fuse all frames of a capture with their true poses."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:threads]))
+    numba.set_num_threads(min(threads, numba.get_num_threads()))
+    capture, poses = open_capture(folder), true_poses(folder)
+    if what != "own":
+        start = perf_counter()
+        mesh = open3d_volume()(capture.frames, poses)
+        seconds = perf_counter() - start
+        row = {"triangles": len(mesh), "frames": len(poses), "seconds": seconds}
+    else:
+        fuse(capture.frames[:3], poses[:3])  # compiled code is loaded
+        fused = fuse(capture.frames, poses)
+        stats = fused.stats
+        row = {
+            "triangles": len(fused.triangles),
+            "frames": stats.frames,
+            "seconds": stats.seconds,
+            "voxels": stats.voxels,
+            "volume_bytes": stats.memory,
+            "agreement": stats.agreement,
+            "apart": stats.apart,
+        }
+    unit = 1 if sys.platform == "darwin" else 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    return {"way": what, "threads": threads, "peak_bytes": peak} | row
+
+
+def speed_table(rows: list[dict[str, Any]]) -> str:
+    """Markdown of what all frames cost."""
+    header = [
+        "",
+        "threads",
+        "frames/s",
+        "seconds",
+        "triangles",
+        "volume",
+        "peak memory",
+        "agreement",
+    ]
+    cells = [
+        [
+            r["way"],
+            number(r["threads"]),
+            number(r["frames"] / r["seconds"], 1),
+            number(r["seconds"], 1),
+            number(r["triangles"]),
+            number(1e-6 * r["volume_bytes"] if "volume_bytes" in r else None, 0, "MB"),
+            number(1e-6 * r["peak_bytes"], 0, "MB"),
+            number(1e3 * r["agreement"] if "agreement" in r else None, 1, "mm"),
+        ]
+        for r in rows
+    ]
+    return markdown(header, cells)
+
+
+def house_table(rows: list[dict[str, Any]]) -> str:
+    """Markdown of accuracy and completeness."""
+    header = ["", "seconds", "triangles", "off: median", "mean", "95 %"]
+    header += ["of what is seen, within 3 cm", "5 cm"]
+    cells = [
+        [
+            r["way"],
+            number(r["seconds"], 1),
+            number(r["triangles"]),
+            *(number(1e3 * r[k], 1, "mm") for k in ("median", "mean", "p95")),
+            *(number(100 * r[k], 1, "%") for k in ("within_3_cm", "within_5_cm")),
+        ]
+        for r in rows
+    ]
+    return markdown(header, cells)
+
+
+def office_table(rows: list[dict[str, Any]]) -> str:
+    """Markdown of how well frames that were left out are foretold."""
+    header = ["", "triangles", "readings within 10 cm", "depth off: median"]
+    header += ["brightness off, of 255", "slopes' correlation"]
+    cells = [
+        [
+            r["way"],
+            number(r["triangles"]),
+            number(100 * r["covered"], 1, "%"),
+            number(1e3 * r["median"], 1, "mm"),
+            number(r["colour"], 1),
+            number(r["sharpness"], 3),
+        ]
+        for r in rows
+    ]
+    return markdown(header, cells)
+
+
+if __name__ == "__main__":
+    typer.run(main)
