@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
+from placegraph.indoor.mesh import portions
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -132,13 +134,14 @@ def _pyramid(texture: NDArray[np.uint8], most: int) -> list[NDArray[np.uint8]]:
 
 def _density(mesh: Mesh, sizes: NDArray[np.int32]) -> NDArray[np.float32]:
     """Texels per metre (T,) along the denser side of each triangle's texture."""
-    corners = mesh.vertices[mesh.triangles]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    uv = mesh.uv[mesh.triangles] * sizes[mesh.texture_of][:, None, :]
-    spans = np.linalg.norm(uv - np.roll(uv, 1, axis=1), axis=2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        density = np.where(edges > 0, spans / edges, 0.0).max(axis=1)
-    return density.astype(np.float32)
+    density = np.empty(len(mesh), np.float32)
+    for part in portions(len(mesh)):
+        corners, uv = mesh.vertices[mesh.triangles[part]], mesh.uv[mesh.triangles[part]]
+        uv = uv * sizes[mesh.texture_of[part]][:, None, :]
+        edges, spans = (np.linalg.norm(c - np.roll(c, 1, axis=1), axis=2) for c in (corners, uv))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            density[part] = np.where(edges > 0, spans / edges, 0.0).max(axis=1)
+    return density
 
 
 @njit(cache=True, nogil=True, inline="always")
