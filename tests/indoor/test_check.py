@@ -59,6 +59,41 @@ def test_a_map_that_lies_on_its_side_is_told(room):
     assert (finding.severity, finding.mend) == ("error", "--up y")
 
 
+def test_a_floor_that_stands_upright_is_told(room):
+    """Along x too; and an object that is called floor but is a wall, with a sliver of level area."""
+    lying = spoilt(room, mesh=turned(room, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]))
+    (finding,) = said(check(lying), "the floor stands upright")
+    assert finding.severity == "error"
+    assert "along x" in finding.what
+    labels = list(room.graph.labels)
+    wall = labels.index("wall")
+    labels[wall] = "floor"
+    (finding,) = said(check(spoilt(room, labels=labels)), "floor stands upright")
+    assert finding.severity == "warning"
+    assert finding.objects == (room.graph.ids[wall],)
+
+
+def test_parts_of_things_do_not_tell_the_unit(room):
+    """Sofa and chair as low as half of them is, in a map whose walls and desk are as usual."""
+    vertices = room.mesh.vertices.astype(float)
+    for row, label in enumerate(room.graph.labels):
+        if label in {"sofa", "chair", "side table"}:
+            own = np.unique(room.mesh.triangles[room.mesh.object_of == row])
+            vertices[own, 2] = 0.45 + 0.36 * vertices[own, 2]
+    cut = replace(room.mesh, vertices=vertices.astype(np.float32))
+    assert said(check(spoilt(room, mesh=cut)), "high") == []
+    labels = [w if w in {"floor", "wall", "ceiling"} else "chair" for w in room.graph.labels]
+    assert said(check(spoilt(room, labels=labels)), "high") == []  # one kind, mislabelled
+
+
+def test_kinds_of_things_that_agree_tell_the_unit(room):
+    """A doll's house: in no unit, but all things in it are a third as high as they are."""
+    small = spoilt(room, mesh=turned(room, 0.35 * np.eye(3)))
+    (finding,) = said(check(small), "high")
+    assert "things 0.3" in finding.what
+    assert "as high as" in finding.what
+
+
 def test_a_floor_elsewhere_is_told_with_where_it_is(room):
     (finding,) = said(check(spoilt(room, floor=-1.0)), "hardly any level surface")
     assert finding.severity == "error"
@@ -173,6 +208,10 @@ def test_a_map_without_colours_is_told(room):
     white = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
     (finding,) = said(check(spoilt(room, mesh=white)), "no colours")
     assert finding.severity == "warning"
+    grey = replace(white, colours=np.full_like(white.colours, 170))
+    (finding,) = said(check(spoilt(room, mesh=grey)), "one colour")
+    assert finding.severity == "note"
+    assert said(check(room), "colour") == []
 
 
 def test_costs_are_told_where_they_are_high(room):

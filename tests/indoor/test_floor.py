@@ -46,6 +46,13 @@ def test_a_label_wins_over_a_larger_surface(boxes):
     assert height(model) == pytest.approx(1.0, abs=1e-6)
 
 
+def test_a_floor_that_stands_upright_tells_no_height(boxes):
+    """Its narrow upper edge is level, and as high as the room is long."""
+    standing = {"floor": ((0, 0, 0), (0.1, 4, 5)), "slab": ((0, 0, -0.2), (5, 4, 0.1))}
+    assert height(boxes(standing)) == pytest.approx(0.1, abs=1e-6)
+    assert height(boxes({"floor": standing["floor"]})) is None
+
+
 def test_furniture_alone_is_no_floor(boxes):
     walls = {"wall": ROOM["wall"], "north wall": ((0, 3.9, 0), (5, 4, 2.7))}
     assert height(boxes(walls)) is None

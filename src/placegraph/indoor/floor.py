@@ -22,6 +22,8 @@ _LOW_METRES = 0.4  # or this far above its lowest surfaces [m]
 _SHARE = 0.05  # of the footprint that a floor without a label has to cover
 _LEAST = 0.5  # and this much in any case [m2]
 
+_LYING = 0.25  # of the area of what is labelled floor is level, else it stands upright
+
 _FLOORS = {"floor", "floors", "ground"}
 
 
@@ -39,8 +41,8 @@ def is_floor(label: str) -> bool:
 def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     """Height of the floor [m, map], or None where the mesh shows none.
 
-    Objects labelled as floor come first, with what looks up where that is about half of them or
-    more. Without one, it is the largest surface that looks up among the lowest quarter of the
+    Objects labelled as floor that lie level come first, with what looks up where that is about half
+    of them or more. Without one, it is the largest surface that looks up among the lowest quarter of the
     scene, if it covers a twentieth of the footprint; where nothing there looks up (a mesh turned
     inside out), what looks down counts.
     """
@@ -48,8 +50,8 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     areas = np.linalg.norm(normals, axis=1) / 2.0
     heights = mesh.vertices[:, 2][mesh.triangles].mean(axis=1, dtype=np.float64)
     upward = normals[:, 2] / np.maximum(2.0 * areas, 1e-300)
-    floors = np.array([is_floor(label) for label in labels])
-    labelled = (np.abs(upward) > LEVEL) & floors[mesh.object_of]
+    floors, standing = labelled_floors(mesh, labels)
+    labelled = (np.abs(upward) > LEVEL) & (floors & ~standing)[mesh.object_of]
     whole = float(areas[labelled].sum())
     if whole > 0:
         top = labelled & (upward > 0)  # of a slab; half of its area looks down
@@ -68,6 +70,21 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
         if area >= max(_LEAST, _SHARE * footprint):
             return height
     return None
+
+
+def labelled_floors(
+    mesh: Mesh, labels: Sequence[str]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(N,) objects that are labelled floor, and (N,) those of them that stand upright.
+
+    These show hardly any level area: the map lies on its side, or the label errs.
+    """
+    normals = mesh.normals()
+    areas = np.linalg.norm(normals, axis=1)
+    level = np.abs(normals[:, 2]) > LEVEL * areas
+    floors = np.array([is_floor(label) for label in labels], np.bool_)
+    whole, lying = (np.bincount(mesh.object_of, a, len(labels)) for a in (areas, areas * level))
+    return floors, floors & (lying < _LYING * whole)
 
 
 def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[float, float]:

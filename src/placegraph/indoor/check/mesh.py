@@ -83,15 +83,18 @@ def _edges(corners: NDArray[np.int64]) -> Iterator[Found]:
 
 
 def _colours(scene: SceneMap) -> Iterator[Found]:
+    mesh = scene.mesh
     if not scene.coloured:
+        white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)
+        said = "has no colours" if white else "is of one colour all over"
         yield (
-            "warning",
-            "The map has no colours: images cannot be compared with it, depth and labels alone can.",
+            "warning" if white else "note",
+            f"The map {said}: images cannot be compared with it, depth and labels alone can.",
             [],
-            "Export textures or vertex colours with the file.",
+            "Export textures or vertex colours with the file"
+            + ("." if white else ", if it has any."),
         )
         return
-    mesh = scene.mesh
     blank = np.array([bool((t == 255).all()) for t in mesh.textures])
     bare = blank[mesh.texture_of] & (mesh.colours[mesh.triangles] == 255).all(axis=(1, 2))
     areas = np.linalg.norm(mesh.normals(), axis=1)

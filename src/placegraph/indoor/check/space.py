@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.floor import LEVEL, is_floor, label_words
+from placegraph.indoor.floor import LEVEL, is_floor, label_words, labelled_floors
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.panoramas import DIRECTIONS
 
@@ -23,7 +23,13 @@ HEIGHTS = {
     "door": 2.05, "toilet": 0.78, "refrigerator": 1.7, "fridge": 1.7, "wardrobe": 2.0,
     "counter": 0.9, "bathtub": 0.58, "stool": 0.55, "nightstand": 0.55, "wall": 2.6,
 }  # fmt: skip
-"""Usual heights of things [m]."""
+"""Usual heights of things that stand on the floor [m]."""
+_KINDS = 3
+"""Kinds of things that have to agree how far a map's unit is off ..."""
+_AGREE = 1.5
+"""... within this factor: sizes of one kind differ by as much."""
+_STANDS = 0.15
+"""A whole thing begins no higher above the floor than this share of its height."""
 UNITS = (
     ("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("feet", 0.3048),
     ("metres", 1.0), ("hundreds of metres", 100.0), ("kilometres", 1000.0),
@@ -49,11 +55,10 @@ _BACK = 0.3
 def units(scene: SceneMap) -> Iterator[Found]:
     """Is it in metres? By the height of rooms, and of things whose label is known."""
     rooms = _height(scene)
-    ratios = np.array(_ratios(scene))
-    known = float(np.median(ratios)) if len(ratios) > 2 else None
+    known = _known_ratio(scene)
     guess = known if known is not None else rooms / _USUAL
     off = (known is not None and not 0.5 < known < 2.0) or not _LOW < rooms < _HIGH
-    if not off:
+    if not off or guess <= 0:  # nothing above the floor is a floor elsewhere
         return
     unit, scale = min(UNITS, key=lambda u: abs(np.log(guess * u[1])))
     said = f"Rooms are {rooms:.3g} m high"
@@ -75,13 +80,16 @@ def units(scene: SceneMap) -> Iterator[Found]:
 def up_axis(scene: SceneMap) -> Iterator[Found]:
     """Is z up? Floors and ceilings face along it, and rooms are lower than they are wide."""
     areas, unit = _normals(scene)
+    named, standing = labelled_floors(scene.mesh, scene.graph.labels)
     words = [label_words(label)[-1:] for label in scene.graph.labels]
-    level = np.array([w in (["floor"], ["ceiling"], ["ground"]) for w in words])
+    level = named if named.any() else np.array([w == ["ceiling"] for w in words])
     labelled = level[scene.mesh.object_of]
     if areas[labelled].sum() > 0:
         shares = _facing(areas[labelled], unit[labelled])
         severity: Severity = "error"
-        sure, what = 2.0, "floors and ceilings face"
+        sure, what = 2.0, "ceilings face"
+        if named.any():
+            what = "the floor stands upright, it faces"
     else:
         shares = _facing(areas, unit)
         extents = np.ptp(scene.bounds, axis=0)
@@ -95,6 +103,17 @@ def up_axis(scene: SceneMap) -> Iterator[Found]:
             f"The map looks to lie on its side: {what} along {'xy'[best]}.",
             [],
             "--up y" if best == 1 else "Turn the file so that z points up.",
+        )
+    elif standing.any():
+        many = int(standing.sum())
+        yield (
+            "warning",
+            (
+                f"The floor stands upright in {many} object{'s' if many > 1 else ''} labelled so: the "
+                "map's floor was found without."
+            ),
+            [scene.graph.ids[i] for i in np.flatnonzero(standing)],
+            "Label them for what they are (--labels), or turn the file so that z points up.",
         )
 
 
@@ -241,14 +260,26 @@ def _height(scene: SceneMap) -> float:
     return float(top - scene.floors.min())
 
 
-def _ratios(scene: SceneMap) -> list[float]:
-    """How many times as high as usual each thing is whose label is in `HEIGHTS`."""
-    boxes = scene.mesh.object_bounds(len(scene))
-    tall = boxes[:, 1, 2] - boxes[:, 0, 2]
-    words = [(label_words(label) or [""])[-1] for label in scene.graph.labels]
-    return [
-        float(tall[i]) / HEIGHTS[w] for i, w in enumerate(words) if w in HEIGHTS and tall[i] > 0
-    ]
+def _known_ratio(scene: SceneMap) -> float | None:
+    """How many times as high as usual things are whose kind is in `HEIGHTS`.
+
+    None where fewer than `_KINDS` kinds, or no more than half of them, agree: parts of things are
+    lower than things, and labels may err.
+    """
+    kinds: dict[str, list[float]] = {}
+    boxes = scene.mesh.object_bounds(len(scene)).astype(np.float64)
+    for i, label in enumerate(scene.graph.labels):
+        word = (label_words(label) or [""])[-1]
+        low, high = boxes[i, :, 2]
+        off = abs(low - scene.floors[scene.scene_of[i]])
+        if word in HEIGHTS and high > low and off < _STANDS * (high - low):
+            kinds.setdefault(word, []).append(float(high - low) / HEIGHTS[word])
+    ratios = np.array([float(np.median(values)) for values in kinds.values()])
+    if len(ratios) < _KINDS:
+        return None
+    middle = float(np.median(ratios))
+    agree = int((np.abs(np.log(ratios / middle)) < np.log(_AGREE)).sum())
+    return middle if agree >= max(_KINDS, len(ratios) // 2 + 1) else None
 
 
 def _normals(scene: SceneMap) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
