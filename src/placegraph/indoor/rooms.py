@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from placegraph.indoor.floor import label_words
 from placegraph.indoor.rooms_kernels import areas_within, cover, cut, flood, nearest, pieces
-from placegraph.indoor.structure import structure
+from placegraph.indoor.structure import NAMELESS, structure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -70,10 +70,6 @@ _MOST_CELLS = 1_000_000
 _COARSEST = 0.2  # a map so large that cells are wider has no rooms that could be found [m]
 _DOORS = frozenset({"door", "doors", "curtain", "curtains", "gate", "partition", "shutter"})
 _WALL_WORDS = frozenset({"wall", "walls"})
-_NAMELESS = frozenset({
-    "object", "objects", "unknown", "unlabelled", "unlabeled", "thing", "none", "mesh", "scan",
-    "scene", "structure", "other",
-})  # fmt: skip
 
 Cells = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -203,7 +199,7 @@ def _walls(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: _Grid) -> 
     """Cells (nx, ny) that no room goes through."""
     words = [(label_words(label) or [""])[-1] for label in labels]
     built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
-    nameless = np.array([not word or word in _NAMELESS for word in words], np.bool_)
+    nameless = np.array([not word or word in NAMELESS for word in words], np.bool_)
     if not any(word in _WALL_WORDS for word in words):
         nameless |= ~built
     kind = np.where(built, 0, np.where(nameless, 1, -1))

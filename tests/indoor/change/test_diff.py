@@ -12,6 +12,7 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.change.diff import DiffOptions, diff
 from placegraph.indoor.change.register import moved, rigid
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.structure import structure
 
 
 def built(interior, folder, name):
@@ -133,6 +134,58 @@ def test_another_label_is_told(room):
     labels = [("workbench" if i == row else label) for i, label in enumerate(room.graph.labels)]
     found = diff(room, with_mesh(room, room.mesh, labels=labels))
     assert [(c.kind, c.label, c.new_label) for c in found] == [("relabelled", "desk", "workbench")]
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_what_has_no_name_in_one_map_is_not_relabelled(room, later, numbered):
+    ids = None if numbered else [f"n{i}" for i in range(len(later.scene))]
+    words = ("unknown", "object", "Thing", "object 7")
+    labels = [words[i % len(words)] for i in range(len(later.scene))]
+    nameless = with_mesh(later.scene, later.scene.mesh, ids=ids, labels=labels)
+    found = diff(room, nameless)
+    assert {(c.kind, c.label) for c in found} == {("moved", "chair"), ("vanished", "lamp")}
+    assert not any(c.new_label for c in found)
+    back = diff(nameless, room)
+    assert sorted(c.kind for c in back) == ["appeared", "moved"]
+
+
+def test_what_has_its_id_near_by_is_not_gone(room):
+    """A scan shows a third of each thing that is not built in, and blurs it; walls are numbered anew."""
+    mesh, rng = room.mesh, np.random.default_rng(5)
+    built_in = structure(room.graph.labels)
+    loose = ~built_in[mesh.object_of]
+    keep = ~loose | (rng.uniform(size=len(mesh)) < 0.35)
+    for row in np.flatnonzero(~built_in):
+        keep[np.flatnonzero(mesh.object_of == row)[0]] = True
+    blur = np.zeros(len(mesh.vertices), np.bool_)
+    blur[mesh.triangles[loose]] = True
+    vertices = mesh.vertices + (blur[:, None] * rng.normal(0.0, 0.03, (len(blur), 3)))
+    texture_of, used = mesh.texture_of[keep], mesh.object_of[keep]
+    part = replace(
+        mesh, vertices=vertices.astype(np.float32), triangles=mesh.triangles[keep],
+        object_of=used, texture_of=texture_of,
+    )  # fmt: skip
+    labels = [
+        label if b else "unknown" for label, b in zip(room.graph.labels, built_in, strict=True)
+    ]
+    assert not diff(room, with_mesh(room, part, labels=labels)).of("vanished")
+
+
+def test_ids_of_another_numbering_say_nothing(room):
+    """Of nameless objects numbers agree by chance: what lies where tells which is which."""
+    count = len(room)
+    shuffled = [room.graph.ids[(i + 3) % count] for i in range(count)]
+    found = diff(room, with_mesh(room, room.mesh, ids=shuffled, labels=["unknown"] * count))
+    assert len(found) == 0
+
+
+def test_what_is_built_in_does_not_vanish(room):
+    centres = room.mesh.vertices[room.mesh.triangles].mean(axis=1)
+    over = room.mesh.object_of == room.graph.labels.index("ceiling")
+    under = room.mesh.object_of == room.graph.labels.index("floor")
+    for gone in (over, under, under & (centres[:, 0] > 0.2)):
+        assert len(diff(room, only(room, ~gone))) == 0
+        assert all(c.confidence < 0.5 for c in diff(only(room, ~gone), room))
 
 
 def test_what_the_other_map_does_not_cover_is_unseen_not_vanished(room):

@@ -34,6 +34,11 @@ _SHIFTS = 3
 _CELL = 0.1
 _COARSE = 0.3
 """What a start may be off [m]."""
+_FINE = 0.4
+"""Share of `within` by which motions that fit are compared."""
+_BUILDING = 0.2
+"""What is built in has to be this share of a map's surface, if the map is to be aligned by it: in a
+map of unlabelled objects it is the rest that no object has."""
 _SOME = 1500
 """Points by which starts are compared."""
 
@@ -71,7 +76,13 @@ def align(a: SceneMap, b: SceneMap, options: DiffOptions) -> Alignment:
         share += _alike(a, b, start)
         if share > best + 0.02:  # of starts as good as each other the first: the axes as they are
             best, motion = share, start
-    found = register(ours.points, theirs, motion, reach=_COARSE, within=options.within).motion
+    # from the map that shows less no point is drawn to a surface that it does not show
+    forth = register(ours.points, theirs, motion, reach=_COARSE, within=options.within).motion
+    back = register(theirs.points, ours, inverse(motion), reach=_COARSE, within=options.within)
+    found = max(
+        (forth, inverse(back.motion), motion),
+        key=lambda m: _overlap(a, b, ours, theirs, m, _FINE * options.within),
+    )
     share = _overlap(a, b, ours, theirs, found, options.within)
     if share < LEAST:
         raise OptionError(
@@ -95,10 +106,11 @@ def _said(share: float, options: DiffOptions) -> str:
 
 
 def _building(scene: SceneMap, rng: np.random.Generator) -> Sampled:
-    """Points on walls, floors and ceilings; on everything where they are not labelled."""
+    """Points on walls, floors and ceilings; on everything where few of them are labelled."""
     built_in = structure(scene.graph.labels)[scene.mesh.object_of]
     chosen = np.flatnonzero(built_in)
-    if len(chosen) < 12:
+    areas = np.linalg.norm(scene.mesh.normals(), axis=1)
+    if areas[chosen].sum() < _BUILDING * areas.sum():
         chosen = np.arange(len(scene.mesh))
     return sample(scene.mesh, chosen, POINTS, rng, DENSITY)
 

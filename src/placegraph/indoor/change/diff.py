@@ -15,9 +15,17 @@ import numpy as np
 from placegraph.indoor.change.align import align
 from placegraph.indoor.change.capture import diff_capture
 from placegraph.indoor.change.changes import Change, Piece, SceneDiff
-from placegraph.indoor.change.objects import Body, Cover, bodies, motion_between, same_ids
+from placegraph.indoor.change.objects import (
+    Body,
+    Cover,
+    bodies,
+    by_id,
+    motion_between,
+    still_there,
+)
 from placegraph.indoor.change.options import DiffOptions
 from placegraph.indoor.change.register import inverse, moved
+from placegraph.indoor.structure import same_label
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,9 +46,10 @@ COVERED = 0.4
 """Share of what is around an object that the other map has: it covers the place."""
 FITS = 0.6
 """Share of two objects' points that have to lie on each other after a motion."""
-
 SUREST = 0.99
 """No finding is surer than this."""
+UNSURE = 0.3
+"""Of what may have been there before."""
 
 
 def diff(a: SceneMap, b: SceneMap, *, options: DiffOptions | None = None) -> SceneDiff:
@@ -67,12 +76,8 @@ def diff(a: SceneMap, b: SceneMap, *, options: DiffOptions | None = None) -> Sce
     on_b = Cover(ours, b, alignment.b_from_a, options)
     on_a = Cover(theirs, a, np.eye(4), options)
     pairs = _stayed(ours, theirs, on_b, on_a)
-    if same_ids(ours, theirs):
-        row_of = {body.id: j for j, body in enumerate(theirs)}
-        known = {i: row_of[body.id] for i, body in enumerate(ours) if body.id in row_of}
-        pairs = _by_id(pairs, known)
-    else:
-        known = {}
+    known = by_id(ours, theirs, on_b.share_on, on_a.share_on)
+    pairs = _allowed(pairs, known)
     changes: list[Change] = []
     for i, j in list(pairs.items()):
         changes += _stirred(ours[i], theirs[j], on_b.share_on[i, j], options)
@@ -89,11 +94,14 @@ def diff(a: SceneMap, b: SceneMap, *, options: DiffOptions | None = None) -> Sce
     ]
     found = _moves(ours, theirs, lost, new, known, options)
     changes += [_moved(ours[i], theirs[j], motion) for (i, j), motion in found.items()]
-    gone = [i for i in lost if i not in {i for i, _ in found}]
+    kept = {i: j for i, j in known.items() if i not in pairs and still_there(ours[i], theirs[j])}
+    gone = [i for i in lost if i not in kept and i not in {i for i, _ in found}]
     around = {i: on_b.around(i, lost) for i in gone}
-    unseen = [i for i in gone if around[i] < COVERED]
-    changes += [_vanished(ours[i], around[i]) for i in gone if around[i] >= COVERED]
-    come = [j for j in new if j not in {j for _, j in found}]
+    # a wall does not go: the other map ends there, or cuts it otherwise
+    unseen = [i for i in gone if around[i] < COVERED or ours[i].built_in]
+    changes += [_vanished(ours[i], around[i]) for i in gone if i not in unseen]
+    met = {*kept.values(), *(j for _, j in found)}
+    come = [j for j in new if j not in met]
     changes += [_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a) for j in come]
     told = {c.id for c in changes} | {ours[i].id for i in unseen}
     return SceneDiff(
@@ -137,7 +145,7 @@ def _cut_otherwise(body: Body, shares: Floats, others: Sequence[Body], taken: se
     return sum(parts) >= (PART if body.built_in else EXPLAINED)
 
 
-def _by_id(pairs: dict[int, int], known: dict[int, int]) -> dict[int, int]:
+def _allowed(pairs: dict[int, int], known: dict[int, int]) -> dict[int, int]:
     """Pairs without those that ids deny: a chair may stand where another one stood."""
     back = {j: i for i, j in known.items()}
     return {i: j for i, j in pairs.items() if known.get(i, j) == j and back.get(j, i) == i}
@@ -146,7 +154,7 @@ def _by_id(pairs: dict[int, int], known: dict[int, int]) -> dict[int, int]:
 def _stirred(ours: Body, theirs: Body, share: float, options: DiffOptions) -> list[Change]:
     """What changed of an object that is about where it was: its label, or its place a little."""
     changes = []
-    if ours.label != theirs.label and not ours.built_in:
+    if not (ours.built_in or same_label(ours.label, theirs.label)):
         changes.append(
             Change(
                 kind="relabelled",
@@ -205,7 +213,7 @@ def _counts(motion: Motion, body: Body, options: DiffOptions) -> bool:
 def _moved(ours: Body, theirs: Body, motion: Motion) -> Change:
     return Change(
         kind="moved", id=ours.id, name=ours.name, label=ours.label, other=theirs.id,
-        new_label=theirs.label if theirs.label != ours.label else "",
+        new_label="" if same_label(ours.label, theirs.label) else theirs.label,
         confidence=min(motion.fit * motion.colour, SUREST),
         after_from_before=motion.after_from_before, centre=ours.middle, box=theirs.box,
         reason=f"After the motion {motion.fit:.0%} of it and of {theirs.id!r} lie on each other.",
@@ -221,15 +229,15 @@ def _vanished(ours: Body, around: float) -> Change:
 
 
 def _appeared(b: SceneMap, theirs: Body, around: float, b_from_a: Floats) -> Change:
-    said = (
-        f"The first map has {around:.0%} of what is around it, and nothing that fits it."
-        if around >= COVERED
-        else "The first map hardly covers the place: it may have been there before."
-    )
+    sure = min(around, SUREST) if around >= COVERED and not theirs.built_in else UNSURE
+    said = f"The first map has {around:.0%} of what is around it, and nothing that fits it."
+    if around < COVERED:
+        said = "The first map hardly covers the place: it may have been there before."
+    elif theirs.built_in:
+        said = "It is built in: the first map may end there, or cut it otherwise."
     return Change(
         kind="appeared", label=theirs.label, name=theirs.name, other=theirs.id, box=theirs.box,
-        confidence=min(around, SUREST) if around >= COVERED else 0.3,
-        piece=piece_of(b, theirs.row, inverse(b_from_a)), reason=said,
+        confidence=sure, piece=piece_of(b, theirs.row, inverse(b_from_a)), reason=said,
     )  # fmt: skip
 
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.formats.nearest import nearest
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.change.register import about, inverse, moved, register, sample, touching
-from placegraph.indoor.structure import structure
+from placegraph.indoor.structure import nameless, same_label, structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +31,12 @@ _LEAST_AROUND = 20  # points that tell whether a place is covered
 _YAWS = 12
 _SIZES = 1.5
 """By how much two objects' sizes may differ and still be one, seen in part."""
-_UNKNOWN = frozenset({"", "object", "unknown", "unlabelled", "unlabeled", "thing"})
+_AGREE = 0.8
+"""Of what has one id in both maps, the share that has to be vouched for."""
+_LIES_ON = 0.3
+"""Share of an object's points that lie on another: without a label, that vouches for its id."""
+_BESIDE = 0.1
+"""What is in the other map under the same id, this near [m], is there still."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +81,7 @@ class Body:
 
     def may_be(self, other: Body) -> bool:
         """Whether label and size let it be the same object."""
-        words = {self.label.casefold(), other.label.casefold()}
-        if len(words - _UNKNOWN) > 1 or other.built_in:
+        if other.built_in or not same_label(self.label, other.label):
             return False
         ratio = (self.sizes + 0.03) / (other.sizes + 0.03)
         return bool(np.all((ratio < _SIZES) & (ratio > 1.0 / _SIZES)))
@@ -202,11 +207,45 @@ def _lie_on(ours: Sampled, theirs: Body, motion: Floats, within: float) -> float
     return float(((one >= 0) | (other >= 0)).mean()) if len(ours) else 0.0
 
 
-def same_ids(ours: Sequence[Body], theirs: Sequence[Body]) -> bool:
-    """Whether ids mean the same in both maps: most are shared, with labels and sizes that agree."""
-    by_id = {body.id: body for body in theirs}
-    shared = [(body, by_id[body.id]) for body in ours if body.id in by_id]
-    if len(shared) < 0.5 * min(len(ours), len(theirs)) or not shared:
+def by_id(
+    ours: Sequence[Body], theirs: Sequence[Body], on_theirs: Floats, on_ours: Floats
+) -> dict[int, int]:
+    """Rows of the other map's objects by ours that have their ids; empty where ids say nothing.
+
+    They do where most are shared, with labels that agree. Numbers agree by chance: what has a
+    label is to be of one size as well, and what has none is to lie where its counterpart does.
+
+    Parameters
+    ----------
+    ours, theirs
+        N and M objects.
+    on_theirs, on_ours
+        (N, M) and (M, N) shares of their points that lie on each other.
+
+    """
+    row_of = {body.id: j for j, body in enumerate(theirs)}
+    shared = {i: row_of[body.id] for i, body in enumerate(ours) if body.id in row_of}
+    agree = {i: j for i, j in shared.items() if same_label(ours[i].label, theirs[j].label)}
+    if not agree or len(agree) < 0.5 * min(len(ours), len(theirs)):
+        return {}
+    vouched = []
+    for i, j in agree.items():
+        a, b = ours[i], theirs[j]
+        named = not (nameless(a.label) or nameless(b.label))
+        vouched.append(
+            (named and (a.built_in or a.may_be(b)))
+            or max(on_theirs[i, j], on_ours[j, i]) >= _LIES_ON
+        )
+    if np.mean(vouched) < _AGREE:
+        return {}
+    # a wall that was found and numbered is no sofa
+    return {i: j for i, j in shared.items() if i in agree or ours[i].built_in == theirs[j].built_in}
+
+
+def still_there(ours: Body, theirs: Body) -> bool:
+    """Whether half of one lies within centimetres of the other, of whichever more does."""
+    one, other = ours.surface.points, theirs.surface.points
+    if not (len(one) and len(other)):
         return False
-    alike = [a.label == b.label and (a.built_in or a.may_be(b)) for a, b in shared]
-    return float(np.mean(alike)) >= 0.8
+    near = (nearest(one, other, _BESIDE) >= 0).mean(), (nearest(other, one, _BESIDE) >= 0).mean()
+    return bool(max(near) >= 0.5)

@@ -14,9 +14,8 @@ import numpy as np
 
 from placegraph.indoor.check import space as check_space
 from placegraph.indoor.check.mesh import mesh_findings
-from placegraph.indoor.floor import label_words
 from placegraph.indoor.relations import MOST_OBJECTS
-from placegraph.indoor.structure import structure
+from placegraph.indoor.structure import nameless, structure
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 
-_NAMELESS = {"", "object", "objects", "unknown", "unlabelled", "unlabeled", "thing", "none", "mesh"}
 _GIANT = 0.8
 """An object with this share of all surface that is no wall, floor or ceiling ..."""
 _TWINS = 0.8
@@ -177,7 +175,7 @@ def _far(scene: SceneMap) -> Iterator[Found]:
 
 def _words(scene: SceneMap) -> Iterator[Found]:
     graph = scene.graph
-    bare = [i for i, label in enumerate(graph.labels) if not set(label_words(label)) - _NAMELESS]
+    bare = [i for i, label in enumerate(graph.labels) if nameless(label)]
     if len(bare) > 0.2 * len(scene):
         yield (
             "warning" if len(bare) > 0.5 * len(scene) else "note",
