@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from placegraph.indoor import textures
 from placegraph.indoor.clean import check, cleaned, in_metres, snapped, upright
 from placegraph.indoor.detail import Detail, detail_named
 from placegraph.indoor.floor import floor_height
+from placegraph.indoor.mesh import UV_GRAIN
 from placegraph.indoor.relations import SAME_ROOM, relate
 from placegraph.indoor.rooms import with_rooms
 from placegraph.indoor.scene_map import SceneMap
@@ -33,6 +35,8 @@ VIVID = 0.1
 """Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
 PATTERNED = 0.03
 """Where more than this share of the edges have a pattern, colours are baked into textures."""
+MOST_TEXELS = 1 << 25
+"""Larger surfaces are coloured by larger texels, to save memory and time."""
 _SOME = 500_000  # triangles that are looked at for it
 
 
@@ -162,7 +166,7 @@ def scene_of(
     height = _floor(model, mesh, labels, floor)
     if progress is not None:
         progress("simplifying", 0, 1)
-    coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left)
+    coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left, told)
     _tell_giants(coarse, things, told)
     room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
     return SceneMap.create(
@@ -196,6 +200,7 @@ def _reduced(
     colour_of: ColourOf | None,
     detail: Detail,
     left_out: Counter[str],
+    notes: list[str],
 ) -> tuple[Mesh, tuple[bytes, ...]]:
     """Mesh and encoded textures with as much detail as wanted."""
     if detail.error is None:
@@ -203,24 +208,37 @@ def _reduced(
         return snapped(mesh, detail.grain, detail.uv_grain), blobs
     plain = all(p.data is None for p in pictures)
     if plain and (colour_of is not None or _patterned(mesh)):
-        return _baked(mesh, colour_of, detail, left_out)
+        coarse = simplify(mesh, error=detail.error, left_out=left_out)
+        coarse = snapped(coarse, detail.grain, UV_GRAIN)
+        return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
     needed = textures.needed_texels(mesh, detail.texel)
     blobs = textures.encode_pictures(pictures, detail, needed)
     coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
     return snapped(coarse, detail.grain, detail.uv_grain), blobs
 
 
+def _looks(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
+    """Colours of a mesh's vertices and flat materials."""
+    from placegraph.indoor.atlas import mesh_colours
+
+    flat = textures.decode(textures.encode_pictures(pictures, detail), "a material")
+    return mesh_colours(replace(mesh, textures=flat))
+
+
 def _baked(
-    mesh: Mesh, colour_of: ColourOf | None, detail: Detail, left_out: Counter[str]
+    mesh: Mesh, colour_of: ColourOf, detail: Detail, notes: list[str]
 ) -> tuple[Mesh, tuple[bytes, ...]]:
     """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
-    from placegraph.indoor.atlas import bake, surface_colours
-    from placegraph.indoor.mesh import UV_GRAIN
+    from placegraph.indoor.atlas import bake
 
-    coarse = simplify(mesh, error=detail.error or 0.0, left_out=left_out)
-    coarse = snapped(coarse, detail.grain, UV_GRAIN)
-    look = colour_of or surface_colours(mesh.vertices, mesh.triangles, mesh.colours)
-    painted = bake(coarse, look, texel=detail.baked)
+    area = float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
+    texel = max(detail.baked, float(np.sqrt(area / MOST_TEXELS)))
+    if texel > detail.baked:
+        notes.append(
+            f"Its surface of {area:,.0f} m2 is coloured by texels of {100 * texel:.2g} cm instead of "
+            f"{100 * detail.baked:.2g} cm: there would be too many."
+        )
+    painted = bake(mesh, colour_of, texel=texel)
     return painted, textures.encode_arrays(painted.textures, detail.quality)
 
 
