@@ -154,6 +154,50 @@ def test_instances_keep_their_ids(room):
     assert found.labels[0] == "floor"
 
 
+@pytest.mark.parametrize("names", [{}, {5: "unknown", 6: "object"}])
+def test_an_instance_that_covers_the_floor_is_the_floor(room, names):
+    """And the wall that of the wall: no crumbs of either beside them, whatever blocks err."""
+    vertices, triangles, truth = room
+    frames = views(room, [5, 6, 6, 17, 4], noise=0.2, kind="instances", names=names)
+    found = segment(vertices, triangles, frames=frames)
+    assert shares(found, truth, 0)["floor"] > 0.95
+    assert shares(found, truth, 1)["wall"] > 0.95
+    for id_, word in (("5", "floor"), ("6", "wall")):
+        assert found.labels.count(word) == 1
+        assert found.ids[found.labels.index(word)] == id_
+    assert found.floor == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_instance_within_a_wall_is_no_wall(room):
+    """A window flush with its wall, and a rug that lies on an unlabelled floor."""
+    vertices, triangles, truth = room
+    centres = vertices[triangles].mean(axis=1)
+    rug = (truth == 0) & (np.abs(centres[:, 0] - 3.0) < 0.6) & (np.abs(centres[:, 1]) < 0.8)
+    parts = (vertices, triangles, np.where(rug, 5, truth))
+    frames = views(parts, [-1, -1, 9, 17, 4, 8], kind="instances", names={})
+    found = segment(vertices, triangles, frames=frames)
+    for id_ in ("8", "9"):
+        assert found.labels[found.ids.index(id_)] == "unknown"
+    assert found.labels.count("floor") == found.labels.count("wall") == 1
+
+
+def test_labels_that_do_not_name_the_floor(room):
+    """What images call object is the floor where it covers it; parquet stays so, without crumbs."""
+    vertices, triangles, truth = room
+    for word in ("object", "floor"):
+        frames = views(room, [0, -1, 2, 1, 1], noise=0.2, names=WORDS | {0: word})
+        found = segment(vertices, triangles, frames=frames)
+        assert shares(found, truth, 0) == {"floor": 1.0}
+        assert found.labels.count("floor") == 1
+        assert "object" not in found.labels
+    frames = views(room, [0, -1, 2, 1, 1], noise=0.2, names=WORDS | {0: "parquet"})
+    found = segment(vertices, triangles, frames=frames)
+    assert found.labels.count("parquet") == 1
+    rows = [i for i, label in enumerate(found.labels) if label == "floor"]  # corners no image shows
+    corner = (1.0 / 8.0) ** 2 / 2.0
+    assert all((found.object_of == row).sum() * corner > 0.5 for row in rows)
+
+
 def test_something_before_the_mesh_does_not_vote(room):
     """Where the depth is another than the mesh has, the label is of something else."""
     vertices, triangles, _ = room

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.segment.covers import cover
 from placegraph.indoor.segment.geometry import ROUNDS, Cut, adopted
 from placegraph.indoor.segment.kernels import connect
 from placegraph.indoor.segment.labelling import label_faces
@@ -57,12 +58,15 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     spilt = _spilt(pieces, label[first], plane[first], level, options)
     label = np.where(spilt[piece], NOTHING, label)
     group = _grouped(pieces, label[first], thing[first], plane[first], votes.kind, options)
+    group, meant = cover(
+        group, pieces, label[first], plane[first], votes.words, cut.structure.labels, options
+    )
     fixed = (label[first] == NOTHING) & (plane[first] >= 0)
     if votes.kind == "labels":
         group = _gathered(faces, piece, pieces, label[first], group)
     group = settle(group, pieces, fixed, options)
     group = adopted(group, pieces, fixed, faces, options.least)
-    return _named(group, label[first], plane[first], votes, cut, piece)
+    return _named(group, label[first], plane[first], votes, cut, piece, meant)
 
 
 def _completed(faces: Faces, label: Ints, thing: Ints, plane: Ints, count: int) -> Ints:
@@ -142,7 +146,15 @@ def _gathered(faces: Faces, piece: Ints, pieces: Patches, label: Ints, group: In
     return out
 
 
-def _named(group: Ints, label: Ints, plane: Ints, votes: Votes, cut: Cut, piece: Ints) -> Named:
+def _named(
+    group: Ints,
+    label: Ints,
+    plane: Ints,
+    votes: Votes,
+    cut: Cut,
+    piece: Ints,
+    meant: dict[int, str],
+) -> Named:
     words: dict[int, str] = {}
     ids: dict[int, int] = {}
     for g in np.unique(group).tolist():
@@ -151,8 +163,9 @@ def _named(group: Ints, label: Ints, plane: Ints, votes: Votes, cut: Cut, piece:
             if plane[g] >= 0:
                 words[g] = cut.structure.labels[int(plane[g])]
             continue
-        if votes.words[row]:
-            words[g] = votes.words[row]
+        word = votes.words[row] or meant.get(g, "")
+        if word:
+            words[g] = word
         if votes.kind == "instances":
             ids[g] = votes.ids[row]
     return Named(group[piece], words, ids)

@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.raycast import RayCaster
+from placegraph.indoor.structure import nameless
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -111,6 +112,10 @@ class _Box:
         word = names.get(value, "")
         if self.kind == "labels" and not word:
             return -1
+        if nameless(word):
+            if self.kind == "labels":
+                return NOTHING
+            word = ""
         key: object = value if self.kind == "instances" else word.strip().casefold()
         if key not in self._row:
             self._row[key] = len(self.words)
