@@ -1,15 +1,20 @@
 """Maps that have taken over what changed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from placegraph.errors import MapError, OptionError
 from placegraph.geometry import rotation_z
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.change.diff import diff
 from placegraph.indoor.change.register import moved, rigid
 from placegraph.indoor.change.update import update, update_file
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.structure import structure
+from placegraph.synthetic.flats import Flat
 
 
 def diff_of(*changes):
@@ -92,6 +97,105 @@ def test_the_map_given_is_not_touched(room, found):
     np.testing.assert_array_equal(room.mesh.vertices, before[0])
     assert room.graph == before[1]
     assert list(room.attributes) == before[2]
+
+
+HALVES = """
+[flat]
+height = 2.6
+[drawing]
+##################
+#TT     #        #
+#TT     #     BB #
+#               B#
+#               B#
+#       #        #
+#tt     #     hh #
+#tt     #     hh #
+##################
+[legend]
+T table: label=desk
+t roundtable: label=stool
+B shelf: label=bookcase
+h chair: label=chair
+"""
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory):
+    """Two rooms with a gap between them."""
+    folder = tmp_path_factory.mktemp("halves")
+    Flat.parse(HALVES).furnish(np.random.default_rng(1)).write_glb(folder / "halves.glb")
+    return build_scene(folder / "halves.glb", None)
+
+
+@pytest.mark.parametrize(("west", "east"), [("101", "102"), ("kitchen", "101"), ("4", "study")])
+def test_rooms_keep_the_names_they_had(halves, west, east):
+    middle = halves.graph.positions[:, 0].mean()
+    loose = ~structure(halves.graph.labels)
+    named = [
+        {"room": west if at[0] < middle else east} if free else {}
+        for at, free in zip(halves.graph.positions, loose, strict=True)
+    ]
+    scene = replace(halves, attributes=tuple(named))
+    chair, row = id_of(scene, "chair"), scene.graph.names.index("chair")
+    stool = id_of(scene, "stool")
+    over = Change(
+        "moved", "chair", 0.9, "", id=chair, centre=scene.graph.positions[row],
+        after_from_before=rigid(np.eye(3), np.array([-2.5, 0.0, 0.0])),
+    )  # fmt: skip
+    little = Change(
+        "moved", "stool", 0.9, "", id=stool, after_from_before=rigid(np.eye(3), np.full(3, 0.02))
+    )
+    new = update(scene, diff_of(over, little))
+    rooms = {id_: a.get("room") for id_, a in zip(new.graph.ids, new.attributes, strict=True)}
+    was = {id_: a.get("room") for id_, a in zip(scene.graph.ids, scene.attributes, strict=True)}
+    assert was[chair] == east
+    assert rooms == {**was, chair: west}
+
+
+def test_rooms_are_found_where_none_is_named(halves):
+    bare = replace(halves, attributes=({},) * len(halves))
+    assert {a.get("room") for a in update(bare, diff_of()).attributes} >= {"1", "2"}
+
+
+def test_relations_that_say_nothing_of_place_outlive_a_motion(room, found):
+    table, desk, lamp = (room.graph.names.index(n) for n in ("side table", "desk", "lamp"))
+    told = [
+        (desk, "bigger than", table), (table, "smaller than", desk), (table, "same material", desk),
+        (table, "left", desk), (table, "higher than", desk), (desk, "bigger than", lamp),
+        (desk, "more comfortable than", table), (table, "same room", desk),
+    ]  # fmt: skip
+    edges = sorted(
+        told
+        + [
+            (s, r, t)
+            for s, r, t in zip(
+                room.graph.sources.tolist(),
+                room.graph.relations,
+                room.graph.targets.tolist(),
+                strict=True,
+            )
+            if r != "same room"
+        ]
+    )
+    graph = replace(
+        room.graph,
+        sources=np.array([s for s, _, _ in edges]),
+        relations=tuple(r for _, r, _ in edges),
+        targets=np.array([t for _, _, t in edges]),
+    )
+    new = update(replace(room, graph=graph), found)
+    between = {new.row_of(id_of(room, "side table")), new.row_of(id_of(room, "desk"))}
+    kept = [
+        r
+        for s, r, t in zip(
+            new.graph.sources.tolist(), new.graph.relations, new.graph.targets.tolist(), strict=True
+        )
+        if {s, t} == between
+    ]
+    lasting = ["bigger than", "more comfortable than", "same material", "smaller than"]
+    assert sorted(set(kept) - {"next to", "same room"}) == lasting
+    assert new.graph.relations.count("bigger than") == 1
 
 
 def test_nothing_taken_over_is_the_same_map(room):

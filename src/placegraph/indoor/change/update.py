@@ -13,12 +13,12 @@ import numpy as np
 from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor import textures
+from placegraph.indoor.change.carry import lasting, rooms_now
 from placegraph.indoor.change.changes import KINDS
 from placegraph.indoor.change.register import moved
 from placegraph.indoor.mesh import WHITE, Mesh
 from placegraph.indoor.mesh_order import ordered
 from placegraph.indoor.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
-from placegraph.indoor.rooms import with_rooms
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ def update(
     """Map that has taken over what a diff found; the map given stays as it is.
 
     What moved is moved, with its surface; what vanished is left out; what appeared is added with
-    the surface the diff has of it; labels are changed. Relations of what changed are found anew.
+    the surface the diff has of it; labels are changed. Where what changed is, its room and its
+    relations, is found anew; what says nothing of place ("bigger than") is kept.
     Each object that changed, and what a vanished one stood on or hung at, tells of it in its
     attribute ``history``.
 
@@ -201,10 +202,9 @@ class _Things:
         attributes = [self._attributes[i] for i in rows]
         room_of = None
         if len(self._before.scenes) == 1:  # of merged scenes rooms stay as they were
-            bare = [
-                {k: v for k, v in a.items() if k != "room" or not v.isdigit()} for a in attributes
-            ]
-            room_of, attributes = with_rooms(mesh, labels, float(self._before.floors[0]), bare)
+            stirred = np.isin(rows, list(self._stirred))
+            floor = float(self._before.floors[0])
+            room_of, attributes = rooms_now(mesh, labels, floor, attributes, stirred)
         edges = self._edges(relate(mesh, labels, room_of), rows, place)
         graph = SceneGraph(
             ids=tuple(self._ids[i] for i in rows),
@@ -310,17 +310,18 @@ class _Things:
         rows: NDArray[np.int64],
         place: NDArray[np.int64],
     ) -> list[tuple[int, str, int]]:
-        """Relations between what stayed as they were, the others, and all rooms, as `found` now."""
+        """Relations between what stayed, and those that last, as they were; others as `found` now."""
         graph = self._before.graph
         stirred = np.isin(rows, list(self._stirred))
         before = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
         edges = [
             (int(place[s]), relation, int(place[t]))
             for s, relation, t in before
-            if self._kept[s] and self._kept[t] and not {s, t} & self._stirred
+            if self._kept[s] and self._kept[t]
+            if lasting(relation) or not {s, t} & self._stirred
             if relation != SAME_ROOM or len(self._before.scenes) > 1
         ]
-        known = {(s, t) for s, _, t in edges}
+        known = {(s, t) for s, relation, t in edges if not lasting(relation)}
         edges += [
             (s, relation, t)
             for s, relation, t in found
