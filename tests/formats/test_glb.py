@@ -282,7 +282,7 @@ def spoil(glb, change):
         (lambda j: j.update(extensionsRequired=["ACME_new"]), "'ACME_new', unknown"),
         (lambda j: j["accessors"][0].update(sparse={}), "sparse"),
         (lambda j: j["accessors"][0].pop("bufferView"), "sparse"),
-        (lambda j: j["buffers"][0].update(uri="a.bin"), "in another file"),
+        (lambda j: j["buffers"][0].update(uri="no.bin"), r"'no.bin', which is not there"),
         (lambda j: j["bufferViews"][0].update(buffer=1), "not there"),
         (lambda j: j["accessors"][0].update(count=4), "beyond its data"),
         (lambda j: j["accessors"][0].update(count=1e9), "beyond its data"),
@@ -327,7 +327,7 @@ def test_what_is_no_glb(glb, tmp_path):
     glb.node(glb.primitive(TRIANGLE))
     data = glb.write().read_bytes()
     for content, says in (
-        (b"", "is empty"), (b'{"asset": {"version": "2.0"}}', "glTF as text"),
+        (b"", "is empty"), (b'{"asset": {"version": "2.0"}}', "end in .gltf"),
         (b"solid stl of some kind", "not glTF 2.0 binary"), (data[:-8], "truncated"),
         (struct.pack("<4sII", b"glTF", 1, len(data)) + data[12:], "glTF 1"),
         (data[:12] + struct.pack("<I", 10**6) + data[16:], "ends within a chunk"),

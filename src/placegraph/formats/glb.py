@@ -1,4 +1,4 @@
-"""Reader of glTF 2.0 binary files (.glb): one object a node, with its label, mesh and colours.
+"""Reader of glTF 2.0 files (.glb, .gltf): one object a node, with its label, mesh and colours.
 
 The object of a mesh is the nearest node above it, itself included, whose `extras` hold `label` or
 `id`; without such a node it is the mesh's own. glTF is y-up, and x, y, z become x, -z, y.
@@ -29,7 +29,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model:
-    """Read a .glb file.
+    """Read a .glb file, or a .gltf with its buffers and images inside, beside it or below.
 
     Parameters
     ----------
@@ -41,8 +41,9 @@ def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model
     Raises
     ------
     InputError
-        The file is missing, truncated, damaged, not glTF 2.0 binary, or needs what is not read:
-        Draco or meshopt compression, Basis textures, sparse accessors, data in other files.
+        The file is missing, truncated, damaged, not glTF 2.0, or needs what is not read: Draco or
+        meshopt compression, Basis textures, sparse accessors; a file it names is missing, or
+        outside its folder.
 
     """
     gltf = Gltf.read(Path(path))

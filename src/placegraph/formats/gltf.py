@@ -1,4 +1,4 @@
-"""The container of glTF 2.0 binary files (.glb): JSON, one buffer, accessors, nodes.
+"""The container of glTF 2.0 files (.glb, or .gltf with files beside it): buffers, accessors, nodes.
 
 What the pieces mean for a map is `glb`'s; this module believes no number it has not checked.
 """
@@ -9,8 +9,10 @@ import base64
 import binascii
 import json
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -42,24 +44,26 @@ _HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "EXT_lights_")
 
 @dataclass(frozen=True, slots=True)
 class Gltf:
-    """A .glb file, read but not interpreted."""
+    """A .glb or .gltf file, read but not interpreted."""
 
     path: Path
     content: Json
-    buffer: memoryview
+    chunk: memoryview
+    """The binary part of a .glb."""
+    _buffers: dict[int, memoryview] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path) -> Gltf:
-        """Read a file; raises `InputError` where it is not glTF 2.0 binary, or unreadable."""
-        try:
-            data = path.read_bytes()
-        except FileNotFoundError as error:
-            raise InputError(f"{path} does not exist.") from error
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise InputError(f"{path} cannot be read: {why}.") from error
-        content, buffer = _chunks(path, memoryview(data))
-        gltf = cls(path, content, buffer)
+        """Read a file; raises `InputError` where it is not glTF 2.0, or unreadable."""
+        data = memoryview(_content(path))
+        if path.suffix.lower() == ".gltf" and bytes(data[:4]) != _MAGIC.to_bytes(4, "little"):
+            gltf = cls(path, _json(path, bytes(data)), memoryview(b""))
+            version = str(gltf.object_of(gltf.content, "asset").get("version"))
+            if version.partition(".")[0] != "2":
+                raise InputError(f"{path} is glTF {version[:20]}; export it as glTF 2.0.")
+        else:
+            gltf = cls(path, *_chunks(path, data))
+        content = gltf.content
         for name in gltf.list_of(content, "extensionsRequired"):
             if name in MENDS:
                 raise gltf.error(f"it needs {name}; {MENDS[name]}")
@@ -129,14 +133,54 @@ class Gltf:
         for name in MENDS.keys() & self.object_of(entry, "extensions").keys():
             raise self.error(f"it needs {name}; {MENDS[name]}")
         number = self.whole(entry, "buffer")
-        if "uri" in self.item("buffers", number) or number:
-            raise self.error("its data lie in another file; export it as one .glb file")
+        buffer = self._buffer(number)
         start, length = self.whole(entry, "byteOffset"), self.whole(entry, "byteLength")
-        if start + length > len(self.buffer):
+        if start + length > len(buffer):
             raise self.error(
                 f"bufferViews[{row}] ends beyond the file; it is truncated: copy it again"
             )
-        return self.buffer[start : start + length]
+        return buffer[start : start + length]
+
+    def _buffer(self, row: int) -> memoryview:
+        """Bytes of a buffer: the binary part of a .glb, a data URI, or a file beside this one."""
+        entry = self.item("buffers", row)
+        if "uri" not in entry:
+            if row or not len(self.chunk):
+                raise self.error(f"buffers[{row}] is not in the file; export it again")
+            return self.chunk
+        if row not in self._buffers:
+            self._buffers[row] = memoryview(self._bytes(entry["uri"], f"buffers[{row}]"))
+        return self._buffers[row]
+
+    def _bytes(self, uri: object, what: str) -> bytes:
+        """What a URI of this file names: base64 in it, or a file in the same folder or below."""
+        text = str(uri)
+        if text.startswith("data:"):
+            head, _, packed = text.partition(",")
+            if not head.endswith(";base64"):
+                raise self.error(f"{what} is {head[:40]!r}, not base64; export it again")
+            try:
+                return base64.b64decode(packed, validate=True)
+            except (binascii.Error, ValueError) as error:
+                raise self.error(f"{what} is not base64 ({error}); export it again") from error
+        name = unquote(text)
+        folder, file = self.path.parent, self.path.parent / name
+        try:
+            below = file.resolve().is_relative_to(folder.resolve())
+            there = file.is_file()
+        except (OSError, ValueError, RuntimeError):
+            below = there = False
+        strange = PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive
+        if strange or not below or ":" in text or ".." in PurePosixPath(name).parts:
+            raise self.error(
+                f"{what} is {text[:60]!r}, which leads out of its folder; "
+                "export it with its files beside it"
+            )
+        if not there:
+            raise self.error(
+                f"{what} lies in {name[:60]!r}, which is not there; copy the files beside it too"
+            )
+        return _content(file)
 
     def image(self, row: object) -> bytes:
         """Encoded bytes of an image."""
@@ -144,13 +188,7 @@ class Gltf:
         uri = entry.get("uri")
         if uri is None:
             return bytes(self.view(entry.get("bufferView")))
-        head, _, text = str(uri).partition(",")
-        if not head.startswith("data:") or not head.endswith(";base64"):
-            raise self.error(f"images[{row}] lies in another file; export it with textures inside")
-        try:
-            return base64.b64decode(text, validate=True)
-        except (binascii.Error, ValueError) as error:
-            raise self.error(f"images[{row}] is not base64 ({error}); export it again") from error
+        return self._bytes(uri, f"images[{row}]")
 
     def whole(self, entry: Json, key: str) -> int:
         """Whole number from 0 under `key`, 0 where there is none."""
@@ -226,10 +264,9 @@ def _chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
     if not len(data):
         raise InputError(f"{path} is empty; export it again.")
     if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
-        text = bytes(data[:1]) == b"{"
-        raise InputError(
-            f"{path} is {'glTF as text' if text else 'not glTF 2.0 binary'}; export it as one .glb file."
-        )
+        if bytes(data[:1]) == b"{":
+            raise InputError(f"{path} is glTF as text; let its name end in .gltf.")
+        raise InputError(f"{path} is not glTF 2.0 binary; export it as one .glb file.")
     version, total = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise InputError(f"{path} is glTF {version}; export it as glTF 2.0.")
@@ -245,12 +282,27 @@ def _chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
             raise InputError(f"{path} ends within a chunk: it is damaged; copy it again.")
         parts.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length + (-length % 4)
+    return _json(path, bytes(parts.get(_JSON, b""))), parts.get(_BIN, memoryview(b""))
+
+
+def _json(path: Path, data: bytes) -> Json:
     try:
-        content = json.loads(bytes(parts[_JSON]))
-    except (KeyError, ValueError, RecursionError) as error:
+        content = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path} has no JSON that can be read; copy or export it again."
         ) from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: its JSON is not an object; export it again.")
-    return content, parts.get(_BIN, memoryview(b""))
+    return content
+
+
+def _content(path: Path) -> bytes:
+    """Bytes of a file; `InputError` where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error

@@ -100,6 +100,7 @@ class Kind(NamedTuple):
 
 KINDS = (
     Kind(".glb", "glb", "glb", ".glb", ("up",)),
+    Kind(".gltf", "glb", "glb", ".gltf", ("up",)),
     Kind(".obj", "obj", "obj", ".obj", ("up", "table"), own=("groups",)),
     Kind(
         "a 3RScan scan's folder",
