@@ -56,6 +56,16 @@ def test_export_and_back(run, room, tmp_path, ending):
     assert run("scene", "info", back, "--json").json["labels"] == {"floor": 1, "table": 1}
 
 
+@pytest.mark.parametrize(("ending", "lost"), [("glb", 0), ("ply", 1)])
+def test_export_says_what_is_lost(run, tmp_path, ending, lost):
+    mesh = Mesh.plain([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1])
+    scene = SceneMap.create(mesh, "ab", ["floor", "ramp"], floor=0.0, relations=[(1, "on", 0)])
+    scene.save(tmp_path / "a.scene")
+    out = tmp_path / f"a.{ending}"
+    assert run("scene", "export", tmp_path / "a.scene", out).out.count("Relations (1)") == lost
+    assert len(run("scene", "export", tmp_path / "a.scene", out, "--json").json["lost"]) == lost
+
+
 def test_export_with_camera_paths(run, room, way, tmp_path):
     out = tmp_path / "out.json"
     paths = ("--camera-path", way, "--camera-path", way.with_suffix(".json"))

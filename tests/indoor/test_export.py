@@ -9,7 +9,7 @@ from placegraph import locks
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.formats.spark_dsg import read_spark_dsg
 from placegraph.indoor.build import build_scene, scene_of_model
-from placegraph.indoor.export import MARK, export, path_lines
+from placegraph.indoor.export import MARK, export, losses, path_lines
 from placegraph.indoor.merge import merge_scenes
 from placegraph.indoor.mesh import GRAIN, Mesh
 from placegraph.indoor.scene_map import SceneMap
@@ -101,6 +101,46 @@ def test_ids_that_are_no_numbers_get_some(tmp_path):
     assert told["written by"] == MARK
     assert [entry["id"] for entry in told["objects"]] == [7, 8]
     assert told["objects"][1]["attributes"] == {"id": "sofa/1"}
+
+
+TAKEN = {"label": "of a shop", "id": "EAN 4", "placegraph": "mine", "name": "n", "map id": "5"}
+
+
+def odd_map(ids):
+    """Objects with attributes of all the names we use, one of them without a name."""
+    mesh = Mesh.plain([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1])
+    return SceneMap.create(
+        mesh, ids, ["floor", "ramp"], names=["", "ramp"], floor=0.0, attributes=[TAKEN, {}],
+        relations=[(1, "leads to", 0)],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", ["glb", "ply", "json"])
+def test_attributes_of_any_name_come_back(ending, tmp_path):
+    scene = odd_map(("7", "8"))
+    files = export(scene, tmp_path / f"a.{ending}")
+    if ending == "json":
+        back = scene_of_model(read_spark_dsg(files[0]), detail="full")
+    else:
+        labels = files[1] if ending == "ply" else None
+        back = build_scene(files[0], None, labels=labels, floor=0.0, detail="full")
+    same(back, scene)
+    assert ("leads to" in back.graph.relations) == (ending != "ply")
+    assert any("Relations (1)" in said for said in losses(scene, files[0])) == (ending == "ply")
+
+
+def test_an_id_that_becomes_a_number_takes_no_attribute_s_place(tmp_path):
+    files = export(odd_map(("sofa/1", "8")), tmp_path / "a.ply")
+    back = build_scene(files[0], None, labels=files[1], floor=0.0)
+    assert back.attributes[back.graph.ids.index("9")] == TAKEN | {"map map id": "sofa/1"}
+
+
+def test_a_node_that_was_renamed_has_its_new_name(tmp_path):
+    export(odd_map(("7", "8")), tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    for other, name in ((b'{"name":"floo2"', "floo2"), (b'{"name":"floor"', "")):
+        (tmp_path / "b.glb").write_bytes(data.replace(b'{"name":"floor"', other))
+        assert build_scene(tmp_path / "b.glb", None, floor=0.0).graph.names[0] == name
 
 
 def test_merged_scenes_become_rooms(tmp_path):

@@ -44,7 +44,8 @@ def export(
     map of it again with `placegraph scene build`.
 
     .ply is one coloured mesh for MeshLab and CloudCompare: textures are averaged onto vertices,
-    objectId of each face says whose it is, and OUT.labels.json what the ids are called.
+    objectId of each face says whose it is, and OUT.labels.json what the ids are called. Relations
+    have no place in it.
 
     .json is a scene graph for Hydra and Spark-DSG: objects with boxes, labels and their part of
     the mesh, relations as edges, and rooms.
@@ -52,6 +53,7 @@ def export(
     Example: placegraph scene export house.scene house.glb --camera-path walk.tum
     """
     from placegraph.indoor.export import export as write
+    from placegraph.indoor.export import losses
     from placegraph.indoor.scene_map import SceneMap
 
     if os.path.realpath(map_file) == os.path.realpath(out):
@@ -61,11 +63,18 @@ def export(
     files = write(scene, out, camera_paths=paths, overwrite=force)
     sizes = {str(file): file.stat().st_size for file in files}
     if as_json:
-        told = {"files": sizes, "objects": len(scene), "triangles": len(scene.mesh)}
+        told = {
+            "files": sizes,
+            "objects": len(scene),
+            "triangles": len(scene.mesh),
+            "lost": losses(scene, out),
+        }
         typer.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         for name, size in sizes.items():
             typer.echo(f"{name}: {size / 1e3:,.0f} kB.")
+        for sentence in losses(scene, out):
+            typer.echo(sentence)
 
 
 def camera_paths(files: list[Path] | None) -> dict[str, NDArray[np.float64]]:

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+OWN = "placegraph"
+"""Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the
+`name` "" of an object whose node is called by its label."""
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation from y-up to z-up."""
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -145,10 +148,15 @@ class _Reader:
                     "give each object its own id"
                 )
             return self.thing_rows[id_]
+        own = extras.get(OWN)
+        own = own if isinstance(own, dict) else {}
+        if own.get("name") == "" and re.sub(r"\.\d{3,}$", "", name) == label:
+            name = ""
+        plain = {k: v for k, v in extras.items() if k not in {"label", "id"}}
         attributes = {
             str(k): v if isinstance(v, str) else json.dumps(v)
-            for k, v in extras.items()
-            if k not in {"label", "id"} and isinstance(v, str | int | float)
+            for k, v in [*plain.items(), *self.gltf.object_of(own, "attributes").items()]
+            if isinstance(v, str | int | float)
         }
         self.thing_rows[id_] = len(self.things)
         self.things.append(Thing(id_, label, name, attributes))

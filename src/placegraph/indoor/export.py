@@ -12,6 +12,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.files import write_file
+from placegraph.formats.glb import OWN
 from placegraph.formats.glb_write import Material, Part, Surface, encode_glb
 from placegraph.formats.ply_write import write_ply
 from placegraph.formats.spark_dsg_write import MOST_PATHS, encode_spark_dsg
@@ -50,15 +51,17 @@ def export(
 ) -> tuple[Path, ...]:
     """Write a map as a file for other programs; what it becomes is told by the ending.
 
-    - ``.glb``: a node for each object, named as it is, with id, label and attributes in `extras`
-      and textures as the map has them, WebP as JPEG. `build_scene` makes the same map of it again,
-      with ``detail="full"`` triangle by triangle.
+    - ``.glb``: a node for each object, named as it is or by its label, with id, label and attributes
+      in `extras` (attributes called as one of these: under `extras.placegraph`) and textures as the
+      map has them, WebP as JPEG. `build_scene` makes the same map of it again, with
+      ``detail="full"`` triangle by triangle; of several scenes one.
     - ``.ply``: one mesh with colours by vertex (textures are averaged around each vertex) and
-      `objectId` by face; beside it ``NAME.labels.json`` says what the ids are called.
+      `objectId` by face; beside it ``NAME.labels.json`` says what the ids are called. An id that is
+      no number becomes one, and the attribute ``id`` (or ``map id``) keeps it.
     - ``.json``: a scene graph as Spark-DSG saves it, for Hydra and its kin: objects with boxes,
       labels and their part of the mesh, rooms (of the attribute ``room``, or the merged scenes).
 
-    The old file stays until the new one is complete.
+    What a file has no place for is told by `losses`. The old file stays until the new one is complete.
 
     Parameters
     ----------
@@ -106,6 +109,21 @@ def export(
             raise OptionError("camera_paths: a .ply has no place for them; export .glb or .json.")
         _ply(scene, path, files[1])
     return tuple(files)
+
+
+def losses(scene: SceneMap, path: str | PathLike[str]) -> tuple[str, ...]:
+    """What of a map a file of this ending has no place for, in sentences."""
+    ending, lost = Path(path).suffix.lower(), []
+    relations = len(scene.graph.relations)
+    if ending == ".ply" and relations:
+        lost.append(f"Relations ({relations}) have no place in a .ply; a .glb or .json keeps them.")
+    if ending == ".ply" and any(texture.shape[:2] != (1, 1) for texture in scene.mesh.textures):
+        lost.append("Textures have no place in a .ply; they are averaged around each vertex.")
+    if ending != ".json" and len(scene.scenes) > 1:
+        lost.append(
+            f"A map that is built of a {ending} is one scene: {len(scene.scenes)} scenes become one."
+        )
+    return tuple(lost)
 
 
 def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
@@ -162,15 +180,22 @@ def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 def _glb(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
     graph = scene.graph
     parts = [
-        Part(
-            graph.names[i] or graph.labels[i],
-            surfaces,
-            {**scene.attributes[i], "label": graph.labels[i], "id": graph.ids[i]},
-        )
+        Part(graph.names[i] or graph.labels[i], surfaces, _extras(scene, i))
         for i, surfaces in enumerate(object_surfaces(scene.mesh, len(graph)))
     ]
     parts += [Part(name, lines=path_lines(poses)) for name, poses in paths.items()]
     return encode_glb(parts, materials(scene), extras=_note(scene), generator=MARK)
+
+
+def _extras(scene: SceneMap, row: int) -> dict[str, Any]:
+    """What a node says of its object; attributes whose names are taken stand under a key of ours."""
+    label, attributes = scene.graph.labels[row], scene.attributes[row]
+    hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
+    own: dict[str, Any] = {"attributes": hidden} if hidden else {}
+    if not scene.graph.names[row]:
+        own["name"] = ""
+    plain = {key: value for key, value in attributes.items() if key not in hidden}
+    return {**plain, "label": label, "id": scene.graph.ids[row], **({OWN: own} if own else {})}
 
 
 def _jpeg(texture: NDArray[np.uint8]) -> bytes:
@@ -213,7 +238,7 @@ def _ply(scene: SceneMap, path: Path, table: Path) -> None:
     numbers = _numbers([t.id for t in model.things])
     entries = []
     for number, thing in zip(numbers, model.things, strict=True):
-        kept = {} if str(number) == thing.id else {"id": thing.id}
+        kept = {} if str(number) == thing.id else {_free("id", thing.attributes): thing.id}
         entry = {"id": number, "label": thing.label, "name": thing.name}
         entries.append(entry | {"attributes": {**thing.attributes, **kept}})
     told = {"written by": MARK, "objects": entries}
@@ -226,6 +251,11 @@ def _ply(scene: SceneMap, path: Path, table: Path) -> None:
         objects=np.array(numbers, np.int64)[model.thing_of],
         comments=(MARK,),
     )
+
+
+def _free(key: str, taken: Mapping[str, str]) -> str:
+    """The key, or `map key`, `map map key`, ... where an object has an attribute of that name."""
+    return key if key not in taken else _free(f"map {key}", taken)
 
 
 def _numbers(ids: list[str]) -> list[int]:
