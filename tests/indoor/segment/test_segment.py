@@ -252,6 +252,16 @@ def test_picture_and_carpet_by_colour_alone():
     assert picture[:5].sum() < 0.1 * picture[5]
 
 
+@pytest.mark.parametrize(("wide", "count"), [(1.0, 2), (2.2, 1)])
+def test_a_carpet_is_apart_and_another_colour_of_floor_is_not(wide, count):
+    """A red part of a floor of 8 x 6 m, with 2 or 10 m2, that meets it along a sharp edge."""
+    vertices, triangles, _, _ = world([sheet((0, 0, 0), (8, 0, 0), (0, 6, 0))])
+    x, y = np.abs(vertices[:, :2] - (4.0, 3.0)).T
+    colours = np.where(((x < wide) & (y < 0.5 * wide + 0.1))[:, None], RED, GREY).astype(np.uint8)
+    found = segment(vertices, triangles, colours)
+    assert found.labels == ("floor",) * count
+
+
 def test_progress_names_every_stage():
     vertices, triangles, colours, _ = study()
     told = []

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64]
 
 _MOST = 0.35  # of its plane: a larger patch is the plane's own colour, or its shade
+_CARPET = 8.0  # no carpet is larger [m2]: it is floor of another colour
 
 
 def lift_marks(
@@ -44,7 +45,8 @@ def lift_marks(
         row = int(patches.plane[m])
         on_floor = structure.labels[row] == "floor"
         least = options.carpet if on_floor else options.mark
-        if not least <= area[m] <= _MOST * whole[row]:
+        most = min(_MOST * whole[row], _CARPET if on_floor else np.inf)
+        if not least <= area[m] <= most:
             continue
         plane[own] = len(labels) if on_floor else -1
         if on_floor:
