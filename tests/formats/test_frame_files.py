@@ -15,7 +15,7 @@ from placegraph.formats.frame_files import (
     turned_camera,
     upright_turns,
 )
-from placegraph.formats.posed import nearest, pose_of, rigid
+from placegraph.formats.posed import exact_pose, nearest_stamps, pose_of
 from placegraph.geometry import Camera, rotation_from_vector
 
 CAMERA = Camera(8, 6, 10.0, 11.0, 4.5, 2.8, (0.1, -0.02, 0.003, -0.004, 0.01))
@@ -80,7 +80,7 @@ def test_shapes():
     st.floats(0, 3),
 )
 def test_nearest_stamps(known, asked, tolerance):
-    rows = nearest(known, asked, tolerance)
+    rows = nearest_stamps(known, asked, tolerance)
     for stamp, row in zip(asked, rows, strict=True):
         gaps = np.abs(np.array(known) - stamp)
         if row < 0:
@@ -94,10 +94,10 @@ def test_rigid_transforms(vector):
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_vector(vector)
     pose[:3, 3] = vector
-    np.testing.assert_allclose(rigid(pose[:3].ravel().round(4), "it"), pose, atol=1e-3)
+    np.testing.assert_allclose(exact_pose(pose[:3].ravel().round(4), "it"), pose, atol=1e-3)
     for wrong in (pose * 1.1, pose @ np.diag([1, 1, -1, 1]), pose * np.nan):
         with pytest.raises(InputError, match="it "):
-            rigid(wrong, "it")
+            exact_pose(wrong, "it")
 
 
 def test_quaternions():

@@ -24,7 +24,7 @@ import numpy as np
 from placegraph.errors import InputError, OptionError
 from placegraph.evaluate.indoor_windows import Window, drifting_windows, sampled
 from placegraph.formats.capture import open_capture
-from placegraph.formats.scannet_files import axis_alignment, read_text, rigid
+from placegraph.formats.scannet_files import axis_alignment, is_rigid, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -150,7 +150,7 @@ def _pair(words: list[str]) -> ScanPair:
     if len(words) == 2:
         return ScanPair(one, other)
     matrix = np.array([float(word) for word in words[2:]]).reshape(4, 4)
-    if not rigid(matrix, _RIGID):
+    if not is_rigid(matrix, _RIGID):
         raise OptionError("map_from_query is no rigid transform; write its 4 x 4 numbers by rows.")
     return ScanPair(one, other, matrix)
 

@@ -20,9 +20,9 @@ from placegraph.formats.posed import (
     Shot,
     camera_of,
     capture_of,
+    exact_pose,
     number,
     numbers,
-    rigid,
     smaller_view,
 )
 
@@ -83,7 +83,7 @@ def _shot(path: Path, images: dict[str, Path], row: str, first: tuple[Path, Path
     camera = camera_of(f"{file}: intrinsics", (width, height), (fx, fy, cx, cy))
     depth, sure = images[f"depth_{row}"], images.get(f"conf_{row}")
     depth_camera = smaller_view(camera, image_size(first[1]), first[1])
-    pose = rigid(numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame")
+    pose = exact_pose(numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame")
     return Shot(
         name=str(file),
         stamp=number(file, content, "time") if "time" in content else float(int(row)),

@@ -20,7 +20,7 @@ from placegraph.formats.posed import (
     Shot,
     camera_of,
     capture_of,
-    nearest,
+    nearest_stamps,
     read_text,
     smaller_view,
 )
@@ -58,9 +58,9 @@ def read_arkit_scenes(path: Path) -> Capture:
     stamps, poses = _trajectory(folder / "lowres_wide.traj")
     asked = [stamp for stamp, _ in files[0]]
     depth_of, sure_of, camera_file_of = (
-        nearest([stamp for stamp, _ in found], asked, _TOLERANCE) for found in files[1:]
+        nearest_stamps([stamp for stamp, _ in found], asked, _TOLERANCE) for found in files[1:]
     )
-    pose_of = nearest(stamps, asked, _TOLERANCE)
+    pose_of = nearest_stamps(stamps, asked, _TOLERANCE)
     first = files[1][0][1]
     size, unit = image_size(first), DepthUnit(str(folder / "lowres_depth"), _UNIT)
     left_out: Counter[str] = Counter()

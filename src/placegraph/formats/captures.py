@@ -16,7 +16,7 @@ import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.frame_files import LazyImages, quarter_turn
-from placegraph.formats.posed import SAME_MOMENT, nearest
+from placegraph.formats.posed import SAME_MOMENT, nearest_stamps
 from placegraph.formats.tum import read_tum
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def with_poses(capture: Capture, path: Path) -> Capture:
     trajectory = read_tum(path)
     rows = np.arange(len(capture))
     if len(trajectory) != len(capture):
-        rows = nearest(trajectory.stamps, capture.stamps, SAME_MOMENT)
+        rows = nearest_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT)
     if (rows < 0).all():
         raise InputError(
             f"{path} has {len(trajectory)} rows for {len(capture)} images, and no stamp of theirs "

@@ -22,8 +22,8 @@ from placegraph.formats.posed import (
     Shot,
     camera_of,
     capture_of,
+    exact_pose,
     number,
-    rigid,
     smaller_view,
 )
 
@@ -102,5 +102,5 @@ def _read_camera(path: Path) -> tuple[Camera, NDArray[np.float64]]:
     width, height = (int(number(path, content, name)) for name in ("width", "height"))
     intrinsics = [number(path, content, name) for name in ("fx", "fy", "cx", "cy")]
     rows = [number(path, content, f"t_{i}{j}") for i in range(3) for j in range(4)]
-    pose = MAP_FROM_Y_UP @ rigid(rows, str(path)) @ ARKIT_FROM_OPENCV
+    pose = MAP_FROM_Y_UP @ exact_pose(rows, str(path)) @ ARKIT_FROM_OPENCV
     return camera_of(str(path), (width, height), intrinsics), pose

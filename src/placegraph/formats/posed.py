@@ -76,7 +76,7 @@ def capture_of(
     for before, after in itertools.pairwise(held):
         if before.stamp == after.stamp:
             raise InputError(f"{after.name} has the stamp of {before.name}; keep one of them.")
-    poses = np.stack([rigid(shot.pose, shot.name) for shot in held])
+    poses = np.stack([exact_pose(shot.pose, shot.name) for shot in held])
     turns = upright_turns(-poses[:, 2, :3])
     frames = tuple(
         posed_frame(
@@ -111,7 +111,7 @@ def capture_of(
 # ---------------------------------------------------------------------------------------- poses
 
 
-def rigid(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
+def exact_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
     """Rigid transform (4, 4) of 12 or 16 numbers by rows, its rotation made exact.
 
     `InputError`, which begins with `name`, where a number is not finite or it is no rotation.
@@ -132,7 +132,7 @@ def rigid(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def pose_of(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Pose (4, 4) of a position (3,) [m] and a unit quaternion (4,); `InputError` as `rigid`."""
+    """Pose (4, 4) of a position (3,) [m] and a unit quaternion (4,); `InputError` as `exact_pose`."""
     quaternion = np.asarray(xyzw, np.float64)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) <= _RIGID:
@@ -140,10 +140,10 @@ def pose_of(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_quaternion(quaternion)
     pose[:3, 3] = position
-    return rigid(pose, name)
+    return exact_pose(pose, name)
 
 
-def nearest(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> NDArray[np.intp]:
+def nearest_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> NDArray[np.intp]:
     """Row (n,) of `stamps` (m,), in any order, nearest to each of `wanted` (n,); -1: none so near."""
     known, asked = np.asarray(stamps, np.float64), np.asarray(wanted, np.float64)
     if not known.size:

@@ -16,7 +16,7 @@ import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.camera import read_json
-from placegraph.formats.scannet_files import rigid
+from placegraph.formats.scannet_files import is_rigid
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -168,7 +168,7 @@ def _matrix(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
     with np.errstate(over="ignore"):
         matrix = np.array([float(min(max(v, -1e300), 1e300)) for v in numbers])  # type: ignore[attr-defined]
     matrix = matrix.reshape(4, 4).T
-    if not rigid(matrix, _RIGID):
+    if not is_rigid(matrix, _RIGID):
         raise InputError(
             f"{path}: the transform of {where} is no rigid one; it must stand column by column, as "
             "3RScan has it. Download it again."

@@ -29,7 +29,7 @@ from placegraph.formats.frame_files import (
     upright_turns,
 )
 from placegraph.formats.images import opened
-from placegraph.formats.scannet_files import camera_of, rigid
+from placegraph.formats.scannet_files import camera_of_matrix, is_rigid
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -159,7 +159,7 @@ class _Info:
         def camera(kind: str) -> Camera:
             size = tuple(int(numbers(f"m_{kind}{side}", 1)[0]) for side in ("Width", "Height"))
             matrix = np.array(numbers(f"m_calibration{kind.title()}Intrinsic", 16)).reshape(4, 4)
-            return camera_of(where, matrix, (size[0], size[1]))
+            return camera_of_matrix(where, matrix, (size[0], size[1]))
 
         unit = numbers("m_depthShift", 1, "1000")[0]
         if not unit >= 1:
@@ -197,7 +197,7 @@ def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.floa
         pose = np.array([float(word) for word in words]).reshape(4, 4)
     except ValueError:
         pose = np.full((4, 4), np.nan)
-    if not rigid(pose, _RIGID):
+    if not is_rigid(pose, _RIGID):
         left_out["frames with an invalid pose"] += 1
         return None
     u, _, vt = np.linalg.svd(pose[:3, :3])

@@ -85,7 +85,7 @@ def alignment_of(scan: Scan) -> NDArray[np.float64]:
     if said is None:
         return np.eye(4)
     matrix = _matrix(said)
-    if matrix is None or not rigid(matrix):
+    if matrix is None or not is_rigid(matrix):
         raise InputError(
             f"{file}: axisAlignment is no rigid transform of 16 numbers; download the file again, or "
             "delete the line to keep the scan's own axes."
@@ -109,7 +109,7 @@ def read_matrix(path: Path) -> NDArray[np.float64]:
     return matrix
 
 
-def rigid(matrix: NDArray[np.float64], tolerance: float = _RIGID) -> bool:
+def is_rigid(matrix: NDArray[np.float64], tolerance: float = _RIGID) -> bool:
     """Whether a matrix (4, 4) is a rotation and a translation."""
     if not np.isfinite(matrix).all() or np.abs(matrix).max() > 1e6:
         return False
@@ -118,7 +118,7 @@ def rigid(matrix: NDArray[np.float64], tolerance: float = _RIGID) -> bool:
     return bool(np.abs(r @ r.T - np.eye(3)).max() < tolerance > last and np.linalg.det(r) > 0)
 
 
-def camera_of(
+def camera_of_matrix(
     name: object,
     intrinsic: NDArray[np.float64],
     size: tuple[int, int],

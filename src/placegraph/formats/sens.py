@@ -20,10 +20,10 @@ from placegraph.formats.frame_files import (
 )
 from placegraph.formats.images import ENDINGS, image_size
 from placegraph.formats.scannet_files import (
-    camera_of,
+    camera_of_matrix,
+    is_rigid,
     read_matrix,
     read_meta,
-    rigid,
 )
 from placegraph.formats.scannet_labels import LabelImages, Wanted, find_labels, numbered
 from placegraph.formats.sens_file import (
@@ -121,8 +121,8 @@ def read_sens(
     entries = read_frames(header, partial=partial)
     if len(entries) < header.count:
         counts["frames that the truncated file lacks"] = header.count - len(entries)
-    camera = camera_of(f"{file} (colour)", header.colour_intrinsic, header.colour_size)
-    depth_camera = camera_of(f"{file} (depth)", header.depth_intrinsic, header.depth_size)
+    camera = camera_of_matrix(f"{file} (colour)", header.colour_intrinsic, header.colour_size)
+    depth_camera = camera_of_matrix(f"{file} (depth)", header.depth_intrinsic, header.depth_size)
     notes = []
     if not np.allclose(*header.extrinsics, atol=_RIGID):
         notes.append(
@@ -259,11 +259,11 @@ def _exported_camera(path: Path, what: str, image: Path) -> Camera:
     said = None
     if all(s.isascii() and s.isdigit() and 0 < int(s[:9]) < 1 << 16 for s in sides):
         said = (int(sides[0]), int(sides[1]))
-    return camera_of(file, read_matrix(file), image_size(image), said)
+    return camera_of_matrix(file, read_matrix(file), image_size(image), said)
 
 
 def _check_pose(name: object, pose: NDArray[np.float64]) -> None:
-    if not rigid(pose, _RIGID):
+    if not is_rigid(pose, _RIGID):
         raise InputError(
             f"{name}: the pose is no rigid transform; the file is damaged: get it again."
         )

@@ -16,7 +16,7 @@ import numpy as np
 from placegraph.errors import InputError
 from placegraph.formats.camera import read_camera
 from placegraph.formats.frame_files import DepthUnit, LazyImages, colour_file, depth_file
-from placegraph.formats.posed import SAME_MOMENT, Shot, capture_of, nearest, read_text
+from placegraph.formats.posed import SAME_MOMENT, Shot, capture_of, nearest_stamps, read_text
 from placegraph.formats.tum import read_tum
 from placegraph.geometry import Camera
 
@@ -61,8 +61,8 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
     camera, depth_camera, per_metre, said = _cameras(path)
     colours, depths = _listed(path, "rgb.txt"), _listed(path, "depth.txt")
     stamps = [stamp for stamp, _ in colours]
-    depth_of = nearest([stamp for stamp, _ in depths], stamps, SAME_MOMENT)
-    pose_of = nearest(trajectory.stamps, stamps, SAME_MOMENT)
+    depth_of = nearest_stamps([stamp for stamp, _ in depths], stamps, SAME_MOMENT)
+    pose_of = nearest_stamps(trajectory.stamps, stamps, SAME_MOMENT)
     if poses and len(trajectory) == len(colours):
         pose_of = np.arange(len(colours))
     left_out: Counter[str] = Counter()
