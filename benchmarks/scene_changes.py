@@ -27,8 +27,7 @@ ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 OUT = ROOT / "benchmarks/results/scene_changes.json"
 CODE = (
-    "indoor/diff*.py", "indoor/change.py", "indoor/clumps.py", "indoor/register.py",
-    "indoor/structure.py", "indoor/build.py", "indoor/simplify*.py", "indoor/localize.py",
+    "indoor/change/*.py", "indoor/structure.py", "indoor/build.py", "indoor/simplify*.py", "indoor/localize.py",
     "evaluate/scene_changes.py",
 )  # fmt: skip
 """Code that decides what the answers are."""

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 MAKING = (
     "geometry.py", "graph.py", "store.py", "columns.py", "formats/*.py", "indoor/mesh.py",
     "indoor/textures.py", "indoor/scene*.py", "indoor/build.py", "indoor/floor.py",
-    "indoor/relations.py", "indoor/fuse/*.py", "indoor/simplify*.py",
-    "evaluate/decimate.py",
+    "indoor/relations.py", "indoor/rooms*.py", "indoor/fuse/*.py", "indoor/segment/*.py",
+    "indoor/atlas/*.py", "indoor/sources.py", "indoor/clean.py", "indoor/detail.py",
+    "indoor/simplify*.py", "evaluate/decimate.py",
 )  # fmt: skip
 """Code that decides what the maps are."""
 COARSE = 20_000
