@@ -159,6 +159,10 @@ def update(
         typer.echo(json.dumps(facts, ensure_ascii=False))
     elif not quiet:
         typer.echo(f"{target}: {len(new):,} objects, {len(found):,} changes in the diff.")
+        if found and not told:
+            typer.echo(
+                f"None of them is taken over; the two are laid on each other: {found.alignment}."
+            )
         for id_, attributes in zip(new.graph.ids, new.attributes, strict=True):
             if id_ in told:
                 label = new.graph.labels[new.row_of(id_)]

@@ -11,8 +11,10 @@ from placegraph.geometry import rotation_z
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.change.diff import DiffOptions, diff
 from placegraph.indoor.change.register import moved, rigid
+from placegraph.indoor.change.update import update
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.structure import structure
+from placegraph.synthetic.flats import Flat
 
 
 def built(interior, folder, name):
@@ -74,6 +76,7 @@ def by_name(found, kind):
 def test_a_map_differs_from_itself_by_nothing(room):
     found = diff(room, room)
     assert len(found) == 0
+    assert "doubtful" not in found.alignment
     assert not found.unseen
     assert found.same == room.graph.ids
     np.testing.assert_allclose(found.b_from_a, np.eye(4), atol=1e-3)
@@ -206,6 +209,53 @@ def test_two_places_are_not_laid_on_each_other(room, boxes):
     )
     with pytest.raises(OptionError, match="no way is found"):
         diff(room, elsewhere)
+
+
+HALL = """
+[flat]
+height = 2.6
+[drawing]
+{walls}
+#SSS{gap}#
+#SSS{gap}#
+#SSS{gap}#
+#   {gap}#
+#   {gap}#
+#LL {gap}#
+#LL {gap}#
+#   {gap}#
+#BBB{gap}#
+#BBB{gap}#
+#   {gap}#
+{walls}
+[legend]
+S sofa: look=fabric darkred
+B shelf: label=bookcase
+L lamp:
+"""
+
+
+def hall(folder, width):
+    drawn = HALL.format(walls="#" * (width + 5), gap=" " * width)
+    return built(Flat.parse(drawn).furnish(np.random.default_rng(3)), folder, "hall")
+
+
+def test_a_room_that_shares_three_walls_with_another_is_doubtful(room, tmp_path):
+    other = hall(tmp_path, 15)
+    for one, two in ((room, other), (other, room)):
+        found = diff(one, two)
+        assert len(found) > 5
+        assert "doubtful" in found.alignment
+        assert all(c.confidence < 0.5 for c in found)
+        assert update(one, found).graph.ids == one.graph.ids
+
+
+def test_a_room_that_shares_a_corner_with_another_is_refused(room, tmp_path):
+    """Floors and ceilings agree, of any two rooms."""
+    other = hall(tmp_path, 22)
+    for one, two in ((room, other), (other, room)):
+        with pytest.raises(OptionError, match="no way is found.* 4.% of their walls"):
+            diff(one, two)
 
 
 def test_the_same_seed_gives_the_same_diff(room, later):

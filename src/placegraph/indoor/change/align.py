@@ -25,7 +25,10 @@ POINTS = 20_000
 DENSITY = 60.0
 """Most points a square metre."""
 LEAST = 0.5
-"""Share of the smaller map's surface that has to lie on the other's, to believe an estimate."""
+"""Share of the smaller map's surface, and of what is upright in it, that has to lie on the other's:
+floors and ceilings of any two rooms do."""
+SURE = 0.8
+"""With less an estimate is doubtful: two looks at one place that share half of it, or two rooms."""
 LEAST_GIVEN = 0.2
 """The same of a transform that is given."""
 _BINS = 180
@@ -39,6 +42,10 @@ _FINE = 0.4
 _BUILDING = 0.2
 """What is built in has to be this share of a map's surface, if the map is to be aligned by it: in a
 map of unlabelled objects it is the rest that no object has."""
+_UPRIGHT = 0.3
+"""What is upright has normals no steeper than this."""
+_FEW = 0.05
+"""A smaller share of upright surface tells nothing."""
 _SOME = 1500
 """Points by which starts are compared."""
 
@@ -51,6 +58,8 @@ class Alignment:
     """(4, 4)"""
     said: str
     """In a sentence."""
+    doubtful: bool = False
+    """The two may be different places; nothing that follows from it is sure."""
 
 
 def align(a: SceneMap, b: SceneMap, options: DiffOptions) -> Alignment:
@@ -84,19 +93,25 @@ def align(a: SceneMap, b: SceneMap, options: DiffOptions) -> Alignment:
         key=lambda m: _overlap(a, b, ours, theirs, m, _FINE * options.within),
     )
     share = _overlap(a, b, ours, theirs, found, options.within)
-    if share < LEAST:
+    agreed = _overlap(a, b, ours, theirs, found, options.within, upright=True)
+    if agreed < LEAST:
         raise OptionError(
-            f"{_name(a)} and {_name(b)}: no way is found to lay one on the other ({share:.0%} of "
-            "their surfaces agree at best); are they of one place, and in one unit? If so, give "
+            f"{_name(a)} and {_name(b)}: no way is found to lay one on the other ({agreed:.0%} of "
+            "their walls agree at best); are they of one place, and in one unit? If so, give "
             "b_from_a."
         )
     moved_by = np.linalg.norm(found[:3, 3])
     turn = np.degrees(np.arctan2(found[1, 0], found[0, 0]))
-    return Alignment(
-        found,
+    said = (
         f"found: turned by {turn:.1f} degrees and shifted by {moved_by:.2f} m; "
-        f"{_said(share, options)}",
+        f"{_said(share, options)}"
     )
+    if agreed < SURE:
+        said += (
+            f", but only {agreed:.0%} of what is upright; that is doubtful, and so is every change: "
+            "they may be of two places, or share a part of one. If they are of one, give b_from_a"
+        )
+    return Alignment(found, said, doubtful=agreed < SURE)
 
 
 def _said(share: float, options: DiffOptions) -> str:
@@ -116,14 +131,27 @@ def _building(scene: SceneMap, rng: np.random.Generator) -> Sampled:
 
 
 def _overlap(
-    a: SceneMap, b: SceneMap, ours: Sampled, theirs: Sampled, motion: Floats, within: float
+    a: SceneMap,
+    b: SceneMap,
+    ours: Sampled,
+    theirs: Sampled,
+    motion: Floats,
+    within: float,
+    *,
+    upright: bool = False,
 ) -> float:
-    """Share of one map's points that lie on the other, of that of which more do."""
+    """Share of one map's points that lie on the other, of that of which more do.
+
+    `upright`: of all points or of those on what is upright, whichever is less.
+    """
     shares = []
     for points, scene, way in ((ours, b, motion), (theirs, a, inverse(motion))):
         there = points.moved(way)
         one, other = touching(there.points, there.normals, scene.caster, within)
-        shares.append(float(((one >= 0) | (other >= 0)).mean()))
+        lies = (one >= 0) | (other >= 0)
+        walls = lies[np.abs(there.normals[:, 2]) < _UPRIGHT]
+        few = not upright or len(walls) < _FEW * len(lies)
+        shares.append(float(lies.mean() if few else min(lies.mean(), walls.mean())))
     return max(shares)
 
 
@@ -142,7 +170,7 @@ def _starts(a: SceneMap, b: SceneMap, ours: Sampled, theirs: Sampled) -> list[Fl
     """Transforms worth a try: axes as they are, then by turns and shifts of the walls."""
     lift = float(b.floors[0] - a.floors[0])
     starts = [np.eye(4), rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
-    upright = [np.abs(s.normals[:, 2]) < 0.3 for s in (ours, theirs)]
+    upright = [np.abs(s.normals[:, 2]) < _UPRIGHT for s in (ours, theirs)]
     if not (upright[0].any() and upright[1].any()):
         return starts
     headings = [

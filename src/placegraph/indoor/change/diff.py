@@ -8,6 +8,7 @@ map covers the place at all.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,7 +50,7 @@ FITS = 0.6
 SUREST = 0.99
 """No finding is surer than this."""
 UNSURE = 0.3
-"""Of what may have been there before."""
+"""Of what may have been there before, and of all between maps that are doubtfully aligned."""
 
 
 def diff(a: SceneMap, b: SceneMap, *, options: DiffOptions | None = None) -> SceneDiff:
@@ -103,6 +104,8 @@ def diff(a: SceneMap, b: SceneMap, *, options: DiffOptions | None = None) -> Sce
     met = {*kept.values(), *(j for _, j in found)}
     come = [j for j in new if j not in met]
     changes += [_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a) for j in come]
+    if alignment.doubtful:
+        changes = [replace(c, confidence=min(c.confidence, UNSURE)) for c in changes]
     told = {c.id for c in changes} | {ours[i].id for i in unseen}
     return SceneDiff(
         changes=tuple(sorted(changes, key=lambda c: -c.confidence)),
