@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import InputError, MissingExtraError
+from placegraph.formats.archive import Archive
 from placegraph.formats.camera import read_json
 from placegraph.formats.frame_files import check_shape
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Camera
 
-_MOST = 1 << 28  # bytes of one file of a ZIP; images have some millions
 _END = b"bvx$"  # of an LZFSE stream
 
 
@@ -51,44 +49,16 @@ class Folder:
         return _object(read_json(self.path / name), f"{self.path / name}")
 
 
-class Zipped:
+class Zipped(Archive):
     """Files of a ZIP, by name."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            with zipfile.ZipFile(path) as archive:
-                self.names = frozenset(archive.namelist())
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise InputError(f"{path} is no readable ZIP ({error}); copy it again.") from error
 
     def open(self, name: str) -> IO[bytes]:
         """File for reading."""
         return io.BytesIO(self.read(name))
 
-    def read(self, name: str) -> bytes:
-        """Content of a file."""
-        try:
-            with zipfile.ZipFile(self.path) as archive:
-                size = archive.getinfo(name).file_size
-                if size > _MOST:
-                    raise InputError(f"{self.path}, {name} would have {size} bytes; it is refused.")
-                return archive.read(name)
-        except KeyError as error:
-            raise InputError(f"{self.path} holds no {name}; export it again.") from error
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            OSError,
-            ValueError,
-            EOFError,
-            RuntimeError,
-        ) as error:
-            raise InputError(f"{self.path}, {name} is damaged ({error}); copy it again.") from error
-
     def json(self, name: str) -> dict[str, Any]:
         """Content of a JSON file, an object."""
-        where = f"{self.path}, {name}"
+        where = self.where(name)
         try:
             return _object(json.loads(self.read(name).decode("utf-8-sig")), where)
         except (ValueError, RecursionError) as error:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import io
 import re
-import struct
 import zipfile
-import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.archive import Archive
 from placegraph.formats.capture import Capture
 from placegraph.formats.frame_files import (
     DepthUnit,
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
 INFO = "_info.txt"
 _FRAME = re.compile(r"frame-(\d{1,9})\.(color\.jpg|depth\.pgm|pose\.txt)", re.ASCII)
 _RIGID = 1e-2  # poses are written with few digits
-_MOST = 1 << 28  # bytes of a file of a ZIP; images have some millions
 _PGM = re.compile(rb"P5\s(?:#[^\n]*\n|\s)*(\d{1,9})\s+(\d{1,9})\s+(\d{1,9})\s")
 
 
@@ -84,7 +82,7 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
     info = _Info.read(files)
     left_out: Counter[str] = Counter()
     numbers = sorted(
-        {int(m[1]): m[1] for name in files.names() if (m := _FRAME.fullmatch(name))}.items()
+        {int(m[1]): m[1] for name in files.names if (m := _FRAME.fullmatch(name))}.items()
     )
     found = []
     for number, digits in numbers:
@@ -98,7 +96,7 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
         why = "; ".join(f"{reason}: {count}" for reason, count in left_out.items())
         raise InputError(f"{files.where('')} has no frame to use ({why or 'it is empty'}).")
     turns = upright_turns([-pose[2, :3] for *_, pose in found]) if rotate else 0
-    deep = {digits for _, digits, _ in found if f"frame-{digits}.depth.pgm" in files.names()}
+    deep = {digits for _, digits, _ in found if f"frame-{digits}.depth.pgm" in files.names}
     frames = tuple(
         posed_frame(
             number,
@@ -185,7 +183,7 @@ class _Info:
 
 def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.float64] | None:
     """(4, 4) scan_from_camera [m] of a frame, or None, counted, where it cannot be used."""
-    names = files.names()
+    names = files.names
     if f"frame-{digits}.color.jpg" not in names:
         left_out["frames without a colour image"] += 1
         return None
@@ -255,6 +253,7 @@ def read_pgm(data: bytes, name: str) -> NDArray[np.uint16]:
 class _Files(Protocol):
     """Files of a recording, by their names."""
 
+    @property
     def names(self) -> frozenset[str]: ...
     def read(self, name: str) -> bytes: ...
     def where(self, name: str) -> str: ...
@@ -266,7 +265,7 @@ def _files(path: Path) -> _Files:
             return _Folder.of(folder)
     for file in (path, path / "sequence.zip"):
         if file.is_file():
-            return _Zip.of(file)
+            return Archive(file, flat=True)
     raise InputError(
         f"{path} holds no recording of 3RScan: it needs sequence/ with {INFO}, or sequence.zip."
     )
@@ -275,7 +274,7 @@ def _files(path: Path) -> _Files:
 @dataclass(frozen=True, slots=True)
 class _Folder:
     folder: Path
-    held: frozenset[str]
+    names: frozenset[str]
 
     @classmethod
     def of(cls, folder: Path) -> _Folder:
@@ -283,9 +282,6 @@ class _Folder:
             return cls(folder, frozenset(p.name for p in folder.iterdir()))
         except OSError as error:
             raise InputError(f"{folder} cannot be read: {error.strerror}.") from error
-
-    def names(self) -> frozenset[str]:
-        return self.held
 
     def where(self, name: str) -> str:
         return str(self.folder / name)
@@ -295,50 +291,3 @@ class _Folder:
             return (self.folder / name).read_bytes()
         except OSError as error:
             raise InputError(f"{self.where(name)} cannot be read: {error.strerror}.") from error
-
-
-@dataclass(frozen=True, slots=True)
-class _Zip:
-    """Files of a ZIP, each found by the place its directory says: no handle stays open."""
-
-    file: Path
-    entries: dict[str, zipfile.ZipInfo]
-    """By name without folders."""
-    held: frozenset[str]
-
-    @classmethod
-    def of(cls, file: Path) -> _Zip:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                held = {Path(e.filename).name: e for e in archive.infolist() if not e.is_dir()}
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise InputError(f"{file} is no readable ZIP ({error}); download it again.") from error
-        return cls(file, held, frozenset(held))
-
-    def names(self) -> frozenset[str]:
-        return self.held
-
-    def where(self, name: str) -> str:
-        return f"{self.file}/{name}" if name else str(self.file)
-
-    def read(self, name: str) -> bytes:
-        entry = self.entries.get(name)
-        if entry is None:
-            raise InputError(f"{self.file} holds no {name}; download it again.")
-        try:
-            with self.file.open("rb") as file:
-                file.seek(entry.header_offset)
-                head = struct.unpack("<4s22xHH", file.read(30))
-                file.seek(head[1] + head[2], io.SEEK_CUR)
-                packed = file.read(min(entry.compress_size, _MOST))
-            data = packed
-            if entry.compress_type == zipfile.ZIP_DEFLATED:
-                data = zlib.decompressobj(-zlib.MAX_WBITS).decompress(packed, _MOST)
-            good = zlib.crc32(data) == entry.CRC and not entry.flag_bits & 1
-        except (OSError, struct.error, zlib.error, ValueError, OverflowError) as error:
-            raise InputError(
-                f"{self.where(name)} is damaged ({error}); download it again."
-            ) from error
-        if not good:
-            raise InputError(f"{self.where(name)} is damaged or encrypted; download it again.")
-        return data
