@@ -41,7 +41,7 @@ def read_ply(
 
     A face belongs to the object its own property names, else to the one most of its vertices name
     (all different: the first). Faces without an object (a negative id, the largest of an unsigned
-    type, an id that a given table does not hold) become one object "unknown".
+    type, an id that a given table with others does not hold) become one object "unknown".
 
     Parameters
     ----------
@@ -182,12 +182,13 @@ def things_of_ids(
     if ids is None:
         return (Thing("0", UNKNOWN),), np.zeros(count, np.int64), Counter()
     unique, inverse = np.unique(ids, return_inverse=True)
+    strange = not any(str(number) in table for number in unique.tolist())  # another file's table
     things: list[Thing] = []
     row = np.empty(len(unique), np.int64)
     unknown = -1
     for i, number in enumerate(unique.tolist()):
         entry = table.get(str(number))
-        if number < 0 or (table and entry is None):
+        if number < 0 or (table and entry is None and not strange):
             if unknown < 0:
                 unknown = len(things)
                 things.append(Thing(UNKNOWN, UNKNOWN))

@@ -160,6 +160,10 @@ def scene_of(
     told.extend(source.notes)
     check(source.model)
     model = upright(in_metres(source.model, scale, told), up, told)
+    if source.finish is not None:
+        source = source.finish(model)
+        model = source.model
+        told.extend(source.notes)
     left = model.left_out if left_out is None else left_out
     mesh, things, pictures, row = cleaned(model, left)
     labels = [t.label for t in things]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -17,7 +18,7 @@ from placegraph.formats.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from os import PathLike
 
     from numpy.typing import NDArray
@@ -62,6 +63,8 @@ class Source:
     """Colours of its surface, sharper than those of its vertices."""
     notes: tuple[str, ...] = ()
     """What was found out or taken for granted, in sentences."""
+    finish: Callable[[Model], Source] | None = None
+    """What is left to be done once the model is in metres and upright."""
 
 
 class Kind(NamedTuple):
@@ -157,28 +160,28 @@ def read_source(
     options: dict[str, Any] = {"up": _axis(kind, up), "object_property": object_property}
     model = kind.read(path, options | {"table": table} | dict(reader or {}))
     left_out.update(model.left_out)
-    if table is not None:
-        model = _labelled(model, table)
     alone = len(model.things) == 1 and model.things[0].label == UNKNOWN
-    if segment is True:
-        return cut(model, left_out, progress)
-    if segment == "auto" and alone and len(model.triangles) > _FEW:
-        return cut(model, left_out, progress, why=", as its file names none")
-    return Source(model)
+    nameless = segment == "auto" and alone and len(model.triangles) > _FEW
+    if segment is True or nameless:
+        why = ", as its file names none" if nameless else ""
+        return Source(model, finish=lambda upright: cut(upright, left_out, progress, table, why))
+    return Source(model if table is None else _labelled(model, table))
 
 
 _FEW = 1000  # triangles: what is one object of fewer is meant to be one
 
 
 def cut(
-    model: Model, left_out: Counter[str], progress: Progress | None = None, *, why: str = ""
+    model: Model,
+    left_out: Counter[str],
+    progress: Progress | None = None,
+    table: Mapping[str, Entry] | None = None,
+    why: str = "",
 ) -> Source:
-    """Model whose objects are found by geometry and colour instead of the file's."""
+    """Model in metres whose objects are found by geometry and colour instead of the file's."""
     from placegraph.indoor.segment import segment
 
-    found = segment(
-        model.vertices, model.triangles, model.colours, progress=progress, left_out=left_out
-    )
+    found = segment(model.vertices, model.triangles, model.colours, progress=progress)
     things = _things(found)
     if model.relations:
         left_out["relations of objects that were cut anew"] += len(model.relations)
@@ -190,7 +193,7 @@ def cut(
         floor=found.floor,
         relations=(),
     )
-    return Source(whole, notes=(note,))
+    return Source(whole if table is None else _labelled(whole, table), notes=(note,))
 
 
 def captured(
@@ -270,8 +273,8 @@ def _labelled(model: Model, table: Mapping[str, Entry]) -> Model:
     entries = [table.get(t.id) or table.get(t.name) for t in model.things]
     if not any(entries):
         raise InputError(
-            f"labels: none of the {len(table)} ids ({', '.join(list(table)[:3])}, ...) is an object "
-            f"of {model.path} ({', '.join(t.id for t in model.things[:3])}, ...)."
+            f"labels: none of the {len(table)} ids ({_few(table)}) is an object of {model.path} "
+            f"({_few(t.id for t in model.things)}); is it the table of another mesh?"
         )
     things = tuple(
         t if e is None else Thing(t.id, e.label, e.name or t.name, t.attributes | e.attributes)
@@ -312,9 +315,21 @@ def _shown(frames: slice) -> str:
     return ":".join("" if part is None else str(part) for part in parts)
 
 
+def _few(words: Iterable[str]) -> str:
+    """The first of some words, for messages."""
+    listed = list(islice(words, 4))
+    return ", ".join([*listed[:3], "..."] if len(listed) > 3 else listed) or "none"
+
+
 def _unknown(path: Path) -> str:
     if not path.exists():
         return f"{path} does not exist."
     known = [kind.holds for kind in KINDS] + [f"{f.name} ({f.holds})" for f in FORMATS]
-    what = "an unknown ending" if path.is_file() else "nothing that is known in it"
-    return f"{path} has {what}; a scene is built from {'; '.join(known)}."
+    if path.is_file():
+        what = "has an unknown ending"
+        if path.suffix.lower() == ".json":
+            what = "holds no scene graph" if path.stat().st_size else "is empty"
+        return (
+            f"{path} {what}; a scene is built from {'; '.join(known)}. Save other meshes as .glb."
+        )
+    return f"{path} has nothing that is known in it; a scene is built from {'; '.join(known)}."
