@@ -13,7 +13,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor import textures
 from placegraph.indoor.clean import check, cleaned, in_metres, snapped, upright
 from placegraph.indoor.detail import Detail, detail_named
-from placegraph.indoor.floor import floor_height
+from placegraph.indoor.floor import floor_height, is_floor
 from placegraph.indoor.mesh import UV_GRAIN
 from placegraph.indoor.relations import SAME_ROOM, relate
 from placegraph.indoor.rooms import with_rooms
@@ -191,9 +191,12 @@ def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None)
     known = floor if floor is not None else model.floor
     height = floor_height(mesh, labels) if known is None else float(known)
     if height is None:
+        why = "no object is labelled floor"
+        if any(map(is_floor, labels)):
+            why = "what is labelled floor is not level (does another axis point up? --up)"
         raise InputError(
-            f"{model.path} shows no floor: no object is labelled floor, and no level surface lies low "
-            "and wide enough; pass its height (floor=0.0, or --floor 0)."
+            f"{model.path} shows no floor: {why}, and no level surface lies low and wide enough; pass "
+            "its height (floor=0.0, or --floor 0)."
         )
     return height
 
