@@ -28,8 +28,8 @@ def build(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Mesh with objects (.glb, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph of "
-            "SceneGraphFusion or Spark-DSG, or an RGB-D capture with poses of any known recorder."
+            help="Mesh with objects (.glb, .gltf, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph "
+            "of SceneGraphFusion or Spark-DSG, or an RGB-D capture with poses of any known recorder."
         ),
     ],
     out: Annotated[
