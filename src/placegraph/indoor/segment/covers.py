@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
-_MOST = 0.5  # of its area lies on planes of one kind
+_MOST = 0.5  # of its area lies on planes of one kind, or
+_SOME, _VAST = 0.3, 4.0  # so much, and so many m2: walls have niches, and no cupboard is as large
 _PART = 0.35  # of a plane that what is the plane covers; pictures and rugs cover less ...
-_LARGE = 4.0  # ... and none is as large as this [m2]: a floor of many rooms has many parts
+_LARGE = 8.0  # ... and none is as large as this [m2]: a floor of many rooms has many parts
 
 
 def cover(
@@ -36,8 +37,8 @@ def cover(
     """Groups (N,) of pieces, and the words of the planes that groups without one cover.
 
     What no label speaks of on a plane joins what covers that plane and lies beside it, unless this
-    has a word of its own: then crumbs alone do. `label` and `plane` (N,) are rows of `words`, empty
-    where they say nothing, and of `planes`.
+    has a word of its own: then crumbs alone do. So do they where crumbs are all that is left.
+    `label` and `plane` (N,) are rows of `words`, empty where they say nothing, and of `planes`.
     """
     kinds = sorted(set(planes))
     kind = np.array([kinds.index(word) for word in planes], np.int64)
@@ -52,19 +53,21 @@ def cover(
     area = np.bincount(row, pieces.areas[on], len(keys))
     size = np.bincount(plane[plane >= 0], pieces.areas[plane >= 0], len(planes))
     g, p = keys // max(len(planes), 1), keys % max(len(planes), 1)
-    good = of_kind[g, kind[p]] >= _MOST * whole[g]
+    on_kind = of_kind[g, kind[p]]
+    good = (on_kind >= _MOST * whole[g]) | ((on_kind >= _SOME * whole[g]) & (on_kind >= _VAST))
     good &= area >= np.minimum(_PART * size[p], _LARGE)
+    bare = size - np.bincount(p, area, len(planes)) < options.carpet  # crumbs are all that is left
     meant: dict[int, str] = {}
     covers: dict[int, list[tuple[int, float, bool]]] = {}
-    for one, own, much in zip(g[good].tolist(), p[good].tolist(), area[good].tolist(), strict=True):
+    for i in np.flatnonzero(good | bare[p]).tolist():
+        one, own = int(g[i]), int(p[i])
         word = words[int(label[one])]
-        if not word:
+        if good[i] and not word:
             meant[one] = planes[own]
-        same = (word or planes[own]) == planes[own]
-        covers.setdefault(own, []).append((one, much, same))
-    return _joined(
-        group, pieces, np.flatnonzero(~said & (plane >= 0)), plane, covers, options
-    ), meant
+        same = bool(good[i]) and (word or planes[own]) == planes[own]
+        covers.setdefault(own, []).append((one, float(area[i]), same))
+    open_ = np.flatnonzero(~said & (plane >= 0))
+    return _joined(group, pieces, open_, plane, covers, options), meant
 
 
 def _joined(
