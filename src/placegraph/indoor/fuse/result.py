@@ -26,7 +26,7 @@ class FuseOptions:
     """Drop readings at depth edges, where cameras often read a mean of both sides."""
     gains: bool = True
     """Bring every image to the brightness of the model fused so far: exposure changes vanish."""
-    memory: float = 2.0
+    memory: float = 1.5
     """What the volume may take [GB]; making the mesh of it takes up to as much again."""
     coarsen: bool = True
     """Beyond that begin again with coarser voxels, and say so; else raise `OptionError`."""
@@ -34,8 +34,8 @@ class FuseOptions:
     def __post_init__(self) -> None:
         check_numbers(self)
         check_positive(self, "memory")
-        if self.memory > 3.0:
-            raise OptionError(f"memory is {self.memory} GB; a volume takes 3 GB at most.")
+        if self.memory > 2.0:
+            raise OptionError(f"memory is {self.memory} GB; a volume takes 2 GB at most.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,6 +56,7 @@ def surface_of(
     kernels.quads_of(*grid, ends, quads)
     del around, cases, crossed, first, grid
     triangles = kernels.split(points, quads)
+    del quads
     return without_specks(points, triangles, colours, speck, left_out)
 
 
@@ -64,8 +65,7 @@ def without_specks(
 ) -> tuple[Floats, Ints, Colours]:
     """Drop connected parts of less than `least` [m^2], and vertices that nothing uses."""
     root = kernels.roots_of(len(points), triangles)[triangles[:, 0]]
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = kernels.areas_of(points, triangles)
     size = np.bincount(root, area, minlength=len(points))
     dropped = np.unique(root[size[root] < least])
     if len(dropped):

@@ -216,6 +216,22 @@ def split(points, quads):
     return out
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def areas_of(points, triangles):
+    """Areas (T,) of triangles [m^2]."""
+    out = np.empty(len(triangles))
+    for row in prange(len(triangles)):
+        a, b, c = triangles[row]
+        total = 0.0
+        for axis in range(3):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            normal = (points[b, i] - points[a, i]) * (points[c, j] - points[a, j])
+            normal -= (points[b, j] - points[a, j]) * (points[c, i] - points[a, i])
+            total += normal * normal
+        out[row] = 0.5 * np.sqrt(total)
+    return out
+
+
 @njit(cache=True, nogil=True)
 def roots_of(count, triangles):
     """Lowest vertex (V,) of the connected part that every vertex belongs to."""
