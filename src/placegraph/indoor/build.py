@@ -35,6 +35,8 @@ VIVID = 0.1
 """Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
 PATTERNED = 0.03
 """Where more than this share of the edges have a pattern, colours are baked into textures."""
+BAKED = 2.0
+"""Triangles of fewer texels than this have colours enough at their vertices."""
 MOST_TEXELS = 1 << 25
 """Larger surfaces are coloured by larger texels, to save memory and time."""
 _SOME = 500_000  # triangles that are looked at for it
@@ -217,7 +219,9 @@ def _reduced(
     if plain and (colour_of is not None or _patterned(mesh)):
         coarse = simplify(mesh, error=detail.error, left_out=left_out)
         coarse = snapped(coarse, detail.grain, UV_GRAIN)
-        return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
+        if _area(coarse) > BAKED * len(coarse) * detail.baked**2:
+            return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
+        return coarse, textures.encode_pictures(pictures, detail)
     needed = textures.needed_texels(mesh, detail.texel)
     blobs = textures.encode_pictures(pictures, detail, needed)
     coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
@@ -238,7 +242,7 @@ def _baked(
     """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
     from placegraph.indoor.atlas import bake
 
-    area = float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
+    area = _area(mesh)
     texel = max(detail.baked, float(np.sqrt(area / MOST_TEXELS)))
     if texel > detail.baked:
         notes.append(
@@ -247,6 +251,11 @@ def _baked(
         )
     painted = bake(mesh, colour_of, texel=texel)
     return painted, textures.encode_arrays(painted.textures, detail.quality)
+
+
+def _area(mesh: Mesh) -> float:
+    """Area [m2]."""
+    return float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
 
 
 def _patterned(mesh: Mesh) -> bool:
