@@ -27,8 +27,7 @@ def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
 
     """
     target = real_path(path)
-    if target.exists() and not target.is_file():
-        raise MapError(f"{target} is not a plain file; name a file to write to.")
+    check_plain(target)
     try:
         with locks.exclusive(target):
             replace_file(target, chunks)
@@ -61,6 +60,15 @@ def real_path(path: str | os.PathLike[str]) -> Path:
         return Path(os.path.realpath(path))
     except ValueError as error:
         raise MapError(f"{path!r} is not a file name: {error}.") from error
+
+
+def check_plain(target: Path) -> None:
+    """Raise `MapError` where something is there that is no file, or nothing can be."""
+    try:
+        if target.exists() and not target.is_file():
+            raise MapError(f"{target} is not a plain file; name a file to write to.")
+    except OSError as error:  # as of a name that is too long
+        raise cannot_write(target, error) from error
 
 
 def cannot_write(target: Path, error: OSError) -> MapError:

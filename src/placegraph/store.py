@@ -156,8 +156,7 @@ def writing(path: Path_) -> Iterator[Write]:
 
     """
     target = files.real_path(path)
-    if target.exists() and not target.is_file():
-        raise MapError(f"{target} is not a plain file; name a file to write the map to.")
+    files.check_plain(target)
 
     def write(
         kind: str, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]

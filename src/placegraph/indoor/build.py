@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import real_path
 from placegraph.indoor import textures
 from placegraph.indoor.clean import check, cleaned, in_metres, snapped, upright
 from placegraph.indoor.detail import Detail, detail_named
@@ -128,8 +129,10 @@ def build_scene(
 
     if out_path is None:
         return made()
-    if os.path.realpath(source) == os.path.realpath(out_path):
-        raise OptionError(f"{source} would be overwritten by its map; name another file.")
+    target = real_path(out_path)
+    for given in (source, labels):
+        if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
+            raise OptionError(f"{given} would be overwritten by its map; name another file.")
     from placegraph.indoor.scene_file import columns
     from placegraph.indoor.scene_map import KIND, VERSION
     from placegraph.store import writing
