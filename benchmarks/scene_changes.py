@@ -27,7 +27,8 @@ ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 OUT = ROOT / "benchmarks/results/scene_changes.json"
 CODE = (
-    "indoor/change/*.py", "indoor/structure.py", "indoor/build.py", "indoor/simplify*.py", "indoor/localize.py",
+    "indoor/change/*.py", "indoor/structure.py", "indoor/build.py", "indoor/simplify*.py",
+    "indoor/localize.py",
     "evaluate/scene_changes.py",
 )  # fmt: skip
 """Code that decides what the answers are."""
