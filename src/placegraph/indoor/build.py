@@ -16,7 +16,7 @@ from placegraph.indoor.clean import check, cleaned, in_metres, snapped, upright
 from placegraph.indoor.detail import Detail, detail_named
 from placegraph.indoor.floor import floor_height, is_floor
 from placegraph.indoor.mesh import UV_GRAIN
-from placegraph.indoor.relations import SAME_ROOM, relate
+from placegraph.indoor.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.rooms import with_rooms
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.simplify import simplify
@@ -38,7 +38,9 @@ PATTERNED = 0.03
 """Where more than this share of the edges have a pattern, colours are baked into textures."""
 BAKED = 2.0
 """Triangles of fewer texels than this have colours enough at their vertices."""
-MOST_TEXELS = 1 << 25
+FAR = 5000.0
+"""Farther from the origin [m] coordinates lose what can be seen, and this is told."""
+MOST_TEXELS = 1 << 24
 """Larger surfaces are coloured by larger texels, to save memory and time."""
 _SOME = 500_000  # triangles that are looked at for it
 
@@ -176,7 +178,7 @@ def scene_of(
     if progress is not None:
         progress("simplifying", 0, 1)
     coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left, told)
-    _tell_giants(coarse, things, told)
+    _tell_odd(coarse, things, told)
     room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
     return SceneMap.create(
         coarse,
@@ -287,8 +289,19 @@ def _relations(
     )
 
 
-def _tell_giants(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:
-    """Note an object that is nearly everything."""
+def _tell_odd(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:
+    """Note an object that is nearly everything, very many of them, and coordinates from afar."""
+    reach = float(np.abs(mesh.bounds()).max())
+    if reach > FAR:
+        notes.append(
+            f"It lies {reach:,.0f} m from its origin, where coordinates are exact to "
+            f"{1e3 * mesh.steps()[0]:.0f} mm only: subtract a corner of it, in whole metres."
+        )
+    if len(things) > MOST_OBJECTS:
+        notes.append(
+            f"It has {len(things):,} objects; more than {MOST_OBJECTS:,} get no relations. Are these "
+            "ids those of objects (--object-property)?"
+        )
     area = np.bincount(mesh.object_of, np.linalg.norm(mesh.normals(), axis=1), len(things))
     most = int(area.argmax())
     share = float(area[most] / max(area.sum(), 1e-12))

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 TALLEST = 60.0
 """What is higher than this is not in metres, unless a scale is given [m]."""
-FLATTEST = 0.3
-"""What is neither wide nor high by this is told [m]."""
+FLATTEST, WIDEST = 0.3, 300.0
+"""What is neither wide nor high by this, or wider, is told [m]."""
+TINIEST = 0.02
+"""What is smaller is refused, unless a scale is given [m]."""
 ROOM = 2.0, 4.0
 """Rooms are this high [m]."""
 LARGEST = 1e5
@@ -62,8 +64,14 @@ def in_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
             f"{model.path} is {size} units large: it looks like {unit}. Pass scale={factor} "
             f"(--scale {factor}; inches: 0.0254); or scale=1 (--scale 1), if it is that many metres."
         )
-    if sides.max() < FLATTEST:
-        notes.append(f"It is only {size} m large; if its unit is not the metre, pass --scale.")
+    if sides.max() < TINIEST:
+        raise InputError(
+            f"{model.path} is only {size} units large, as no scene is. Pass how many metres its unit "
+            "is, such as scale=1000 (--scale 1000); or scale=1, if it is that small."
+        )
+    if sides.max() < FLATTEST or sides.max() > WIDEST:
+        only = "only " if sides.max() < FLATTEST else ""
+        notes.append(f"It is {only}{size} m large; if its unit is not the metre, pass --scale.")
     return model
 
 
