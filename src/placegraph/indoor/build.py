@@ -38,6 +38,8 @@ PATTERNED = 0.03
 """Where more than this share of the edges have a pattern, colours are baked into textures."""
 BAKED = 2.0
 """Triangles of fewer texels than this have colours enough at their vertices."""
+MOST_BAKED = 1_000_000
+"""Meshes of more triangles keep the colours of their vertices, to save memory."""
 FAR = 5000.0
 """Farther from the origin [m] coordinates lose what can be seen, and this is told."""
 MOST_TEXELS = 1 << 24
@@ -224,7 +226,7 @@ def _reduced(
     if plain and (colour_of is not None or _patterned(mesh)):
         coarse = simplify(mesh, error=detail.error, left_out=left_out)
         coarse = snapped(coarse, detail.grain, UV_GRAIN)
-        if _area(coarse) > BAKED * len(coarse) * detail.baked**2:
+        if len(coarse) <= MOST_BAKED and _area(coarse) > BAKED * len(coarse) * detail.baked**2:
             return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
         return coarse, textures.encode_pictures(pictures, detail)
     needed = textures.needed_texels(mesh, detail.texel)

@@ -223,13 +223,15 @@ def captured(
             f"{path} has no depth images; a map is fused from depth: record them, or build from a mesh."
         )
     left_out.update(capture.left_out)
-    fused = fuse(
-        capture.frames,
-        voxel=how.voxel,
-        reach=how.reach,
-        progress=_stage(progress, "fusing"),
-        left_out=left_out,
-    )
+    try:
+        fused = fuse(
+            capture.frames, voxel=how.voxel, reach=how.reach,
+            progress=_stage(progress, "fusing"), left_out=left_out,
+        )  # fmt: skip
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
     if how.segmenter is not None:
         from placegraph.indoor.segment.segmenter import labelled
 
