@@ -1,5 +1,7 @@
 """Bad input: the coarse estimate or a typed error, never a wrong pose that is called OK."""
 
+import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Status
-from placegraph.formats.capture import Capture
+from placegraph.formats.capture import Capture, open_capture
 from placegraph.indoor.matching import matcher
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
@@ -176,16 +178,14 @@ def test_a_wrong_focal_length(room, walk, exact, kit, factor, depth):
         honest(estimate, exact.poses[4], kit)
 
 
-def test_a_swapped_size_is_refused(walk):
+def test_a_swapped_size_is_refused(walk, tmp_path):
     """Width for height: the images do not fit, and say so when they are read."""
-    wrong = with_camera(walk[:2], lambda c: replace(c, width=c.height, height=c.width))
-    frame = wrong[0]
-    frame = replace(
-        frame,
-        images=replace(frame.images, cameras=replace(frame.images.cameras, camera=frame.camera)),
-    )
+    folder = shutil.copytree(walk.path, tmp_path / "walk")
+    camera = json.loads((folder / "camera.json").read_text())
+    camera["width"], camera["height"] = camera["height"], camera["width"]
+    (folder / "camera.json").write_text(json.dumps(camera))
     with pytest.raises(InputError, match=r"90 x 160"):
-        frame.rgb()
+        open_capture(folder)[0].rgb()
 
 
 @pytest.mark.parametrize(
