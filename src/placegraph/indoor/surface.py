@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.mesh import Mesh
 
+MANY = 100
+"""A texture of more charts than this is an atlas; in one of fewer, neighbours look alike."""
 BLEED = 0.1
 """Share of a texture's surface whose charts may be mixed with their neighbours."""
 
@@ -91,7 +93,7 @@ def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
     for k in np.flatnonzero(most > 0).tolist():
         own = np.flatnonzero((texture == k) & (side > 0))
         whole = (side[own] >= 0.5 * sizes[k].min()).any()  # one chart has it all
-        if own.size and not whole:
+        if own.size > MANY and not whole:
             order = own[np.argsort(side[own])]
             total = np.cumsum(area[order])
             least = side[order[np.searchsorted(total, BLEED * total[-1])]]
