@@ -268,3 +268,8 @@ def test_equal_rows_are_grouped(rows):
 def test_every_triangle_is_in_one_batch(objects):
     rows = np.concatenate(batches(np.array(objects, np.int64)))
     assert sorted(rows.tolist()) == list(range(len(objects)))
+
+
+def test_what_is_nothing_but_lines_stays_as_it_is():
+    points = np.array([[0, 0, 0], [1, 0, 0]])
+    assert len(simplify(plain(points, [[0, 1, 1], [0, 0, 1]]), error=0.01)) == 2

@@ -99,6 +99,8 @@ def simplify(
 def _fewer(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) -> Mesh:
     """Mesh after one round; `limits` as of `collapse`."""
     whole, kept = wedged(mesh)
+    if not len(kept):  # nothing but lines
+        return mesh
     lines = ~np.isin(mesh.object_of, mesh.object_of[kept])  # objects that are but a line stay one
     twins = len(mesh) - len(kept) - int(lines.sum())
     if twins:
