@@ -32,7 +32,7 @@ from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise, Pa
         (lambda: Likelihood(kind="laplace"), "kind"),
         (lambda: Likelihood(wrong=0.0), "wrong"),
         (lambda: Likelihood(wrong=1.0), "wrong"),
-        (lambda: Likelihood(sharpness=0.0), "sharpness"),
+        (lambda: Likelihood(sharpness=-1.0), "sharpness"),
         (lambda: Likelihood(object_patches=0.0), "object_patches"),
         (lambda: Likelihood(depth_floor=0.0), "depth_floor"),
         (lambda: Likelihood(sigma=-1.0), "sigma"),

@@ -62,6 +62,7 @@ def merge_scenes(
         scene_from_map=np.concatenate([m.scene_from_map for m in moved]),
         source=", ".join(scenes),
         encoded=_joined([m.encoded for m in moved]),
+        encoder=moved[0].encoder,
     )
     if out_path is not None:
         from placegraph.indoor.scene_file import columns
@@ -83,6 +84,11 @@ def _check(scenes: Mapping[str, SceneMap]) -> None:
     if len(widths) > 1:
         raise OptionError(
             f"embeddings: their lengths are {sorted(map(str, widths))}; embed all scenes alike."
+        )
+    encoders = {m.encoder for m in scenes.values()}
+    if len(encoders) > 1:
+        raise OptionError(
+            f"embeddings: they are of the encoders {', '.join(sorted(encoders))}; embed all scenes alike."
         )
 
 

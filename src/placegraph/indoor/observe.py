@@ -305,7 +305,7 @@ def _semantic(
         table = np.where(best, cosines + 1.0, 0.0)
         nowhere = 0.0
     else:
-        logits = cosines / likelihood.sharpness
+        logits = cosines / (likelihood.sharpness or patches.temperature)
         share = np.exp(logits - logits.max(axis=1, keepdims=True))
         share /= share.sum(axis=1, keepdims=True)
         table = (1.0 - likelihood.wrong) * share * count + likelihood.wrong

@@ -60,8 +60,9 @@ class Likelihood:
     kind: Literal["calibrated", "gaussian"] = "calibrated"
     wrong: float = 0.3
     """Share of patches taken to be labelled wrongly."""
-    sharpness: float = 0.05
-    """Temperature of the softmax that turns cosine similarities into probabilities."""
+    sharpness: float = 0.0
+    """Temperature of the softmax that turns cosine similarities into probabilities; 0: the
+    encoder's own."""
     object_patches: float = 40.0
     """An object seen in more patches than this speaks with the square root of the surplus only:
     its patches are right or wrong together."""
@@ -94,7 +95,7 @@ class Likelihood:
         if not 0 < self.wrong < 1:
             raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
         check_numbers(self)
-        check_positive(self, "sharpness", "object_patches", "depth_floor", "sigma", "depth_clip")
+        check_positive(self, "object_patches", "depth_floor", "sigma", "depth_clip")
 
 
 @dataclass(frozen=True, slots=True)

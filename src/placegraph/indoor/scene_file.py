@@ -45,6 +45,7 @@ def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "scene_from_map": scene.scene_from_map.tolist(),
         "grain": grain,
         "uv_grain": uv_grain,
+        "encoder": scene.encoder,
     }
     arrays: dict[str, NDArray[Any]] = {
         "ids": pack_strings(graph.ids),
@@ -87,6 +88,7 @@ def scene_map(file: MapFile) -> SceneMap:
             scene_from_map=np.array(file.meta["scene_from_map"], np.float64),
             source=str(file.meta["source"]),
             encoded=blobs,
+            encoder=str(file.meta.get("encoder", "")),
         )
     except (OptionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise MapError(

@@ -66,6 +66,8 @@ class SceneMap:
     """Name of the file the map was built from."""
     encoded: tuple[bytes, ...]
     """The mesh's textures as the map file holds them: PNG or JPEG."""
+    encoder: str = ""
+    """Key of the encoder that the graph's embeddings are of; empty: nobody said."""
 
     @classmethod
     def create(
@@ -251,14 +253,17 @@ class SceneMap:
     def _rows(self) -> dict[str, int]:
         return {id_: i for i, id_ in enumerate(self.graph.ids)}
 
-    def with_embeddings(self, embeddings: ArrayLike) -> SceneMap:
-        """Map whose objects carry these vectors (N, E), rounded to 8 bits as its file holds them."""
+    def with_embeddings(self, embeddings: ArrayLike, *, encoder: str = "") -> SceneMap:
+        """Map whose objects carry these vectors (N, E), rounded to 8 bits as its file holds them.
+
+        `encoder`: key of the encoder that they are of (`placegraph.indoor.encode.Encoder.key`).
+        """
         from placegraph.indoor.scene_file import from_8_bits, in_8_bits
 
         vectors = np.asarray(embeddings, np.float32)
         if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
             vectors = from_8_bits(*in_8_bits(vectors))
-        return replace(self, graph=replace(self.graph, embeddings=vectors))
+        return replace(self, graph=replace(self.graph, embeddings=vectors), encoder=encoder)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the map file (atomically, with checksums); raises as `placegraph.store` does."""

@@ -1,18 +1,96 @@
-"""Encoders say, patch by patch, which objects of the map an image may show (Sec. 3.1)."""
+"""Encoders turn patches of images and objects of maps into comparable vectors (Sec. 3.1).
+
+An `Encoder` knows no map: its vectors of patches and of objects are compared by cosine. `bound`
+ties one to a map; what comes out, a `MapEncoder`, says patch by patch which objects a frame may
+show, and that is what localizing reads. `encoder` makes the encoders that placegraph brings:
+
+``labels``
+    a segmentation's labels against the objects' (`labels.LabelsEncoder`);
+``appearance``
+    colour and texture of a patch against those of the surfaces (`appearance.AppearanceEncoder`);
+``compact``
+    a small network of our own (`compact.CompactEncoder`);
+``features``
+    features of any backbone of timm, pooled over images of the map (`features.FeaturesEncoder`);
+``scenegraphloc``
+    the network of SceneGraphLoc (`scenegraphloc.SceneGraphLocEncoder`).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
+
+import numpy as np
+
+from placegraph.errors import MapError, OptionError
 
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from placegraph.formats.capture import Capture
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Camera
+    from placegraph.indoor.scene_map import SceneMap
 
-__all__ = ["Encoder", "Patches"]
+__all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder"]
+
+TEMPERATURE = 0.05
+"""Cosine that counts one nat, of encoders whose vectors agree or do not."""
+
+_HOME = {
+    "labels": ("labels", "LabelsEncoder"),
+    "appearance": ("appearance", "AppearanceEncoder"),
+    "compact": ("compact", "CompactEncoder"),
+    "features": ("features", "FeaturesEncoder"),
+    "scenegraphloc": ("scenegraphloc", "SceneGraphLocEncoder"),
+}
+ENCODERS = tuple(_HOME)
+"""Names that `encoder` knows."""
+
+
+@runtime_checkable
+class Encoder(Protocol):
+    """Turns patches and objects into vectors of one space; knows no map."""
+
+    @property
+    def name(self) -> str:
+        """What it is called, such as ``labels``."""
+
+    @property
+    def key(self) -> str:
+        """Its name and what else decides its vectors: they compare only where keys are equal."""
+
+    @property
+    def dimension(self) -> int:
+        """Numbers of a vector, d."""
+
+    @property
+    def temperature(self) -> float:
+        """Cosine that counts one nat.
+
+        softmax(cosines / temperature) over the objects of a map is what a patch is believed to show.
+        """
+
+    def patches(self, image: Frame) -> NDArray[np.float32] | None:
+        """Vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
+
+        The grid is the encoder's own. None where the frame has nothing for this encoder.
+        Raises `InputError` where an image is broken.
+        """
+
+    def camera(self, image: Frame) -> Camera:
+        """Camera whose image the grid divides."""
+
+    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+        """Vectors (N, d) of a map's objects, unit or zero: nothing is known of it.
+
+        `captures`: images of the map itself, their odometry being map_from_camera. Raises
+        `OptionError` where the encoder needs some and there are none.
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,11 +109,93 @@ class Patches:
     """(rows * columns,) int32, row of `table` of each patch, row by row; -1: says nothing."""
     table: NDArray[np.float32]
     """(L, N) float32, cosine similarity in [-1, 1] of each row with each object."""
+    temperature: float = TEMPERATURE
+    """Cosine that counts one nat."""
 
 
 @runtime_checkable
-class Encoder(Protocol):
+class MapEncoder(Protocol):
     """Anything that encodes frames for one map."""
 
     def encode(self, frame: Frame) -> Patches | None:
         """Patches of a frame; None where it has nothing to encode."""
+
+
+def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the encoder named
+    """Encoder by name, one of `ENCODERS`; options are those of its class.
+
+    Raises
+    ------
+    OptionError
+        There is none of this name, or an option is wrong.
+    MissingExtraError
+        It needs what is not installed.
+
+    """
+    if name not in _HOME:
+        raise OptionError(f"encoder is {name!r}; it is one of {', '.join(ENCODERS)}.")
+    module, kind = _HOME[name]
+    made = getattr(import_module(f"{__name__}.{module}"), kind)
+    try:
+        return cast("Encoder", made(**options))
+    except TypeError as error:  # an option that the class does not have
+        raise OptionError(f"encoder {name!r}: {error}.") from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundEncoder:
+    """An encoder and its vectors of one map's objects."""
+
+    encoder: Encoder
+    vectors: NDArray[np.float32]
+    """(N, d) of the objects."""
+
+    def encode(self, frame: Frame) -> Patches | None:
+        """Cosines of a frame's patches with all objects; None where it has nothing to encode."""
+        image = self.encoder.patches(frame)
+        if image is None:
+            return None
+        flat = image.reshape(-1, image.shape[2])
+        telling = flat.any(axis=1)
+        # patches that say the very same, as those of one label do, are compared once
+        said, row = np.unique(flat[telling], axis=0, return_inverse=True)
+        rows = np.full(len(flat), -1, np.int32)
+        rows[telling] = row.ravel()
+        return Patches(
+            camera=self.encoder.camera(frame),
+            grid=image.shape[:2],
+            rows=rows,
+            table=said @ self.vectors.T,
+            temperature=self.encoder.temperature,
+        )
+
+
+def bound(encoder: Encoder, scene: SceneMap, captures: Sequence[Capture] = ()) -> MapEncoder:
+    """Encoder tied to a map: with the vectors that the map holds, or else made of the map itself.
+
+    Raises
+    ------
+    MapError
+        The map's vectors are another encoder's.
+    OptionError
+        The map has no vectors, and the encoder needs images to make them.
+
+    """
+    return BoundEncoder(encoder, vectors_of(encoder, scene, captures))
+
+
+def vectors_of(
+    encoder: Encoder, scene: SceneMap, captures: Sequence[Capture] = ()
+) -> NDArray[np.float32]:
+    """An encoder's vectors (N, d) of a map's objects; raises as `bound` does."""
+    if scene.graph.embeddings is not None and scene.encoder == encoder.key and not captures:
+        return scene.graph.embeddings
+    try:
+        return encoder.objects(scene, captures)
+    except OptionError as error:
+        if scene.graph.embeddings is None or captures:
+            raise
+        raise MapError(
+            f"{scene.source or 'The map'} holds vectors of the encoder {scene.encoder or '?'}, and "
+            f"the frames are encoded by {encoder.key}: encode both alike ({error})"
+        ) from error
