@@ -1,0 +1,28 @@
+"""timm, for the encoders that are networks; scenes are those of tests/indoor."""
+
+import importlib
+
+import pytest
+
+OPERATORS = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+
+
+@pytest.fixture(scope="session")
+def timm():
+    """Module timm; tests that ask for it are skipped where it or PyTorch is absent.
+
+    A torchvision built for another PyTorch brings no operators of its own, and then refuses to be
+    imported. No backbone uses them; declared, they let timm be imported.
+    """
+    torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[learn]'")
+    library = None
+    try:
+        importlib.import_module("torchvision")
+    except ImportError:
+        pytest.skip("needs torchvision, which timm does: pip install 'placegraph[learn]'")
+    except RuntimeError:  # operator torchvision::nms does not exist
+        library = torch.library.Library("torchvision", "DEF")
+        for name in ("nms", "qnms"):
+            library.define(name + OPERATORS)
+    yield pytest.importorskip("timm", reason="needs timm: pip install 'placegraph[learn]'")
+    del library  # what it declared lives as long as it does
