@@ -23,7 +23,7 @@ import typer
 
 from placegraph.evaluate.machine import machine
 from placegraph.evaluate.tables import markdown, number
-from placegraph.outdoor.vectors import EmbeddedStore
+from placegraph.vectors import EmbeddedStore
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

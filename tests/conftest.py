@@ -121,3 +121,43 @@ p picture:
 def study() -> Flat:
     """Drawing of one furnished room, for walks that the command line is asked about."""
     return Flat.parse(STUDY)
+
+
+@pytest.fixture(scope="session")
+def make_city(tmp_path_factory):
+    """City of a town drawn in ASCII; the same drawing is built once."""
+    from placegraph.outdoor.build import build_city
+    from placegraph.synthetic.towns import Town
+
+    known = {}
+
+    def make(town, **options):
+        town = Town.parse(town) if isinstance(town, str) else town
+        key = (town.rows, town.metres, town.center, str(town.legend), tuple(options.items()))
+        if key not in known:
+            folder = tmp_path_factory.mktemp("town")
+            osm = town.write_osm(folder / "town.osm")
+            known[key] = build_city(osm, folder / "town.city", **options)
+        return known[key]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def hafenstadt():
+    from placegraph.synthetic.towns import Town
+
+    return Town.load("hafenstadt")
+
+
+@pytest.fixture(scope="session")
+def harbour(make_city, hafenstadt):
+    """The shipped town as a city."""
+    return make_city(hafenstadt)
+
+
+@pytest.fixture(scope="session")
+def harbour_file(harbour, tmp_path_factory):
+    path = tmp_path_factory.mktemp("harbour") / "harbour.city"
+    harbour.save(path)
+    return path

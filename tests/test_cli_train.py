@@ -151,9 +151,9 @@ def test_locate_by_other_weights_and_matchers(run, city, weights):
 
 def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):
     from placegraph.maps import open_map
+    from placegraph.outdoor.embed import embed_city
     from placegraph.outdoor.learn.encoded import EncodedCity
     from placegraph.outdoor.learn.network import GraphTransformer
-    from placegraph.outdoor.vectors import embed_city
 
     network = GraphTransformer.open(weights)
     vectors = tmp_path / "town.vectors"

@@ -14,7 +14,6 @@ from placegraph.outdoor.description import Description, Mention, Relation, Sense
 from placegraph.outdoor.index import REACH
 from placegraph.outdoor.query import compile_query
 from placegraph.outdoor.search import TOGETHER
-from placegraph.synthetic.towns import Town
 
 PLANE = LocalPlane(10.0, 50.0)
 
@@ -68,41 +67,6 @@ def build_world(write_world, tmp_path):
         return build_city(write_world(*things), tmp_path / "world.city", **options)
 
     return build
-
-
-@pytest.fixture(scope="session")
-def make_city(tmp_path_factory):
-    """City of a town drawn in ASCII; the same drawing is built once."""
-    known = {}
-
-    def make(town, **options):
-        town = Town.parse(town) if isinstance(town, str) else town
-        key = (town.rows, town.metres, town.center, str(town.legend), tuple(options.items()))
-        if key not in known:
-            folder = tmp_path_factory.mktemp("town")
-            osm = town.write_osm(folder / "town.osm")
-            known[key] = build_city(osm, folder / "town.city", **options)
-        return known[key]
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def hafenstadt():
-    return Town.load("hafenstadt")
-
-
-@pytest.fixture(scope="session")
-def harbour(make_city, hafenstadt):
-    """The shipped town as a city."""
-    return make_city(hafenstadt)
-
-
-@pytest.fixture(scope="session")
-def harbour_file(harbour, tmp_path_factory):
-    path = tmp_path_factory.mktemp("harbour") / "harbour.city"
-    harbour.save(path)
-    return path
 
 
 @pytest.fixture(scope="session")

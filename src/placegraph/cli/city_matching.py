@@ -56,7 +56,7 @@ def matching(
     if store is None:
         yield arguments
         return
-    from placegraph.outdoor.vectors import open_store
+    from placegraph.vectors import open_store
 
     with open_store(store, origin=(encoded or city.encoded).origin) as opened:
         yield arguments | {"store": opened}

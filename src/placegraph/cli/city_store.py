@@ -49,8 +49,8 @@ def embed(
     from time import perf_counter
 
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.vectors import embed_city
-    from placegraph.outdoor.vectors.server import check_uri, shown
+    from placegraph.outdoor.embed import embed_city
+    from placegraph.vectors.server import check_uri, shown
 
     if (out is None) == (store is None):
         raise OptionError("Say where to: a file with --out, or a server with --store.")
@@ -101,7 +101,7 @@ def stores(
 
     Example: placegraph city stores http://localhost:19530
     """
-    from placegraph.outdoor.vectors import drop_store, list_stores
+    from placegraph.vectors import drop_store, list_stores
 
     if drop is not None:
         dropped = drop_store(uri, drop)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.names import NameIndex
     from placegraph.outdoor.retrieve import By, Matcher
     from placegraph.outdoor.track import CityTracker
-    from placegraph.outdoor.vectors import Region, VectorStore
+    from placegraph.vectors import Region, VectorStore
 
 KIND = "city"
 VERSION = 1

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.ask import Answer
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.learn.encoded import EncodedCity
-    from placegraph.outdoor.vectors import Region, VectorStore
+    from placegraph.vectors import Region, VectorStore
 
 MOST_SUPPORT = 4000
 """At most this many points of the posterior are kept in an estimate."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.description import Description
     from placegraph.outdoor.learn.encoded import EncodedCity
-    from placegraph.outdoor.vectors import Region, VectorStore
+    from placegraph.vectors import Region, VectorStore
 
 Matcher = Literal["fused", "relational", "transformer", "edit-distance", "embedding"]
 """fused: relational matching, shifted by the network; relational; the network alone (Eq. 14-17);
@@ -118,8 +118,8 @@ def check_sources(
     encoded: EncodedCity | None,
 ) -> None:
     """Raise `OptionError` or `StoreError` where these are none, or belong to another map or network."""
-    from placegraph.outdoor.vectors import Origin, Region
-    from placegraph.outdoor.vectors.embedded import refuse_other
+    from placegraph.vectors import Origin, Region
+    from placegraph.vectors.embedded import refuse_other
 
     if region is not None:
         if not isinstance(region, Region):
@@ -144,8 +144,8 @@ def check_sources(
 
 def _reads(encoded: object, city: CityMap) -> bool:
     """Whether it is this city, or the same one opened twice, as a network reads it."""
+    from placegraph.outdoor.embed import map_fingerprint
     from placegraph.outdoor.learn.encoded import EncodedCity
-    from placegraph.outdoor.vectors import map_fingerprint
 
     return isinstance(encoded, EncodedCity) and (
         encoded.city is city or encoded.origin.map == map_fingerprint(city)

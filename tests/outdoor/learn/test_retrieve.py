@@ -21,7 +21,7 @@ from placegraph.outdoor.retrieve import (
     within,
 )
 from placegraph.outdoor.search import Prior, search
-from placegraph.outdoor.vectors import Neighbours, Origin, Region
+from placegraph.vectors import Neighbours, Origin, Region
 
 BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
 

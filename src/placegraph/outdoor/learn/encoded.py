@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.learn.network import GraphTransformer, Matches
     from placegraph.outdoor.query import Query
-    from placegraph.outdoor.vectors import Origin, VectorStore
+    from placegraph.vectors import Origin, VectorStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +45,16 @@ class EncodedCity:
     @cached_property
     def origin(self) -> Origin:
         """What embeddings of this city by this network are told by from others."""
-        from placegraph.outdoor.vectors import Origin, map_fingerprint
+        from placegraph.outdoor.embed import map_fingerprint
+        from placegraph.vectors import Origin
 
         return Origin(map_fingerprint(self.city), self.network.fingerprint)
 
     @cached_property
     def store(self) -> VectorStore:
         """The embeddings, ready to be searched."""
-        from placegraph.outdoor.vectors import EmbeddedStore, cell_positions
+        from placegraph.outdoor.embed import cell_positions
+        from placegraph.vectors import EmbeddedStore
 
         cells, origin = self.city.cells, self.origin
         return EmbeddedStore.of(cells.points, self.embeddings, cell_positions(cells), origin=origin)

@@ -196,8 +196,8 @@ class School:
         ]
 
     def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
+        from placegraph.outdoor.embed import map_fingerprint
         from placegraph.outdoor.learn.torch_batches import Lessons
-        from placegraph.outdoor.vectors import map_fingerprint
 
         city, seed = self.cities[name], self.options.seed
         file = f"{file}-{seed}-{n}-{map_fingerprint(city)[:8]}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import IncompleteStoreError, ServiceError
-from placegraph.outdoor.vectors import (
+from placegraph.vectors import (
     EmbeddedStore,
     Origin,
     Region,
@@ -13,7 +13,7 @@ from placegraph.outdoor.vectors import (
     load_store,
     open_store,
 )
-from placegraph.outdoor.vectors import milvus as module
+from placegraph.vectors import milvus as module
 
 COUNT, DIMENSION = 2_500, 64
 

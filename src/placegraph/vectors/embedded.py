@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from placegraph.errors import MapError, OptionError, StoreError
-from placegraph.outdoor.vectors.content import (
+from placegraph.store import read_map, write_map
+from placegraph.vectors.content import (
     GRAIN,
     Neighbours,
     Origin,
@@ -19,9 +20,8 @@ from placegraph.outdoor.vectors.content import (
     Vectors,
     checked_queries,
 )
-from placegraph.outdoor.vectors.lists import Lists, make_lists
-from placegraph.outdoor.vectors.scan import search_all, search_lists
-from placegraph.store import read_map, write_map
+from placegraph.vectors.lists import Lists, make_lists
+from placegraph.vectors.scan import search_all, search_lists
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -44,7 +44,7 @@ _STEPS = 127
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EmbeddedStore:
-    """Vectors of a map's cells in memory, searched by compiled code (Eq. 12-13).
+    """Vectors in memory, of a city's cells or of scenes, searched by compiled code (Eq. 12-13).
 
     Made by `EmbeddedStore.of`, kept by `save`, opened by `open_store`.
     """
@@ -69,7 +69,7 @@ class EmbeddedStore:
         cls,
         ids: ArrayLike,
         vectors: ArrayLike,
-        positions: ArrayLike,
+        positions: ArrayLike | None = None,
         *,
         origin: Origin | None = None,
         bits: int = 16,
@@ -84,7 +84,7 @@ class EmbeddedStore:
         vectors
             (C, D) of any length but zero; their direction is kept.
         positions
-            (C, 2) longitude and latitude [deg].
+            (C, 2) longitude and latitude [deg]; None: what the rows stand for has none.
         origin
             What the vectors were made from.
         bits

@@ -8,8 +8,9 @@ from hypothesis.extra.numpy import arrays
 
 from placegraph.errors import OptionError
 from placegraph.maps import open_map
-from placegraph.outdoor.vectors import Origin, Region, Vectors, map_fingerprint
-from placegraph.outdoor.vectors.content import GRAIN, checked_queries, unit
+from placegraph.outdoor.embed import map_fingerprint
+from placegraph.vectors import Origin, Region, Vectors
+from placegraph.vectors.content import GRAIN, checked_queries, unit
 
 TWO = ([4, 2], [[3.0, 4.0], [0.0, 2.0]], [[7.4, 43.7], [-180.0, 90.0]])
 

@@ -12,15 +12,15 @@ from placegraph.errors import (
     ServiceError,
     StoreError,
 )
-from placegraph.outdoor.vectors import MilvusStore, Origin, Region, Vectors
-from placegraph.outdoor.vectors import milvus as module
-from placegraph.outdoor.vectors.milvus import (
+from placegraph.vectors import MilvusStore, Origin, Region, Vectors
+from placegraph.vectors import milvus as module
+from placegraph.vectors.milvus import (
     collection_name,
     drop_store,
     list_stores,
     load_milvus,
 )
-from placegraph.outdoor.vectors.server import Server, check_uri, shown
+from placegraph.vectors.server import Server, check_uri, shown
 
 HERE = Origin("a map", "a model")
 NAME = collection_name("town", HERE)
@@ -184,7 +184,7 @@ def test_a_restarted_server_is_given_time(fake, server, content):
 
 def test_but_not_for_ever(fake, server, content, monkeypatch):
     clock = iter(range(0, 10_000, 7))
-    monkeypatch.setattr("placegraph.outdoor.vectors.server.monotonic", lambda: next(clock))
+    monkeypatch.setattr("placegraph.vectors.server.monotonic", lambda: next(clock))
     fake.plan = {"flush": ["refused"] * 999}
     with pytest.raises(ServiceError, match="failed to flush: server unavailable for flush"):
         load(server, content)

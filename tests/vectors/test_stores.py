@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError, StoreError
+from placegraph.outdoor.embed import cell_positions, embed_city, map_fingerprint
 from placegraph.outdoor.learn.network import GraphTransformer
-from placegraph.outdoor.vectors import (
+from placegraph.vectors import (
     EmbeddedStore,
     MilvusStore,
     Origin,
-    cell_positions,
-    embed_city,
     load_store,
-    map_fingerprint,
     open_store,
 )
-from placegraph.outdoor.vectors.server import Server
-from placegraph.outdoor.vectors.stores import is_uri
+from placegraph.vectors.server import Server
+from placegraph.vectors.stores import is_uri
 
 URI = "http://fake:19530"
 

@@ -3,36 +3,19 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from placegraph.outdoor.vectors import milvus
-from placegraph.outdoor.vectors.content import Origin, Vectors, VectorStore, map_fingerprint
-from placegraph.outdoor.vectors.embedded import EmbeddedStore
-from placegraph.outdoor.vectors.server import SCHEMES, Server
+from placegraph.vectors import milvus
+from placegraph.vectors.content import Origin, Vectors, VectorStore
+from placegraph.vectors.embedded import EmbeddedStore
+from placegraph.vectors.server import SCHEMES, Server
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.outdoor.cells import Cells
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.learn.graphs import PlaceGraphs
+    from numpy.typing import ArrayLike
 
 Address = str | os.PathLike[str]
-
-
-class Model(Protocol):
-    """Whatever embeds; a store is of one model."""
-
-    @property
-    def fingerprint(self) -> str:
-        """Stands for its weights and all else that a vector depends on."""
-
-    def embed_places(self, places: PlaceGraphs, /) -> NDArray[np.float32]:
-        """Embeddings (K, D) of place graphs."""
 
 
 def is_uri(where: Address) -> bool:
@@ -133,56 +116,6 @@ def load_store(
         raise
 
 
-def embed_city(
-    city: CityMap,
-    where: Address,
-    *,
-    name: str,
-    model: Model | None = None,
-    embeddings: NDArray[np.float32] | None = None,
-    bits: int = 16,
-    resume: bool = False,
-    progress: Callable[[str, int, int], None] | None = None,
-    timeout: float = 10.0,
-) -> VectorStore:
-    """Embed the cells of a city and keep the vectors in a store; see `load_store`.
-
-    Parameters
-    ----------
-    city
-        The map.
-    where, name, bits, resume, progress, timeout
-        As for `load_store`.
-    model
-        What embeds; the model that ships with placegraph if not given.
-    embeddings
-        (C, D) rows as `city.cells.points`, where they have been made by `model` already.
-
-    """
-    if progress is not None:
-        progress("embedding", 0, len(city.cells))
-    if model is None:
-        from placegraph.outdoor.learn.network import GraphTransformer
-
-        model = GraphTransformer.default()
-    if embeddings is None:
-        from placegraph.outdoor.learn.graphs import PlaceGraphs
-
-        embeddings = model.embed_places(PlaceGraphs.of_cells(city))
-    return load_store(
-        where,
-        city.cells.points,
-        embeddings,
-        cell_positions(city.cells),
-        name=name,
-        origin=Origin(map_fingerprint(city), model.fingerprint),
-        bits=bits,
-        resume=resume,
-        progress=progress,
-        timeout=timeout,
-    )
-
-
 def list_stores(uri: str, *, timeout: float = 10.0) -> tuple[milvus.StoreInfo, ...]:
     """Stores of placegraph on a Milvus server, half loaded ones included."""
     server = Server.connect(uri, timeout)
@@ -199,10 +132,3 @@ def drop_store(uri: str, collection: str, *, timeout: float = 10.0) -> milvus.St
         return milvus.drop_store(server, collection)
     finally:
         server.close()
-
-
-def cell_positions(cells: Cells) -> NDArray[np.float64]:
-    """Centres (C, 2) of all cells, longitude and latitude [deg], rows as `cells.points`."""
-    row, column = np.divmod(cells.points, cells.grid.columns)
-    first = np.array([cells.grid.east, cells.grid.north])
-    return cells.plane.to_lonlat(first + cells.grid.stride * np.stack([column, row], 1))

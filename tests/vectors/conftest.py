@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from placegraph.errors import ServiceError
-from placegraph.outdoor.vectors import Vectors
-from placegraph.outdoor.vectors.server import Server
+from placegraph.vectors import Vectors
+from placegraph.vectors.server import Server
 
 
 def make_cloud(rng, count, dimension=8, box=(7.40, 43.72, 7.44, 43.76)):
@@ -179,7 +179,7 @@ def fake():
 @pytest.fixture
 def server(fake, monkeypatch):
     """A `Server` that talks to the fake, and never sleeps."""
-    monkeypatch.setattr("placegraph.outdoor.vectors.server.sleep", lambda _: None)
+    monkeypatch.setattr("placegraph.vectors.server.sleep", lambda _: None)
     return Server(fake, "http://root:secret@fake:19530")
 
 

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.store import pack_strings
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.outdoor.city import CityMap
 
 GRAIN = 1e-7
 """Positions are stored in these steps [deg], as OpenStreetMap does: 1 cm."""
@@ -99,7 +97,7 @@ class Origin:
     """What vectors were made from: they say nothing about another map, or to another model."""
 
     map: str = ""
-    """Fingerprint of the map, as by `map_fingerprint`; empty where it is not known."""
+    """Fingerprint of the map, as its maker tells maps apart; empty where it is not known."""
     model: str = ""
     """Fingerprint of the model that embeds; empty where it is not known."""
 
@@ -126,7 +124,7 @@ class Vectors:
     """(C, 2) longitude and latitude in steps of `GRAIN`."""
 
     @classmethod
-    def of(cls, ids: ArrayLike, vectors: ArrayLike, positions: ArrayLike) -> Self:
+    def of(cls, ids: ArrayLike, vectors: ArrayLike, positions: ArrayLike | None = None) -> Self:
         """Rows in any order, of any length; raises `OptionError` where they are none.
 
         Parameters
@@ -136,12 +134,12 @@ class Vectors:
         vectors
             (C, D), finite, none of them zero.
         positions
-            (C, 2) longitude and latitude [deg].
+            (C, 2) longitude and latitude [deg]; None: what the rows stand for has none.
 
         """
         names = np.asarray(ids)
-        places = np.asarray(positions, np.float64)
         rows = unit(vectors, "Vectors")
+        places = np.zeros((len(rows), 2)) if positions is None else np.asarray(positions, float)
         if names.dtype.kind not in "iu" or names.shape != (len(rows),) or not len(rows):
             raise OptionError(
                 f"{len(rows)} vectors have ids of {names.dtype} {names.shape}; give one integer a "
@@ -199,24 +197,3 @@ def checked_queries(queries: ArrayLike, n: int, dimension: int) -> NDArray[np.fl
             "one model."
         )
     return unit(found, "Queries")
-
-
-def map_fingerprint(city: CityMap) -> str:
-    """Fingerprint of a city's objects and cells; the same for a map built and the map opened."""
-    from placegraph.outdoor.city import GRAIN as METRES
-
-    o, cells = city.objects, city.cells
-    # Points as the map file has them, so that rounding does not make another map of it.
-    points = np.round(o.points / METRES).astype(np.int32)
-    columns = (
-        o.osm_type, o.osm_id, o.kind, o.label_starts, o.label_values, o.name_starts, o.name_values,
-        o.part_starts, o.point_starts, points, pack_strings(o.labels), pack_strings(o.names),
-        cells.points,
-        np.array([*cells.grid, cells.size, cells.edge_distance], np.float64),
-        np.array([city.plane.longitude, city.plane.latitude], np.float64),
-    )  # fmt: skip
-    digest = hashlib.sha256()
-    for column in columns:
-        digest.update(f"{column.dtype.str}{column.shape}".encode())
-        digest.update(np.ascontiguousarray(column).data)
-    return digest.hexdigest()[:32]

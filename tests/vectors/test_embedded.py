@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MapError, OptionError, StoreError
 from placegraph.maps import open_map
-from placegraph.outdoor.vectors import EmbeddedStore, Origin, Region, embedded
-from placegraph.outdoor.vectors.lists import make_lists
 from placegraph.store import read_map, write_map
+from placegraph.vectors import EmbeddedStore, Origin, Region, embedded
+from placegraph.vectors.lists import make_lists
 
 
 def search_is_exact(store, ids, vectors, queries, n, exact, inside=None, region=None):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from placegraph.errors import IncompleteStoreError, OptionError, StoreError
-from placegraph.outdoor.vectors.content import (
+from placegraph.vectors.content import (
     GRAIN,
     Neighbours,
     Origin,
@@ -24,7 +24,7 @@ from placegraph.outdoor.vectors.content import (
     Vectors,
     checked_queries,
 )
-from placegraph.outdoor.vectors.server import Server
+from placegraph.vectors.server import Server
 
 if TYPE_CHECKING:
     from collections.abc import Callable
