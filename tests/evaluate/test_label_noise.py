@@ -8,7 +8,7 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.evaluate.label_noise import NoisyEncoder, mislabel
 from placegraph.geometry import Camera
-from placegraph.indoor.encode import Encoder, Patches
+from placegraph.indoor.encode import MapEncoder, Patches
 
 CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)
 
@@ -52,7 +52,7 @@ def test_what_says_nothing_goes_on_saying_nothing(rng):
 def test_a_frame_errs_alike_whenever_it_is_encoded():
     clean = patches(np.arange(500) % 5)
     noisy = NoisyEncoder(Fixed(clean), seed=1, name="seq00")
-    assert isinstance(noisy, Encoder)
+    assert isinstance(noisy, MapEncoder)
     first = noisy.encode(frame(7)).rows
     other = noisy.encode(frame(8)).rows
     assert (noisy.encode(frame(7)).rows == first).all()

@@ -10,6 +10,8 @@ import pytest
 from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera, between, compose, split_pose
 from placegraph.indoor.build import scene_of_model
+from placegraph.indoor.encode import bound
+from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.evidence import Agreement, agreement, explain, look
 from placegraph.indoor.motion import level_poses
@@ -58,7 +60,9 @@ def rendered(scene, pose, kind, **change):
 def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
     options = replace(OPTIONS, likelihood=likelihood)
     options = options.only(**wanted or {"semantic": True, "depth": True})
-    encoder = LabelsEncoder(scene, kind, (6, 10))
+    grid = (6, 10)
+    labels = kind == "labels"
+    encoder = bound(LabelsEncoder(grid), scene) if labels else InstancesEncoder(scene, grid)
     around = scene.visibility(options).background
     seen = views([sight(frame, encoder, options)], 4.0, options, around)
     return agreement(Scorer(scene, options.likelihood), pose, seen, np.zeros((1, 4)))
@@ -164,7 +168,7 @@ def test_a_camera_that_sees_nothing_of_the_map(hall):
 @pytest.fixture(scope="module")
 def walked(room, walk, truth):
     """Scorer, true pose of the last frame, views of ten frames and steps to them."""
-    encoder = LabelsEncoder(room)
+    encoder = InstancesEncoder(room)
     around = room.visibility(OPTIONS).background
     seen = views([sight(f, encoder, OPTIONS) for f in walk], 10.0, OPTIONS, around)
     poses = level_poses(walk.odometry, walk.gravity)
@@ -205,7 +209,7 @@ def test_colours_are_told_per_sample_of_the_image(walked):
 def test_eq_2_can_be_explained_too(room, walk, truth):
     options = FilterOptions(likelihood=Likelihood(kind="gaussian"))
     around = room.visibility(options).background
-    seen = views([sight(walk[-1], LabelsEncoder(room), options)], 10.0, options, around)
+    seen = views([sight(walk[-1], InstancesEncoder(room), options)], 10.0, options, around)
     pose, _ = split_pose(truth(walk)[-1])
     got = agreement(Scorer(room, options.likelihood), pose, seen, np.zeros((1, 4)))
     assert got.semantic > 0.8

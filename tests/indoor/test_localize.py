@@ -21,7 +21,7 @@ from placegraph.geometry import (
 )
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.encode.labels import ClassesOfInstances
+from placegraph.indoor.encode.instances import ClassesOfInstances
 from placegraph.indoor.merge import merge_scenes
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
@@ -382,7 +382,7 @@ class Classes(ClassesOfInstances):
         classes = list(dict.fromkeys(words))
         self.table = np.full((len(classes), len(other)), -1.0, np.float32)
         self.table[[classes.index(word) for word in words], np.arange(len(other))] = 1.0
-        self._row_of = {
+        self.row_of = {
             id_: classes.index(label.casefold()) if label.casefold() in classes else -1
             for id_, label in zip(scene.graph.ids, scene.graph.labels, strict=True)
         }

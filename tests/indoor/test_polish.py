@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.geometry import between, compose, split_pose, wrap
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.motion import level_poses
 from placegraph.indoor.observe import sight, views
 from placegraph.indoor.options import FilterOptions
@@ -193,7 +193,7 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     """From 20 cm and 3 degrees off, by all cues together."""
     options = FilterOptions()
     around = room.visibility(options).background
-    seen = views([sight(f, LabelsEncoder(room), options) for f in walk], 10.0, options, around)
+    seen = views([sight(f, InstancesEncoder(room), options) for f in walk], 10.0, options, around)
     poses = level_poses(walk.odometry, walk.gravity)
     rig = Round(seen, between(poses[-1], poses), 5, 4, 60.0)
     true = split_pose(truth(walk)[-1])[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from placegraph.geometry import Camera, level_from_camera, rotation_z
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.evidence import look
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.observe import noise, sight, views
@@ -199,7 +199,7 @@ def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
     """Real views, at poses about where they were taken, where scores are high and sharp."""
     likelihood = Likelihood(kind="gaussian" if model.gaussian else "calibrated")
     options = FilterOptions(likelihood=likelihood)
-    encoder = LabelsEncoder(room, kind) if kind == "instances" else None
+    encoder = InstancesEncoder(room) if kind == "instances" else None
     frame = walk[4]
     around = room.visibility(options).background
     (view,) = views([sight(frame, encoder, options)], 10.0, options, around)

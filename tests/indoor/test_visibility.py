@@ -8,7 +8,6 @@ import pytest
 from placegraph.geometry import between, compose, level_from_camera, split_pose, wrap
 from placegraph.indoor import visibility
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.merge import merge_scenes
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.motion import level_poses
@@ -18,6 +17,7 @@ from placegraph.indoor.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST, STEP, ran
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.score import View
 from placegraph.indoor.search import SEEDS, table_seeds
+from placegraph.indoor.sequence import own_encoder
 from placegraph.indoor.surface import colour_at, opponent
 from placegraph.indoor.visibility import build_table, floor_under
 
@@ -409,11 +409,11 @@ CUES = [
 ]  # fmt: skip
 
 
-def sighted(scene, capture, truth, cues, kind="instances"):
+def sighted(scene, capture, truth, cues):
     """Views of a capture, its odometry and its true poses (T, 4)."""
     options = OPTIONS.only(**cues)
     around = scene.visibility(options).background
-    encoder = LabelsEncoder(scene, kind) if cues.get("semantic") else None
+    encoder = own_encoder(scene, capture[0]) if cues.get("semantic") else None
     seen = views([sight(f, encoder, options) for f in capture], 10.0, options, around)
     poses = level_poses(capture.odometry, capture.gravity)
     return seen, poses, split_pose(truth(capture))[0]

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 from placegraph.evaluate.indoor_metrics import Answer, measure
 from placegraph.evaluate.indoor_windows import HALVES
 from placegraph.evaluate.label_noise import NoisyEncoder
-from placegraph.indoor.encode.labels import ClassesOfInstances, LabelsEncoder
+from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.options import FilterOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from placegraph.evaluate.indoor_windows import Window
-    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.encode import MapEncoder
     from placegraph.indoor.scene_map import SceneMap
 
 Labels = Literal["instances", "classes", "none"]
@@ -164,11 +164,11 @@ def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
     ]
 
 
-def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> Encoder | None:
+def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> MapEncoder | None:
     """Encoder with the noise model; None without labels."""
     if job.labels == "none":
         return None
-    clean = LabelsEncoder(scene) if job.labels == "instances" else ClassesOfInstances(scene)
+    clean = InstancesEncoder(scene) if job.labels == "instances" else ClassesOfInstances(scene)
     return NoisyEncoder(clean, seed=seed, name=window.place)
 
 

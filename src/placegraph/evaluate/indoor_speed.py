@@ -22,7 +22,7 @@ from placegraph.evaluate.indoor_metrics import mean_particles
 from placegraph.evaluate.indoor_windows import true_poses
 from placegraph.formats.capture import open_capture
 from placegraph.geometry import level_from_camera, rotation_z, split_pose
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.observe import sight, views
 from placegraph.indoor.options import FilterOptions
@@ -134,7 +134,7 @@ def view_of(scene: SceneMap, folder: Path, stride: float, background: Background
     """The first frame of a sequence with labels, depth and colour."""
     frame = open_capture(folder)[0]
     options = FilterOptions()
-    sighting = sight(frame, LabelsEncoder(scene), options)
+    sighting = sight(frame, InstancesEncoder(scene), options)
     return views([sighting], stride, options, background)[0]
 
 

@@ -17,7 +17,7 @@ from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.formats.frame import Frame
-    from placegraph.indoor.encode import Encoder, Patches
+    from placegraph.indoor.encode import MapEncoder, Patches
 
 SHARE = 0.3
 
@@ -47,7 +47,7 @@ class NoisyEncoder:
     """
 
     def __init__(
-        self, encoder: Encoder, share: float = SHARE, *, seed: int = 0, name: str = ""
+        self, encoder: MapEncoder, share: float = SHARE, *, seed: int = 0, name: str = ""
     ) -> None:
         if not 0 <= share <= 1:
             raise OptionError(f"share is {share}; it must lie between 0 and 1.")

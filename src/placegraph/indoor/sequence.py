@@ -12,6 +12,8 @@ from placegraph.estimate import PassRecord, PoseEstimate
 from placegraph.geometry import between, compose
 from placegraph.indoor.clock import timed
 from placegraph.indoor.depth_unit import check_unit
+from placegraph.indoor.encode import bound
+from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.filter import ParticleFilter, run_pass
 from placegraph.indoor.motion import level_poses
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame
-    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.encode import MapEncoder
     from placegraph.indoor.observe import Sighting
     from placegraph.indoor.options import FilterOptions, Pass
     from placegraph.indoor.polish import Fit
@@ -47,9 +49,11 @@ _TRIES = 8  # poses tried around each seed
 _SCREENED = 10  # frames that screen the seeds
 
 
-def own_encoder(scene: SceneMap, frame: Frame) -> Encoder | None:
+def own_encoder(scene: SceneMap, frame: Frame) -> MapEncoder | None:
     """Encoder of the labels that a capture brings itself; None where it brings none."""
-    return LabelsEncoder(scene, frame.label_kind) if frame.label_kind else None
+    if frame.label_kind == "instances":
+        return InstancesEncoder(scene)
+    return bound(LabelsEncoder(), scene) if frame.label_kind else None
 
 
 @dataclass(eq=False)
@@ -70,7 +74,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         cls,
         scene: SceneMap,
         frames: Sequence[Frame],
-        encoder: Encoder | None,
+        encoder: MapEncoder | None,
         options: FilterOptions,
         scorer: Scorer,
     ) -> Sequence_:

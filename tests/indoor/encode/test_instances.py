@@ -1,4 +1,4 @@
-"""The encoder of captures that bring their own labels."""
+"""Encoders of captures whose labels are ids of the map's objects."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,9 @@ from placegraph.errors import OptionError
 from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.encode import Encoder, Patches
-from placegraph.indoor.encode.labels import GRID, ClassesOfInstances, LabelsEncoder
+from placegraph.indoor.encode import MapEncoder, Patches
+from placegraph.indoor.encode.grid import GRID
+from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.merge import merge_scenes
 
 CAMERA = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
@@ -45,8 +46,8 @@ def words_of(patches):
 
 def test_instances_are_single_objects(scene):
     image = blocks([[0, 1, 2, 3, -1, 7, 1, 1]] * 4)
-    encoder = LabelsEncoder(scene, "instances", (4, 8))
-    assert isinstance(encoder, Encoder)
+    encoder = InstancesEncoder(scene, (4, 8))
+    assert isinstance(encoder, MapEncoder)
     patches = encoder.encode(frame(image, camera=EIGHT))
     assert isinstance(patches, Patches)
     assert words_of(patches)[:8] == [{0}, {1}, {2}, {3}, None, None, {1}, {1}]
@@ -55,14 +56,6 @@ def test_instances_are_single_objects(scene):
     assert patches.rows.dtype == np.int32
     assert patches.table.dtype == np.float32
     assert set(np.unique(patches.table)) == {-1, 1}
-
-
-def test_labels_are_all_objects_of_that_label(scene):
-    names = {3: "chair", 4: "DESK", 5: "floor", 6: "elephant", 9: " chair"}
-    image = blocks([[3, 4, 5, 6, -1, 7, 9, 3]] * 4)
-    encoder = LabelsEncoder(scene, "labels", (4, 8))
-    got = words_of(encoder.encode(frame(image, "labels", names, EIGHT)))
-    assert got[:8] == [{1, 3}, {2}, {0}, None, None, None, {1, 3}, {1, 3}]
 
 
 def test_instances_read_as_labels(scene):
@@ -74,7 +67,7 @@ def test_instances_read_as_labels(scene):
 
 def test_the_majority_of_pixels_speaks(scene):
     image = np.full((40, 80), -1)
-    encoder = LabelsEncoder(scene, "instances", (1, 2))
+    encoder = InstancesEncoder(scene, (1, 2))
 
     def left(**share):
         """Column 0 of two patches of 1600 pixels: so many of each object."""
@@ -103,7 +96,7 @@ def test_any_image_has_the_encoders_grid(scene, shape, grid):
     image = np.zeros(shape, int)
     image[:, shape[1] // 2 :] = 2
     camera = CAMERA.resized(shape[1], shape[0])
-    patches = LabelsEncoder(scene, "instances", grid).encode(frame(image, camera=camera))
+    patches = InstancesEncoder(scene, grid).encode(frame(image, camera=camera))
     rows = patches.rows.reshape(grid)
     pixel_rows = {y * grid[0] // shape[0] for y in range(shape[0])}
     for y in range(grid[0]):
@@ -117,22 +110,17 @@ def test_any_image_has_the_encoders_grid(scene, shape, grid):
 def test_frames_without_such_labels(scene):
     image = blocks([[0] * 8] * 4)
     bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA)
-    assert LabelsEncoder(scene, "instances").encode(bare) is None
-    assert LabelsEncoder(scene, "labels").encode(bare) is None
+    assert InstancesEncoder(scene).encode(bare) is None
     # ids of labels are no ids of objects
     labelled = frame(image, "labels", {0: "chair"}, EIGHT)
-    assert LabelsEncoder(scene, "instances").encode(labelled) is None
+    assert InstancesEncoder(scene).encode(labelled) is None
 
 
 def test_numbers_in_a_merged_map_are_of_any_scene(scene):
     merged = merge_scenes({"attic": scene, "cellar": scene})
     image = blocks([[0, 1, 2, 3, -1, 9, 0, 0]] * 4)
-    got = words_of(LabelsEncoder(merged, "instances", (4, 8)).encode(frame(image, camera=EIGHT)))
+    got = words_of(InstancesEncoder(merged, (4, 8)).encode(frame(image, camera=EIGHT)))
     assert got[:6] == [{0, 4}, {1, 5}, {2, 6}, {3, 7}, None, None]
-    names = {0: "floor", 1: "chair", 2: "desk", 3: "chair"}
-    labelled = frame(image, "labels", names | {9: "cat"}, EIGHT)
-    got = words_of(LabelsEncoder(merged, "labels", (4, 8)).encode(labelled))
-    assert got[:4] == [{0, 4}, {1, 3, 5, 7}, {2, 6}, {1, 3, 5, 7}]
     got = words_of(ClassesOfInstances(merged, (4, 8)).encode(frame(image, camera=EIGHT)))
     assert got[:4] == [{0, 4}, {1, 3, 5, 7}, {2, 6}, {1, 3, 5, 7}]
 
@@ -146,16 +134,14 @@ def test_a_number_may_be_a_chair_here_and_a_desk_there(scene, boxes):
 
 
 def test_encoders_that_are_none(scene):
-    with pytest.raises(OptionError, match="'labels' or 'instances'"):
-        LabelsEncoder(scene, "panoptic")
     for grid in ((0, 4), (4, 0), (-1, 2)):
         with pytest.raises(OptionError, match="at least one row"):
-            LabelsEncoder(scene, "labels", grid)
+            InstancesEncoder(scene, grid)
 
 
 def test_the_rendered_walk_says_what_is_there(room, walk):
     """Nearly all patches of a rendered frame see an object that the map has."""
-    patches = LabelsEncoder(room, walk.label_kind).encode(walk[0])
+    patches = InstancesEncoder(room).encode(walk[0])
     assert patches.grid == GRID
     assert (patches.rows >= 0).mean() > 0.95
     assert len(np.unique(patches.rows)) > 3
