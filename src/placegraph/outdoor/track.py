@@ -17,7 +17,6 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Place, Status
-from placegraph.outdoor.describe.text import LONGEST_TEXT, check
 from placegraph.outdoor.description import Description
 from placegraph.outdoor.locate import MOST_SUPPORT, SPACING, read
 from placegraph.outdoor.posterior import modes, status_of
@@ -36,6 +35,7 @@ from placegraph.outdoor.track_grid import (
 from placegraph.outdoor.track_motion import Leg, ways
 from placegraph.outdoor.track_options import finite, positive, shares_near
 from placegraph.outdoor.track_stop import Memory, Stop, explained
+from placegraph.text.check import LONGEST_TEXT, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

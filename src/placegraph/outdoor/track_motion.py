@@ -12,14 +12,14 @@ from math import pi, radians
 from typing import TYPE_CHECKING
 
 from placegraph.outdoor.describe.lexicon import LOOSE_SIGMA, SHARP_SIGMA, english
-from placegraph.outdoor.describe.measures import MEASURE, metres
 from placegraph.outdoor.describe.words import scan
 from placegraph.outdoor.track_numbers import DURATION, in_digits, seconds
+from placegraph.text.measures import MEASURE, metres
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from placegraph.outdoor.describe.words import Word
+    from placegraph.text.words import Word
 
 LOOSE = 0.25
 """Deviation of a stated distance, as a share of it; "exactly" makes it less, blocks and times more."""

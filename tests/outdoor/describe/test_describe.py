@@ -10,8 +10,8 @@ from rapidfuzz import fuzz
 
 from placegraph.errors import DescriptionError
 from placegraph.outdoor.describe import describe, normalise, tokens
-from placegraph.outdoor.describe.measures import metres
 from placegraph.outdoor.describe.words import scan
+from placegraph.text.measures import metres
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from placegraph.errors import DescriptionError
 from placegraph.outdoor.describe import describe, normalise, tokens
-from placegraph.outdoor.describe.text import LONGEST_TEXT
 from placegraph.outdoor.description import LISTENER, Relation
+from placegraph.text.check import LONGEST_TEXT
 
 COMPASS = {
     "north": 0, "northeast": 45, "north-east": 45, "east": 90, "southeast": 135, "south": 180,

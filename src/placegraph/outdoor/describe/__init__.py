@@ -11,12 +11,12 @@ from placegraph.outdoor.describe.conflicts import conflicts
 from placegraph.outdoor.describe.labels import labels
 from placegraph.outdoor.describe.model import LanguageModelDescriber
 from placegraph.outdoor.describe.parse import parse
-from placegraph.outdoor.describe.text import check
 from placegraph.outdoor.describe.words import normalise, scan, tokens
 from placegraph.outdoor.description import Description, Ignored
+from placegraph.text.check import check
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.describe.nodes import Chunk
+    from placegraph.text.islands import Chunk
 
 __all__ = [
     "Describer",

@@ -6,15 +6,17 @@ import re
 from typing import TYPE_CHECKING, Protocol
 
 from placegraph.outdoor.describe.lexicon import english
-from placegraph.outdoor.describe.measures import COUNTS
-from placegraph.outdoor.describe.nodes import Chunk, Noun
-from placegraph.outdoor.describe.words import Word, fold, tokens
+from placegraph.outdoor.describe.nodes import Noun
+from placegraph.outdoor.describe.words import fold, tokens
 from placegraph.outdoor.description import Sense
+from placegraph.text.islands import Chunk
+from placegraph.text.measures import COUNTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.outdoor.describe.lexicon import Terminal
+    from placegraph.text.phrases import Terminal
+    from placegraph.text.words import Word
 
 NAMED_KIND = 0.5
 """Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""

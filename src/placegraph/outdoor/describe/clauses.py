@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from placegraph.outdoor.describe.nodes import Chunk
 from placegraph.outdoor.describe.settle import JOINTS, VERBS, settled
+from placegraph.text.islands import Chunk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

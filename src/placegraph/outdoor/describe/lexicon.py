@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from math import radians
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from placegraph.outdoor.describe.measures import COUNTS
+from placegraph.text.measures import COUNTS
+from placegraph.text.phrases import Phrases, Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
 CARDINAL_SIGMA, DIAGONAL_SIGMA, SHARP_SIGMA, LOOSE_SIGMA = 0.5, 0.4, 0.25, 0.6
 """How loosely people mean "north", "north-east", "directly north", "mostly north" [rad]."""
@@ -31,38 +31,26 @@ class Direction(NamedTuple):
 NORTH = Direction(0.0)
 
 
-class Terminal(NamedTuple):
-    """What a phrase stands for: a terminal of the grammar and what it carries."""
+class Lexicon(Phrases):
+    """The phrases of the grammar, and plain lists of words."""
 
-    type: str
-    value: Any = None
-
-
-@dataclass(frozen=True)
-class Lexicon:
-    """Phrases by their first word, longest first."""
-
-    phrases: dict[str, tuple[tuple[tuple[str, ...], tuple[Terminal, ...]], ...]]
-    lists: dict[str, frozenset[str]]
-    """Plain lists of words."""
+    def __init__(
+        self,
+        known: dict[tuple[str, ...], tuple[Terminal, ...]],
+        lists: dict[str, frozenset[str]],
+    ) -> None:
+        super().__init__(known)
+        self.lists = lists
 
     @cached_property
     def compass(self) -> dict[str, Direction]:
         """Directions of the compass by their names in one word."""
         return {
             word: terminals[0].value
-            for word, entries in self.phrases.items()
+            for word, entries in self.by_word.items()
             for phrase, terminals in entries
             if terminals[0].type == "DIR" and not terminals[0].value.facing and len(phrase) == 1
         }
-
-    def longest(self, words: Sequence[str], start: int) -> tuple[int, tuple[Terminal, ...]] | None:
-        """Number of words of the longest phrase that begins at `start`, and its terminals."""
-        for phrase, terminals in self.phrases.get(words[start], ()):
-            n = len(phrase)
-            if n == 1 or tuple(words[start : start + n]) == phrase:
-                return n, terminals
-        return None
 
 
 @lru_cache(maxsize=1)
@@ -76,10 +64,7 @@ def english() -> Lexicon:
             for phrase in phrases:
                 words = tuple(phrase.split())
                 known.setdefault(words, tuple(_terminals(section, key, words)))
-    first: dict[str, list[tuple[tuple[str, ...], tuple[Terminal, ...]]]] = {}
-    for words in sorted(known, key=len, reverse=True):
-        first.setdefault(words[0], []).append((words, known[words]))
-    return Lexicon({word: tuple(entries) for word, entries in first.items()}, lists)
+    return Lexicon(known, lists)
 
 
 def _terminals(section: str, key: str, words: tuple[str, ...]) -> Iterator[Terminal]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError, ServiceError
 from placegraph.outdoor.describe.answer import SCHEMA, Answer
-from placegraph.outdoor.describe.text import check
+from placegraph.text.check import check
 
 if TYPE_CHECKING:
     from placegraph.outdoor.describe.chunk import NameFinder, Words

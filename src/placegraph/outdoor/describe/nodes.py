@@ -3,26 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from placegraph.outdoor.describe.lexicon import NORTH, Direction
 
 if TYPE_CHECKING:
     from placegraph.outdoor.description import Sense
-
-
-@dataclass(slots=True)
-class Chunk:
-    """A terminal of the grammar: a phrase of the text and what it stands for."""
-
-    type: str
-    start: int
-    end: int
-    """Characters of the text."""
-    words: str = ""
-    """Lower-case."""
-    value: Any = None
-    capital: bool = False
 
 
 @dataclass(slots=True)

@@ -6,44 +6,29 @@ from functools import lru_cache, partialmethod
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from lark import Lark, Token, Transformer
-from lark.exceptions import UnexpectedToken
-from lark.lexer import Lexer
+from lark import Transformer
 
-from placegraph.outdoor.describe.nodes import Chunk, Clause, Noun, Place, Thing
+from placegraph.outdoor.describe.nodes import Clause, Noun, Place, Thing
+from placegraph.text.islands import Chunk, Islands
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lark.parsers.lalr_interactive_parser import InteractiveParser
-
 Item = Thing | Place
-_END = Token("$END", "")
 _OWNERS = ("MY", "YOUR", "ITS")
 _DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", *_OWNERS)
 _SKIPPED = ("WORD", "JUNK", "AND", "TO", "NOT")
 """Chunks that may be left out where the grammar expects something else."""
-_BACK = 4
-"""How many chunks are given up at most to make sense of those before them."""
-
-
-class _Chunks(Lexer):
-    """The chunks are the tokens: nothing to lex."""
-
-    def __init__(self, _conf: object) -> None: ...
-
-    def lex(self, data: list[Chunk]) -> Iterator[Chunk]:  # type: ignore[override]
-        yield from data
 
 
 @lru_cache(maxsize=1)
-def _grammar() -> Lark:
+def _grammar() -> Islands[Clause]:
     text = files(__package__).joinpath("outdoor.lark").read_text("utf-8")
-    return Lark(text, start="clause", parser="lalr", lexer=_Chunks, transformer=_Build())
+    return Islands(text, "clause", _Build(), Clause, _SKIPPED)
 
 
 def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
-    """Parse the chunks of one clause by islands (LALR, Eq. 3 of the paper).
+    """Parse the chunks of one clause by islands (Eq. 3 of the paper).
 
     Yields
     ------
@@ -51,62 +36,13 @@ def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
         What could be parsed, in order, and the chunks that had to be left out of it. Where nothing
         could be parsed, an empty clause.
     """
-    rest = chunks
-    while rest:
-        clause, left_out, used = _island(rest)
-        if clause is not None and used:
-            kept = [chunk for chunk in rest[:used] if chunk not in left_out]
+    for clause, used, left_out in _grammar().parse(chunks):
+        if clause is None:
+            yield Clause("", start=used[0].start, end=used[-1].end), left_out
+        else:
+            kept = [chunk for chunk in used if chunk not in left_out]
             clause.start, clause.end = kept[0].start, kept[-1].end
             yield clause, left_out
-        else:
-            yield Clause("", start=rest[0].start, end=rest[used - 1].end), rest[:used]
-        rest = rest[used:]
-
-
-def _island(chunks: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
-    """Longest clause from the first chunk on, chunks left out of it, and how many it took."""
-    parser = _grammar().parse_interactive([])
-    left_out: list[Chunk] = []
-    for i, chunk in enumerate(chunks):
-        try:
-            parser.feed_token(chunk)  # type: ignore[arg-type]
-        except UnexpectedToken:
-            if chunk.type in _SKIPPED:
-                left_out.append(chunk)
-                continue
-            clause = _finish(parser)
-            if clause is not None and i:
-                return clause, left_out, i
-            return _shorter(chunks[: i + 1], left_out)
-    clause = _finish(parser)
-    if clause is not None:
-        return clause, left_out, len(chunks)
-    return _shorter(chunks, left_out)
-
-
-def _shorter(chunks: list[Chunk], left_out: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
-    """Parse a beginning of the chunks that cannot be parsed whole."""
-    kept = [chunk for chunk in chunks if chunk not in left_out]
-    for n in range(len(kept) - 1, max(0, len(kept) - 1 - _BACK), -1):
-        parser = _grammar().parse_interactive([])
-        try:
-            for chunk in kept[:n]:
-                parser.feed_token(chunk)  # type: ignore[arg-type]
-        except UnexpectedToken:
-            continue
-        clause = _finish(parser)
-        if clause is not None:
-            used = chunks.index(kept[n])
-            return clause, [chunk for chunk in left_out if chunk in chunks[:used]], used
-    return None, left_out, len(chunks)
-
-
-def _finish(parser: InteractiveParser) -> Clause | None:
-    try:
-        clause = parser.feed_token(_END)
-    except UnexpectedToken:
-        return None
-    return clause if isinstance(clause, Clause) else None
 
 
 class _Build(Transformer[Any, Any]):

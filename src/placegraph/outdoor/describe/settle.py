@@ -12,7 +12,7 @@ from placegraph.outdoor.describe.lexicon import LOOSE_SIGMA, SHARP_SIGMA, Direct
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from placegraph.outdoor.describe.nodes import Chunk
+    from placegraph.text.islands import Chunk
 
 VERBS = frozenset(
     ("BE", "EXISTS", "SEE", "HAVE", "MEET", "GO", "PASS", "CROSS", "FOLLOW", "REACH", "TOOFAR")

@@ -11,8 +11,10 @@ LONGEST_TEXT = 20_000
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\x80-\x84\x86-\x9f\ud800-\udfff]")
 
 
-def check(text: str) -> None:
+def check(text: str, example: str = "A bakery is north of me.") -> None:
     """Refuse what is no readable text.
+
+    `example`: what a description is like, for the message to somebody who gave none.
 
     Raises
     ------
@@ -30,7 +32,7 @@ def check(text: str) -> None:
         )
     if not text.strip():
         raise DescriptionError(
-            'The description is empty; say what stands around you, as in "A bakery is north of me."'
+            f'The description is empty; say what stands around you, as in "{example}"'
         )
     control = _CONTROL.search(text)
     if control is not None:
