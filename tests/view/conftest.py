@@ -5,8 +5,9 @@ import pytest
 
 from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.outdoor.build import build_city
-from placegraph.outdoor.description import Description, Ignored, Mention, Relation, Sense, Statement
+from placegraph.outdoor.description import Description, Mention, Relation, Sense, Statement
 from placegraph.synthetic.towns import Town
+from placegraph.text.check import Ignored
 
 TOWN = """
 [town]

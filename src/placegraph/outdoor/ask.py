@@ -18,13 +18,13 @@ from placegraph.outdoor.description import (
     LISTENER,
     SPEAKER,
     Description,
-    Ignored,
     Mention,
     Relation,
     Sense,
     Statement,
 )
 from placegraph.outdoor.index import STRIDE
+from placegraph.text.check import Ignored
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

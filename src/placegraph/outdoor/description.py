@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from placegraph.text.check import Ignored
 
 SPEAKER = 0
 """Node of whoever speaks: the place that is sought."""
@@ -87,14 +90,6 @@ class Statement:
     """Said of a walk or of the town, not of what is in sight ("head north", "past the park")."""
     text: str = ""
     """The words it was read from."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ignored:
-    """A stretch of the text that was not used, and why."""
-
-    text: str
-    reason: str
 
 
 @dataclass(frozen=True)

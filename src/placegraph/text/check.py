@@ -1,14 +1,23 @@
-"""What can be read as a description at all."""
+"""What can be read as a description at all, and what was left unread."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 from placegraph.errors import DescriptionError
 
 LONGEST_TEXT = 20_000
 """Characters."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\x80-\x84\x86-\x9f\ud800-\udfff]")
+
+
+@dataclass(frozen=True, slots=True)
+class Ignored:
+    """A stretch of the text that was not used, and why."""
+
+    text: str
+    reason: str
 
 
 def check(text: str, example: str = "A bakery is north of me.") -> None:

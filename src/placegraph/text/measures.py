@@ -8,6 +8,7 @@ _UNITS = {
     name: metres
     for names, metres in {
         "m meter meters metre metres": 1.0,
+        "cm centimeter centimeters centimetre centimetres": 0.01,
         "km kilometer kilometers kilometre kilometres": 1000.0,
         "ft foot feet": 0.3048,
         "yd yds yard yards": 0.9144,
@@ -36,7 +37,7 @@ _NUMBER = r"""(?:
   | (?:a\s+)?(?:couple(?:\s+of)?|few|hundred|quarter(?:\s+of\s+an?)?) | several | an?(?:\s+single)?
 )"""
 _UNIT = r"""(?:
-    m | met(?:er|re)s? | km | kilomet(?:er|re)s? | ft | feet | foot | yds? | yards? | miles? | mi
+    m | met(?:er|re)s? | cm | centimet(?:er|re)s? | km | kilomet(?:er|re)s? | ft | feet | foot | yds? | yards? | miles? | mi
   | (?:city\s+|long\s+|short\s+|more\s+)?blocks? | paces?
   | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
 )"""

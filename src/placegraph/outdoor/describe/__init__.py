@@ -12,8 +12,8 @@ from placegraph.outdoor.describe.labels import labels
 from placegraph.outdoor.describe.model import LanguageModelDescriber
 from placegraph.outdoor.describe.parse import parse
 from placegraph.outdoor.describe.words import normalise, scan, tokens
-from placegraph.outdoor.description import Description, Ignored
-from placegraph.text.check import check
+from placegraph.outdoor.description import Description
+from placegraph.text.check import Ignored, check
 
 if TYPE_CHECKING:
     from placegraph.text.islands import Chunk

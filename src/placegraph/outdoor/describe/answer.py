@@ -11,11 +11,11 @@ from placegraph.outdoor.description import (
     LISTENER,
     SPEAKER,
     Description,
-    Ignored,
     Mention,
     Relation,
     Statement,
 )
+from placegraph.text.check import Ignored
 
 if TYPE_CHECKING:
     from placegraph.outdoor.describe.chunk import Words

@@ -10,7 +10,8 @@ from placegraph.outdoor.describe.nodes import Place, Thing
 from placegraph.outdoor.describe.refer import Referents
 from placegraph.outdoor.describe.relate import Relator
 from placegraph.outdoor.describe.statements import LEGS, NO_MAP, ROUTE, UNKNOWN, Said
-from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
+from placegraph.outdoor.description import LISTENER, SPEAKER, Relation
+from placegraph.text.check import Ignored
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

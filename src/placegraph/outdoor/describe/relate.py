@@ -20,7 +20,8 @@ from placegraph.outdoor.describe.statements import (
     Said,
     Statements,
 )
-from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation
+from placegraph.outdoor.description import LISTENER, SPEAKER, Relation
+from placegraph.text.check import Ignored
 
 if TYPE_CHECKING:
     from placegraph.outdoor.describe.nodes import Place

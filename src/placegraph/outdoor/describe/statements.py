@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.description import LISTENER, SPEAKER, Ignored, Relation, Statement
+from placegraph.outdoor.description import LISTENER, SPEAKER, Relation, Statement
 
 if TYPE_CHECKING:
     from placegraph.outdoor.describe.lexicon import Direction
     from placegraph.outdoor.describe.nodes import Thing
     from placegraph.outdoor.describe.refer import Referents
+    from placegraph.text.check import Ignored
 
 BLOCK = 100.0
 """Metres in a block."""

@@ -11,6 +11,7 @@ from placegraph.text import words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
 _SPELLINGS = {
     other: one
     for one, others in {
