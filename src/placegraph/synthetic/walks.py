@@ -138,9 +138,9 @@ def _hold(
     yaw = heading + 0.45 * sway(7.0) + 0.1 * sway(2.3)
     down = 0.12 + tilt * (sway(4.1) + 0.4 * sway(1.3))
     roll = 0.4 * tilt * (sway(3.7) + sway(1.1))
-    gravity = np.stack([np.sin(roll), np.cos(roll) * np.cos(down), np.cos(roll) * np.sin(down)], -1)
+    felt = np.stack([np.sin(roll), np.cos(roll) * np.cos(down), np.cos(roll) * np.sin(down)], -1)
     poses = np.stack([x, y, height + 0.02 * sway(0.9), yaw], axis=-1)
-    return Walk(stamps, pose_matrix(poses, level_from_camera(gravity)))
+    return Walk(stamps, pose_matrix(poses, level_from_camera(felt)))
 
 
 # ------------------------------------------------------------------------------------- captures
@@ -213,8 +213,8 @@ def write_walk(
     light, sensor, motion = rng.spawn(3)
     stage = Stage(interior, light, daylight=daylight)
     numbers = _numbers(interior, labels)
-    exposures = np.exp(0.25 * _wander(len(walk), sensor))
-    for i, (pose, exposure) in enumerate(zip(walk.map_from_camera, exposures, strict=True)):
+    factors = exposures(len(walk), sensor)
+    for i, (pose, exposure) in enumerate(zip(walk.map_from_camera, factors, strict=True)):
         picture = develop(stage.radiance(camera, pose), float(exposure), sensor)
         Image.fromarray(picture).save(folder / f"rgb/{i:06d}.jpg", quality=92)
         shot = stage.shot(half, pose)
@@ -250,14 +250,23 @@ def _numbers(interior: Interior, labels: str | None) -> NDArray[np.int64]:
     return numbers
 
 
-def _wander(n: int, rng: np.random.Generator) -> Floats:
-    """Slow random walk (n,) about 0, of about unit deviation: automatic exposure at work."""
+def exposures(n: int, rng: np.random.Generator) -> Floats:
+    """Factors (n,) about 1 that wander slowly: automatic exposure at work."""
     steps = rng.standard_normal(n) * 0.4
     level = np.empty(n)
     level[0] = rng.standard_normal()
     for i in range(1, n):
         level[i] = 0.92 * level[i - 1] + steps[i]
-    return level
+    found: Floats = np.exp(0.25 * level)
+    return found
+
+
+def gravity(map_from_camera: Floats, rng: np.random.Generator) -> Floats:
+    """Unit directions of gravity (T, 3) in the camera's axes, as a sensor feels them: to 0.1 deg."""
+    down = -map_from_camera[:, 2, :3]
+    down = down + 0.1 * np.pi / 180.0 * rng.standard_normal(down.shape)
+    felt: Floats = down / np.linalg.norm(down, axis=1, keepdims=True)
+    return felt
 
 
 def _write_texts(
@@ -277,9 +286,7 @@ def _write_texts(
     (folder / "camera.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     write_tum(folder / "odometry.tum", walk.stamps, drifted(walk.map_from_camera, rng))
     write_tum(folder / "trajectory.tum", walk.stamps, walk.map_from_camera)
-    gravity = -walk.map_from_camera[:, 2, :3]
-    gravity = gravity + 0.1 * np.pi / 180.0 * rng.standard_normal(gravity.shape)
-    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
-    rows = zip(walk.stamps.tolist(), gravity.tolist(), strict=True)
+    felt = gravity(walk.map_from_camera, rng)
+    rows = zip(walk.stamps.tolist(), felt.tolist(), strict=True)
     lines = (f"{stamp:.4f} {x:.6f} {y:.6f} {z:.6f}" for stamp, (x, y, z) in rows)
     (folder / "gravity.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")

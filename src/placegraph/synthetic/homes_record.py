@@ -1,0 +1,203 @@
+"""Captures of walks through homes, in memory; their images are rendered when they are asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.formats.capture import Capture
+from placegraph.formats.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.synthetic.flat_render import Stage
+from placegraph.synthetic.flat_sensors import develop, measured
+from placegraph.synthetic.walks import drifted, exposures, gravity, stroll
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.frame import LabelKind
+    from placegraph.synthetic.flats import Flat
+    from placegraph.synthetic.interior import Interior
+    from placegraph.synthetic.walks import Walk
+
+CAMERA = Camera(160, 120, 130.0, 130.0, 80.0, 60.0)
+"""63 degrees wide."""
+EYE = 1.4
+"""What ends below this does not hide who walks through it from a camera in the hand [m]."""
+CLEAR = 0.2
+"""Distance of a camera from tall things [m]."""
+_TRIES = 40
+
+
+def record(
+    interior: Interior,
+    walk: Walk,
+    rng: np.random.Generator,
+    *,
+    camera: Camera = CAMERA,
+    daylight: float = 0.5,
+    depth: bool = False,
+    labels: LabelKind | None = "labels",
+    words: Mapping[str, str] | None = None,
+) -> Capture:
+    """Capture of a walk, with the light, exposure, noise and drift of `write_walk`, in memory.
+
+    Images are rendered when a frame is first asked for them; the answer does not depend on which
+    were asked for before. Depth and labels have half the camera's size.
+
+    Parameters
+    ----------
+    interior
+        The home as it is now.
+    walk
+        Poses of the camera, of which the capture holds drifting odometry alone.
+    rng
+        Draws light, noise and drift.
+    camera
+        Of the colour images.
+    daylight
+        From 0, evening with lamps on, to 1, day with lamps off.
+    depth
+        Whether frames have depth.
+    labels
+        Label images hold labels, ids of things, or are none.
+    words
+        What the labels are called in the capture, where it is not as in the interior: people who
+        label maps have other words than networks that label images.
+
+    Raises
+    ------
+    OptionError
+        `labels` is none of its values.
+
+    """
+    if labels not in {"labels", "instances", None}:
+        raise OptionError(f"labels is {labels!r}; it is 'labels', 'instances' or None.")
+    light, sensor, motion = rng.spawn(3)
+    said = {t.label: (words or {}).get(t.label, t.label) for t in interior.things}
+    names = sorted(set(said.values()))
+    value = np.full(max(t.id for t in interior.things) + 2, -1, np.int32)  # the last is nothing
+    for thing in interior.things:
+        value[thing.id] = names.index(said[thing.label]) if labels == "labels" else thing.id
+    half = camera.resized(camera.width // 2, camera.height // 2)
+    shared = _Set(interior, light, daylight, camera, half, value if labels else None)
+    odometry = drifted(walk.map_from_camera, motion)
+    down = gravity(walk.map_from_camera, motion)
+    factors = exposures(len(walk), sensor)
+    frames = [
+        Frame(
+            index=i,
+            stamp=float(walk.stamps[i]),
+            odometry=odometry[i],
+            gravity=down[i],
+            camera=camera,
+            depth_camera=half if depth else None,
+            label_camera=half if labels else None,
+            label_kind=labels,
+            label_names=dict(enumerate(names)) if labels == "labels" else {},
+            images=_Rendered(
+                shared, walk.map_from_camera[i], float(factors[i]), noise, depth=depth
+            ),
+        )
+        for i, noise in enumerate(sensor.spawn(len(walk)))
+    ]
+    return Capture.from_frames(frames)
+
+
+def visit(
+    flat: Flat, interior: Interior, rng: np.random.Generator, *, frames: int = 25, **how: float
+) -> Walk:
+    """Stroll through a flat as it is now: in which no tall thing was moved into the way.
+
+    `how`: options of `stroll`. Raises `OptionError` where no way is clear.
+    """
+    tall = [t.bounds for t in interior.things if t.glow == 0.0 and _tall(t.bounds)]
+    for _ in range(_TRIES):
+        walk = stroll(flat, rng, frames=frames, **how)  # type: ignore[arg-type]
+        at = walk.map_from_camera[:, :2, 3]
+        if all(
+            ((at < low[:2] - CLEAR) | (at > high[:2] + CLEAR)).any(axis=1).all()
+            for low, high in tall
+        ):
+            return walk
+    raise OptionError(f"{flat.source}: every way is blocked; move less of the furniture.")
+
+
+def _tall(bounds: NDArray[np.float64]) -> bool:
+    """Whether a thing stands on the floor and ends above a camera, and is none of the walls."""
+    low, high = bounds
+    return bool(low[2] < 0.5 and high[2] > EYE and (high - low)[:2].min() > CLEAR)
+
+
+class _Set:
+    """What all frames of a capture share; the stage is lit when the first image is wanted."""
+
+    def __init__(
+        self,
+        interior: Interior,
+        light: np.random.Generator,
+        daylight: float,
+        camera: Camera,
+        half: Camera,
+        value: NDArray[np.int32] | None,
+    ) -> None:
+        self.camera, self.half, self.value = camera, half, value
+        self._interior, self._light, self._daylight = interior, light, daylight
+
+    @cached_property
+    def stage(self) -> Stage:
+        return Stage(self._interior, self._light, daylight=self._daylight)
+
+
+class _Rendered:
+    """Images of one frame."""
+
+    def __init__(
+        self,
+        shared: _Set,
+        map_from_camera: NDArray[np.float64],
+        exposure: float,
+        rng: np.random.Generator,
+        *,
+        depth: bool,
+    ) -> None:
+        self._shared, self._pose, self._exposure = shared, map_from_camera, exposure
+        self._colour_noise, self._depth_noise = rng.spawn(2)
+        self._has_depth = depth
+
+    def rgb(self) -> NDArray[np.uint8]:
+        """As `Frame.rgb`."""
+        return self._rgb
+
+    def depth(self) -> NDArray[np.float32] | None:
+        """As `Frame.depth`."""
+        return self._depth if self._has_depth else None
+
+    def labels(self) -> NDArray[np.int32] | None:
+        """As `Frame.labels`."""
+        return self._labels
+
+    @cached_property
+    def _rgb(self) -> NDArray[np.uint8]:
+        shared = self._shared
+        radiance = shared.stage.radiance(shared.camera, self._pose)
+        return develop(radiance, self._exposure, self._colour_noise)
+
+    @cached_property
+    def _depth(self) -> NDArray[np.float32]:
+        shot = self._shared.stage.shot(self._shared.half, self._pose)
+        millimetres = measured(shot, self._depth_noise)
+        return np.where(millimetres > 0, millimetres / np.float32(1000.0), np.nan).astype("f4")
+
+    @cached_property
+    def _labels(self) -> NDArray[np.int32] | None:
+        if self._shared.value is None:
+            return None
+        shot = self._shared.stage.shot(self._shared.half, self._pose)
+        values: NDArray[np.int32] = self._shared.value[shot.ids]
+        return values
