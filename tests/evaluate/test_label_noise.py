@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.evaluate.label_noise import NoisyEncoder, mislabel
+from placegraph.evaluate.label_noise import NoisyEncoder, NoisyLabels, mislabel
+from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.indoor.encode import MapEncoder, Patches
+from placegraph.indoor.encode import Encoder, MapEncoder, Patches
+from placegraph.indoor.encode.labels import LabelsEncoder
 
 CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)
 
@@ -68,3 +70,74 @@ def test_no_labels_are_no_labels():
     assert NoisyEncoder(Fixed(None)).encode(frame(0)) is None
     with pytest.raises(OptionError, match="share"):
         NoisyEncoder(Fixed(None), 1.2)
+
+
+# -------------------------------------------------------------------- encoders that know no map
+
+NAMES = {0: "chair", 1: "desk", 2: "floor", 3: "elephant", 4: "unknown"}
+VOCABULARY = ("chair", "desk", "floor", "sofa", "couch", "unknown")
+
+
+def labelled(value, index=0):
+    """A frame that shows one label in all its 4096 pixels, each a patch."""
+    return Frame.from_arrays(
+        np.zeros((64, 64, 3), np.uint8), Camera(64, 64, 50.0, 50.0, 32.0, 32.0),
+        labels=np.full((64, 64), value), label_names=NAMES, index=index,
+    )  # fmt: skip
+
+
+def said(noisy, value, index=0):
+    """How often each word of the vocabulary and the label itself is said, as shares."""
+    got = noisy.patches(labelled(value, index)).reshape(-1, noisy.dimension)
+    words = [*VOCABULARY[:4], NAMES[value]]
+    return {w: float((got @ noisy.encoder.vector(w) > 0.999).mean()) for w in words}
+
+
+@pytest.mark.parametrize("value", [0, 1, 2])
+def test_labels_err_to_all_others_of_the_vocabulary_equally_often(value):
+    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 0.3, seed=3)
+    assert isinstance(noisy, Encoder)
+    got = said(noisy, value)
+    assert got.pop(NAMES[value]) == pytest.approx(0.7, abs=0.03)
+    # four labels: a sofa is a couch, and what is unknown is no label
+    assert list(got.values()) == pytest.approx([0.1] * 3, abs=0.02)
+
+
+def test_labels_that_the_vocabulary_lacks_err_too():
+    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 0.4)
+    got = said(noisy, 3)
+    assert got.pop("elephant") == pytest.approx(0.6, abs=0.03)
+    assert list(got.values()) == pytest.approx([0.1] * 4, abs=0.02)
+
+
+def test_labels_that_say_nothing_go_on_saying_nothing():
+    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 1.0)
+    assert not noisy.patches(labelled(4)).any()
+    assert not noisy.patches(labelled(-1)).any()
+    bare = Frame.from_arrays(np.zeros((8, 8, 3), np.uint8), Camera(8, 8, 5.0, 5.0, 4.0, 4.0))
+    assert noisy.patches(bare) is None
+
+
+def test_labels_err_alike_whenever_they_are_encoded():
+    clean = LabelsEncoder((64, 64))
+    noisy = NoisyLabels(clean, VOCABULARY, seed=1, name="seq00")
+    first = noisy.patches(labelled(0, 7))
+    assert (noisy.patches(labelled(0, 7)) == first).all()
+    for other, index in ((noisy, 8), (NoisyLabels(clean, VOCABULARY, seed=1, name="x"), 7)):
+        assert (other.patches(labelled(0, index)) != first).any()
+
+
+def test_objects_are_told_without_noise():
+    room = SimpleNamespace(graph=SimpleNamespace(labels=("chair", "desk")))
+    clean = LabelsEncoder()
+    noisy = NoisyLabels(clean, room.graph.labels, 1.0)
+    assert (noisy.objects(room) == clean.objects(room)).all()
+    assert (noisy.key, noisy.temperature) == (clean.key, clean.temperature)
+
+
+def test_noise_needs_labels_to_choose_from():
+    for vocabulary in ([], ["chair"], ["sofa", "couch"], ["chair", "unknown"]):
+        with pytest.raises(OptionError, match="two labels"):
+            NoisyLabels(LabelsEncoder(), vocabulary)
+    with pytest.raises(OptionError, match="share"):
+        NoisyLabels(LabelsEncoder(), VOCABULARY, -0.1)

@@ -1,0 +1,226 @@
+"""What a segmentation says of what is there: tables of labels taken for each other."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.camera import read_json
+from placegraph.indoor.encode.word_tree import spelled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.formats.capture import Capture
+    from placegraph.formats.frame import Frame
+    from placegraph.indoor.scene_map import SceneMap
+
+STEP = 8
+"""Pixels between those whose labels are compared with the map."""
+SMOOTHING = 20.0
+"""Pixels of a label that count as much as how often labels are said at all."""
+_LEAST = 0.02  # truths less likely than this are none
+
+
+@dataclass(frozen=True, eq=False)
+class Confusion:
+    """P(said | true) of labels.
+
+    Raises
+    ------
+    OptionError
+        The matrix is not (L, L) of numbers from 0 on, or a name stands there twice.
+
+    """
+
+    names: tuple[str, ...]
+    """L labels."""
+    matrix: NDArray[np.float64]
+    """(L, L) P(said | true), a row for each true label; counts become shares of their row. A row of
+    zeros: this label is said, but never true."""
+    _row_of: dict[str, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        names, matrix = tuple(self.names), np.array(self.matrix, np.float64)
+        count = len(names)
+        if not count or matrix.shape != (count, count):
+            raise OptionError(f"matrix: shape {matrix.shape}; {(count, count)} numbers belong.")
+        if not (np.isfinite(matrix).all() and matrix.min() >= 0):
+            raise OptionError("matrix: shares or counts are numbers, not below 0.")
+        row_of = {spelled(name): i for i, name in enumerate(names)}
+        if len(row_of) < count:
+            twice = next(n for i, n in enumerate(names) if row_of[spelled(n)] != i)
+            raise OptionError(f"names: {twice!r} stands there twice; name each label once.")
+        total = matrix.sum(axis=1, keepdims=True)
+        matrix /= np.where(total > 0, total, 1.0)
+        matrix.flags.writeable = False
+        object.__setattr__(self, "names", names)
+        object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "_row_of", row_of)
+
+    def truly(self, said: str) -> dict[str, float]:
+        """Probability of each label that a said one may truly be; empty: nothing is known of it.
+
+        Every label that may be true is taken to be equally frequent.
+        """
+        column = self._row_of.get(spelled(said))
+        if column is None:
+            return {}
+        share = self.matrix[:, column]
+        share = np.where(share >= _LEAST * share.sum(), share, 0.0)
+        if not share.sum() > 0:
+            return {}
+        share = share / share.sum()
+        return {self.names[i]: float(share[i]) for i in np.flatnonzero(share)}
+
+    @classmethod
+    def open(cls, path: str | PathLike[str]) -> Confusion:
+        """Read what `save` writes: .json `{"names": [...], "matrix": [[...]]}`, or else .csv.
+
+        The first line of a CSV names the labels said, after an empty cell; every other line is a
+        true label, and the shares or counts of what was said of it. Raises `InputError` where the
+        file is missing or not so.
+        """
+        path = Path(path)
+        names, matrix = _from_json(path) if path.suffix == ".json" else _from_csv(path)
+        try:
+            return cls(names, np.asarray(matrix))
+        except OptionError as error:
+            raise InputError(f"{path}: {error}") from error
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write .json, or else .csv; raises `InputError` where that is not possible."""
+        path = Path(path)
+        rows = self.matrix.round(6).tolist()
+        if path.suffix == ".json":
+            text = json.dumps({"names": self.names, "matrix": rows}, indent=1) + "\n"
+        else:
+            lines = io.StringIO()
+            writer = csv.writer(lines, lineterminator="\n")
+            writer.writerow(["", *self.names])
+            writer.writerows([name, *row] for name, row in zip(self.names, rows, strict=True))
+            text = lines.getvalue()
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{path} cannot be written: {error.strerror}.") from error
+
+    @classmethod
+    def estimate(
+        cls,
+        scene: SceneMap,
+        captures: Sequence[Capture],
+        *,
+        step: int = STEP,
+        smoothing: float = SMOOTHING,
+    ) -> Confusion:
+        """What label images say of a map's objects, by rays from where the images were taken.
+
+        Parameters
+        ----------
+        scene
+            The map; its objects' labels are true.
+        captures
+            With label images of labels; their odometry is map_from_camera.
+        step
+            Pixels between those that are compared.
+        smoothing
+            Pixels of every true label that are taken to be said as labels are said at all.
+
+        Raises
+        ------
+        OptionError
+            The captures have no label images of labels, or none of them shows the map.
+        InputError
+            An image is broken.
+
+        """
+        if step < 1 or not (np.isfinite(smoothing) and smoothing >= 0):
+            raise OptionError("step is 1 or more, smoothing a number that is not below 0.")
+        pairs: dict[tuple[str, str], float] = {}
+        for capture in captures:
+            for frame in capture:
+                for pair, count in _compared(scene, frame, step).items():
+                    pairs[pair] = pairs.get(pair, 0.0) + count
+        if not pairs:
+            raise OptionError(
+                "captures: no label image of labels shows the map; give labelled frames whose "
+                "odometry is map_from_camera."
+            )
+        names = {spelled(name): name for pair in pairs for name in reversed(pair)}
+        row = {word: i for i, word in enumerate(names)}
+        counts = np.zeros((len(row), len(row)))
+        for (true, said), count in pairs.items():
+            counts[row[spelled(true)], row[spelled(said)]] += count
+        often = counts.sum(axis=0) / counts.sum()
+        counts[counts.any(axis=1)] += smoothing * often
+        return cls(tuple(names.values()), counts)
+
+
+def _compared(scene: SceneMap, frame: Frame, step: int) -> dict[tuple[str, str], float]:
+    """How often pixels of what is truly one label are said to be another, in one frame."""
+    ids = frame.labels() if frame.label_kind == "labels" else None
+    if ids is None:
+        return {}
+    v, u = np.mgrid[step // 2 : ids.shape[0] : step, step // 2 : ids.shape[1] : step]
+    said = ids[v, u].ravel()
+    camera = frame.label_camera or frame.camera
+    rays = camera.directions(np.stack([u.ravel(), v.ravel()], axis=1) + 0.5)
+    pose = frame.odometry
+    directions = rays @ pose[:3, :3].T
+    hits = scene.caster.cast(np.broadcast_to(pose[:3, 3], directions.shape), directions)
+    seen = (hits.triangle >= 0) & np.isin(said, list(frame.label_names))
+    true = scene.mesh.object_of[hits.triangle[seen]]
+    found, counts = np.unique(np.stack([true, said[seen]]), axis=1, return_counts=True)
+    total: dict[tuple[str, str], float] = {}
+    for object_, id_, count in zip(*found.tolist(), counts.tolist(), strict=True):
+        pair = scene.graph.labels[object_], frame.label_names[id_]
+        if all(map(spelled, pair)):
+            total[pair] = total.get(pair, 0) + count
+    return total
+
+
+def _from_json(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
+    content = read_json(path)
+    names, matrix = (
+        (content.get("names"), content.get("matrix")) if isinstance(content, dict) else (None, None)
+    )
+    texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not texts or not isinstance(matrix, list):
+        raise InputError(f'{path} must be a JSON object {{"names": [...], "matrix": [[...]]}}.')
+    return tuple(names or ()), _numbers(path, matrix)
+
+
+def _from_csv(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
+    try:
+        rows = [row for row in csv.reader(path.read_text(encoding="utf-8-sig").splitlines()) if row]
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist; name a .csv or .json file.") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} cannot be read as CSV ({error}).") from error
+    names = tuple(name.strip() for name in rows[0][1:]) if rows else ()
+    true = [row[0].strip() for row in rows[1:]]
+    if not names or sorted(true) != sorted(names):
+        raise InputError(
+            f"{path}: the first line must name the labels said, and each other line begin with one "
+            f"of the same labels, as true."
+        )
+    order = [true.index(name) for name in names]
+    return names, _numbers(path, [rows[1 + i][1:] for i in order])
+
+
+def _numbers(path: Path, rows: list[Any]) -> NDArray[np.float64]:
+    try:
+        return np.array(rows, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: the matrix must be lines of as many numbers each.") from error
