@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from placegraph.synthetic.interior import Interior
     from placegraph.synthetic.walks import Walk
 
-CAMERA = Camera(160, 120, 130.0, 130.0, 80.0, 60.0)
-"""63 degrees wide."""
+CAMERA = Camera(160, 120, 115.0, 115.0, 80.0, 60.0)
+"""70 degrees wide."""
 EYE = 1.4
 """What ends below this does not hide who walks through it from a camera in the hand [m]."""
 CLEAR = 0.2
