@@ -4,3 +4,7 @@ Numerically equal to the published one and able to read its checkpoints; trained
 other image features, by `placegraph scene train`. SPEC in comments is the description in
 `../shared/conformance/scenegraphloc`, by section.
 """
+
+from placegraph.indoor.encode.scenegraphloc.encoder import SceneGraphLocEncoder
+
+__all__ = ["SceneGraphLocEncoder"]

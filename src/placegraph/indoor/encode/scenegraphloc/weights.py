@@ -6,6 +6,7 @@ Nothing in a file is run: snapshots are read as tensors and plain values only.
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,35 +62,35 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     return Weights(network, notes, digest_of(network))
 
 
-def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors by key and notes of a file; raises as `read_weights` does."""
+def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; {_MEND}.") from error
+        raise InputError(f"{path}: {error.strerror or error}; {mend}.") from error
     if path.suffix == ".safetensors":
-        return _safetensors(path, data)
-    found = read_snapshot(path)
+        return _safetensors(path, data, mend)
+    found = read_snapshot(path, mend)
     state = found.get("model", found)
     if not isinstance(state, dict) or not state:
-        raise InputError(f"{path}: `model` holds no weights by name; {_MEND}.")
+        raise InputError(f"{path}: `model` holds no weights by name; {mend}.")
     for key, value in state.items():
         if not isinstance(key, str) or not isinstance(value, Tensor):
-            raise InputError(f"{path}: {str(key)[:60]!r} is no tensor; {_MEND}.")
+            raise InputError(f"{path}: {str(key)[:60]!r} is no tensor; {mend}.")
     return dict(state), {}
 
 
-def read_snapshot(path: Path) -> dict[str, Any]:
+def read_snapshot(path: Path, mend: str = _MEND) -> dict[str, Any]:
     """The dict of a snapshot; `InputError` where the file is cut short or anything else."""
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch.load raises whatever its parsers do
         why = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise InputError(
-            f"{path}: cut short or no checkpoint ({why[:100]}); copy it again, or {_MEND}."
+            f"{path}: cut short or no checkpoint ({why[:100]}); copy it again, or {mend}."
         ) from error
     if not isinstance(found, dict):
-        raise InputError(f"{path}: holds a {type(found).__name__}, not a dict; {_MEND}.")
+        raise InputError(f"{path}: holds a {type(found).__name__}, not a dict; {mend}.")
     return found
 
 
@@ -147,15 +148,13 @@ def write_weights(
     write_file(path, [save(state, dict(notes))])
 
 
-def _safetensors(path: Path, data: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
-    import json
-
+def _safetensors(path: Path, data: bytes, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
         state = load(data)
         head = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
     except (SafetensorError, ValueError) as error:
         raise InputError(
-            f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {_MEND}."
+            f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {mend}."
         ) from error
     return state, {str(k): str(v) for k, v in head.get("__metadata__", {}).items()}
 
