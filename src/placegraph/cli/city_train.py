@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from pathlib import Path  # noqa: TC003  # typer reads annotations
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,9 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.outdoor.learn.weights import Weights
-
-INTERRUPTED = 130
-"""Exit code of shells for what Ctrl-C ended."""
 
 
 def register(app: typer.Typer) -> None:
@@ -64,7 +59,8 @@ def train(
     """
     from time import perf_counter
 
-    from placegraph.cli.city_train_shown import Shown, draw, progress_bars
+    from placegraph.cli.city_train_shown import Shown, draw
+    from placegraph.cli.training_shown import INTERRUPTED, go_on, progress_bars
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.learn.train import TrainOptions
     from placegraph.outdoor.learn.train import train as learn
@@ -98,7 +94,7 @@ def train(
             )
         except KeyboardInterrupt:
             bars.stop()
-            typer.echo(_go_on(work), err=True)
+            typer.echo(go_on(work), err=True)
             raise typer.Exit(INTERRUPTED) from None
     curves = draw(work)
     seconds = perf_counter() - start
@@ -130,12 +126,3 @@ def _facts(weights: Weights, out: Path, curves: Path, seconds: float) -> dict[st
         "picture": str(curves),
         "seconds": round(seconds, 1),
     }
-
-
-def _go_on(work: Path) -> str:
-    from placegraph.outdoor.learn.curves import rows_of
-
-    done = len(rows_of(work))
-    kept = f"{done} epochs are kept" if done != 1 else "1 epoch is kept"
-    command = shlex.join(["placegraph", *sys.argv[1:]])
-    return f"Interrupted; {kept} in {work}. The same command goes on from there:\n  {command}"

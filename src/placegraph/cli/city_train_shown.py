@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
-import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-from placegraph.outdoor.learn.curves import rows_of
+from placegraph.cli.training_shown import say_epoch
 from placegraph.outdoor.learn.train import Progress as Told
+from placegraph.training import rows_of
 from placegraph.view.curves import draw_curves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from rich.progress import Progress
+
     from placegraph.outdoor.learn.train import TrainOptions
-
-
-def progress_bars(*, hidden: bool) -> Progress:
-    """Bars on stderr; never there for a file or a pipe."""
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[losses]}"),
-        console=console, transient=True, disable=hidden or not console.is_terminal,
-        redirect_stdout=sys.stdout.isatty(),
-    )  # fmt: skip
 
 
 class Shown(Told):
@@ -65,15 +52,8 @@ class Shown(Told):
         draw(self.work)
         if not self.table:
             return
-        if not self.told:
-            typer.echo("  ".join(f"{name:>10}" for name in row))
+        say_epoch(row, first=not self.told)
         self.told += 1
-        typer.echo("  ".join(_cell(name, value) for name, value in row.items()))
-
-
-def _cell(name: str, value: float) -> str:
-    width = max(10, len(name))
-    return f"{value:>{width}.0f}" if name == "epoch" else f"{value:>{width}.3f}"
 
 
 def draw(work: Path) -> Path:

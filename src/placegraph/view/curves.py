@@ -1,4 +1,4 @@
-"""Curves of a training: losses on the left, recall on the right, epochs along both."""
+"""Curves of a training: losses on the left, what it is good for on the right, epochs along both."""
 
 from __future__ import annotations
 
@@ -20,22 +20,30 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
 
 WIDTH, HEIGHT = 1180, 460
-LOSSES = ("match", "similarity", "embedding", "fusion")
+LOSSES = ("match", "similarity", "embedding", "fusion", "loss", "check")
+"""Series that are losses."""
+RECALL = "recall@1 within 50 m, tiles held out"
 COLORS = {
     "match": "mode", "similarity": "transit", "embedding": "leisure", "fusion": "amber",
     "relational": "soft-ink", "network": "transit", "dense": "leisure", "fused": "mode",
+    "loss": "mode", "check": "transit", "patch": "transit", "later": "leisure", "room": "mode",
 }  # fmt: skip
 """Of the palette, by series."""
 
 
-def draw_curves(rows: Sequence[Mapping[str, float]], path: str | PathLike[str]) -> Path:
-    """Draw figures of epochs (``epoch``, losses, recalls by name) as a PNG; returns its path."""
+def draw_curves(
+    rows: Sequence[Mapping[str, float]], path: str | PathLike[str], *, good_for: str = RECALL
+) -> Path:
+    """Draw figures of epochs (``epoch``, losses, others by name) as a PNG; returns its path.
+
+    `good_for`: what stands over the panel of the others.
+    """
     sheet = Sheet(WIDTH, HEIGHT)
     names = list(dict.fromkeys(name for row in rows for name in row if name != "epoch"))
     losses = [_series(rows, name) for name in names if name in LOSSES]
     recall = [_series(rows, name) for name in names if name not in LOSSES]
     _Panel(sheet, (70.0, 64.0), "loss", losses).draw()
-    _Panel(sheet, (650.0, 64.0), "recall@1 within 50 m, tiles held out", recall).draw()
+    _Panel(sheet, (650.0, 64.0), good_for, recall).draw()
     if not rows:
         sheet.text((WIDTH / 2, HEIGHT / 2), "no epoch has ended yet", 15, "soft-ink", anchor="m")
     return sheet.save(str(path))

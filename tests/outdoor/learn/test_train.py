@@ -133,7 +133,7 @@ def test_the_loss_falls(learn, tmp_path):
 def test_a_folder_of_another_training_is_refused(learn, trained, tmp_path):
     _, folder, _ = trained
     for other in (replace(OPTIONS, rate=1.0), replace(OPTIONS, shape=Shape(width=12))):
-        with pytest.raises(OptionError, match="holds a training with other cities or options"):
+        with pytest.raises(OptionError, match="holds a training with other maps or options"):
             learn(folder, other)
     (tmp_path / "plan.json").write_text("{", "utf-8")
     with pytest.raises(InputError, match="no folder to train in"):

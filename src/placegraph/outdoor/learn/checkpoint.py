@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from placegraph.errors import InputError, OptionError
+from placegraph.errors import InputError
 from placegraph.outdoor.learn.graphs import TextGraphs
 from placegraph.outdoor.learn.pool import Fits, Pool
 from placegraph.store import pack_strings, read_map, write_map
+from placegraph.training import planned
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,19 +29,7 @@ class Folder:
 
     def __init__(self, path: str | PathLike[str], plan: Mapping[str, Any]) -> None:
         self.path = Path(path)
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            if not (self.path / "plan.json").exists():
-                (self.path / "plan.json").write_text(json.dumps(plan, indent=1), encoding="utf-8")
-            known = json.loads((self.path / "plan.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: no folder to train in ({error}); name another.") from error
-        self.plan: dict[str, Any] = known
-        if known != json.loads(json.dumps(plan)):
-            raise OptionError(
-                f"{path} holds a training with other cities or options; name another folder, or "
-                "delete it to begin anew."
-            )
+        self.plan = planned(path, plan)
 
     def write_state(
         self, epoch: int, model: torch.nn.Module, optimizer: torch.optim.Optimizer

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import MissingExtraError, OptionError
-from placegraph.outdoor.learn.curves import add_row, rows_of
+from placegraph.errors import OptionError
 from placegraph.outdoor.learn.pool import fill
 from placegraph.outdoor.learn.sample import Speaker
 from placegraph.outdoor.learn.shape import Shape
 from placegraph.outdoor.learn.weights import Weights, trained, write_weights
+from placegraph.training import add_row, device_named, rows_of, torch_or_what_installs_it
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -103,13 +103,13 @@ def train(
     """
     options, progress = options or TrainOptions(), progress or Progress()
     _check(cities, options)
-    torch = _torch()
+    torch = torch_or_what_installs_it()
     from placegraph.outdoor.learn.checkpoint import Folder, PoolFolder, plan_of
     from placegraph.outdoor.learn.recalls import best_prior, judge, recalls
     from placegraph.outdoor.learn.trainer import Trainer
     from placegraph.outdoor.vocabulary import Vocabulary as Shipped
 
-    device = _device(device, cuda=torch.cuda.is_available())
+    device = device_named(device, cuda=torch.cuda.is_available())
     kept = Folder(folder, plan_of({n: len(c.objects) for n, c in cities.items()}, options))
     trainer = Trainer(options, device, progress)
     begun = kept.read_state(trainer.module, trainer.optimizer)
@@ -149,26 +149,6 @@ def _check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
     known = ("match", "similarity", "embedding", "fusion")
     if not set(options.losses) <= set(known) or not options.losses:
         raise OptionError(f"losses are {options.losses}; choose among {', '.join(known)}.")
-
-
-def _device(device: str, *, cuda: bool) -> str:
-    if device == "auto":
-        return "cuda" if cuda else "cpu"
-    if device == "cuda" and not cuda:
-        raise OptionError("PyTorch finds no CUDA device here; choose cpu or auto.")
-    if device not in ("cpu", "cuda"):
-        raise OptionError(f"device is {device!r}; choose cpu, cuda or auto.")
-    return device
-
-
-def _torch() -> Any:  # noqa: ANN401  # the module itself, which may not be there
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingExtraError(
-            "PyTorch is not installed; `pip install 'placegraph[learn]'` brings it."
-        ) from error
-    return torch
 
 
 @dataclass(frozen=True, eq=False)

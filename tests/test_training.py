@@ -1,6 +1,6 @@
 """The file of a training's figures."""
 
-from placegraph.outdoor.learn.curves import add_row, rows_of
+from placegraph.training import add_row, rows_of
 
 
 def test_rows_come_back_and_one_cut_short_is_passed_over(tmp_path):
