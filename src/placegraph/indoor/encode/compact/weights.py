@@ -1,0 +1,118 @@
+"""Weights files: what `train` writes and the network reads; 16-bit numbers, checksummed, no pickle."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError, MapError
+from placegraph.indoor.encode.compact.shape import Shape
+from placegraph.store import read_map, write_map
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+KIND = "compact-encoder"
+VERSION = 1
+_MEND = "train weights by scripts/train_compact.py, or use those that come with placegraph."
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """A trained network."""
+
+    shape: Shape
+    arrays: dict[str, NDArray[np.float32]]
+    """By the names of `Shape.arrays`."""
+    temperature: float
+    """Cosine that counts one nat, calibrated on homes and maps that training did not see."""
+    training: dict[str, Any]
+    """How it was trained."""
+
+    def check(self) -> None:
+        """Raise `ValueError` where a weight is of another shape or no number."""
+        for name, size in self.shape.arrays().items():
+            if self.arrays[name].shape != size or not np.isfinite(self.arrays[name]).all():
+                raise ValueError(f"{name} is no {size} of finite numbers")
+        if not 0.0 < self.temperature < 10.0:
+            raise ValueError(f"temperature is {self.temperature}")
+
+    @property
+    def fingerprint(self) -> str:
+        """Of shape and weights: twelve hexadecimal digits."""
+        digest = hashlib.sha256(repr(self.shape).encode())
+        for name in sorted(self.arrays):
+            digest.update(name.encode() + _stored(self.arrays[name]).tobytes())
+        return digest.hexdigest()[:12]
+
+
+def write_weights(path: str | PathLike[str], weights: Weights) -> None:
+    """Write a weights file, atomically; raises `MapError` where it cannot be written."""
+    meta = {
+        "shape": weights.shape.to_dict(),
+        "temperature": weights.temperature,
+        "training": weights.training,
+    }
+    write_map(path, KIND, VERSION, meta, {n: _stored(a) for n, a in weights.arrays.items()})
+
+
+def read_weights(path: str | PathLike[str]) -> Weights:
+    """Read a weights file.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    MapError
+        It is damaged, cut short, no weights file, of a newer version, or its arrays do not fit.
+
+    """
+    try:
+        file = read_map(path, KIND, VERSION)
+    except InputError as error:
+        raise InputError(f"{path}: no weights file can be read there; {_MEND}") from error
+    except MapError as error:
+        why = str(error).removeprefix(f"{path} ").partition("; ")[0].partition(". ")[0]
+        raise MapError(f"{path}, as a weights file, {why}; {_MEND}") from error
+    try:
+        shape = Shape.from_dict(file.meta["shape"])
+        arrays = {
+            name: file.array(name, "<f2", len(size)).astype(np.float32)
+            for name, size in shape.arrays().items()
+        }
+        weights = Weights(
+            shape, arrays, float(file.meta["temperature"]), dict(file.meta["training"])
+        )
+        weights.check()
+    except (MapError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise MapError(f"{path}: its weights do not fit together ({error}); {_MEND}") from error
+    return weights
+
+
+def shipped() -> Path:
+    """Weights that come with placegraph."""
+    with as_file(files("placegraph.indoor.encode.compact") / "data" / "compact.weights") as path:
+        return Path(path)
+
+
+def trained(
+    shape: Shape,
+    state: Mapping[str, NDArray[Any]],
+    temperature: float,
+    training: dict[str, Any],
+) -> Weights:
+    """Weights as they will be read again: rounded to 16 bits."""
+    arrays = {n: _stored(state[n]).astype(np.float32) for n in shape.arrays()}
+    return Weights(shape, arrays, temperature, training)
+
+
+def _stored(array: NDArray[Any]) -> NDArray[np.float16]:
+    return np.ascontiguousarray(array, np.float16)
