@@ -177,9 +177,22 @@ def ask(
 ) -> Answer:
     """Localize a window, without refining, and measure the answer."""
     encoder = encoder_of(job, scene, window, seed)
+    return answered(scene, window, encoder, job.options, seed=seed, device=device)
+
+
+def answered(
+    scene: SceneMap,
+    window: Window,
+    encoder: MapEncoder | None,
+    options: FilterOptions,
+    *,
+    seed: int = 0,
+    device: str = "auto",
+) -> Answer:
+    """Localize a window with an encoder of the map, without refining, and measure the answer."""
     start = time.perf_counter()
     estimate = scene.localize(
-        window.capture, encoder=encoder, options=job.options, refine=False, seed=seed, device=device
+        window.capture, encoder=encoder, options=options, refine=False, seed=seed, device=device
     )
     seconds = time.perf_counter() - start
     return measure(

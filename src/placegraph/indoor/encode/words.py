@@ -27,14 +27,13 @@ if TYPE_CHECKING:
 
 __all__ = ["DIMENSION", "digest", "known", "vector"]
 
-SILENT = frozenset(
-    (
-        "unknown unlabeled unlabelled unannotated undefined unclassified unidentified void none null "
-        "background nothing ignore ignored remove removed misc miscellaneous clutter mess object "
-        "objects other others thing things item items stuff something prop props furniture na "
-        "otherfurniture otherstructure otherprop otherobject otherobjects otheritem otherstuff"
-    ).split()
+_SILENT = (
+    "unknown unlabeled unlabelled unannotated undefined unclassified unidentified void none null "
+    "background nothing ignore ignored remove removed misc miscellaneous clutter mess object "
+    "objects other others thing things item items stuff something prop props furniture na "
+    "otherfurniture otherstructure otherprop otherobject otherobjects otheritem otherstuff"
 )
+SILENT = frozenset(_SILENT.split())
 """Labels, written without spaces, that say nothing."""
 _BETWEEN = re.compile(r"[;,/|(]|\bor\b")  # "sofa; couch", "sofa/couch", "cabinet (kitchen)"
 _AFTER = frozenset(["of", "with", "for", "on", "in", "at", "from", "without", "to"])
