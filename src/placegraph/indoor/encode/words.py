@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
+from rapidfuzz import process
+from rapidfuzz.distance import OSA
 
 from placegraph.indoor.encode.word_codes import DIMENSION, codes
 from placegraph.indoor.encode.word_tree import KIN, mixed, tree
@@ -37,8 +39,9 @@ SILENT = frozenset(_SILENT.split())
 """Labels, written without spaces, that say nothing."""
 _BETWEEN = re.compile(r"[;,/|(]|\bor\b")  # "sofa; couch", "sofa/couch", "cabinet (kitchen)"
 _AFTER = frozenset(["of", "with", "for", "on", "in", "at", "from", "without", "to"])
+_MANY = frozenset(["pile", "stack", "heap", "set", "pair", "group", "bunch", "row", "collection"])
 _ENDING = 4  # letters of a known word that another may end in: a "carpet" is no pet
-_ALIKE = 0.55  # share of letters in threes that words have in common, to be taken for the same
+_ALIKE = 0.75  # share of letters that words have in common, to be taken for the same
 _SHORTEST, _LONGEST = 3, 5  # letters of a subword
 
 
@@ -92,8 +95,10 @@ def _singulars(word: str) -> Iterator[str]:
 
 def _nearest(words: list[str]) -> tuple[int | None, float, list[str]]:
     """What unknown words are a kind of or spelled like: row, cosine, and the words that say more."""
-    end = next((i for i, word in enumerate(words) if i and word in _AFTER), len(words))
-    for start in range(end):  # "leather desk chair": the desk chair, before the chair
+    # a pile of books shows books, a chair with wheels a chair
+    first = 2 if words[0] in _MANY and words[1:2] == ["of"] and words[2:] else 0
+    end = next((i for i in range(first + 1, len(words)) if words[i] in _AFTER), len(words))
+    for start in range(first, end):  # "leather desk chair": the desk chair, before the chair
         row = _row(words[start:end])
         if row is not None:
             return row, KIN, words[:start] + words[end:]
@@ -102,26 +107,15 @@ def _nearest(words: list[str]) -> tuple[int | None, float, list[str]]:
         row = _row([last[cut:]])
         if row is not None:
             return row, KIN, [*words[: end - 1], last[:cut]]
-    mine = _threes("".join(words))
-    alike = {word: _shared(mine, threes) for word, threes in _all_threes().items()}
-    best = max(alike, key=alike.__getitem__)
-    row = tree().row_of[best] if alike[best] >= _ALIKE else None
-    return row, alike[best], words
+    found = process.extractOne(
+        "".join(words), _all_words(), scorer=OSA.normalized_similarity, score_cutoff=_ALIKE
+    )
+    return (None, 0.0, words) if found is None else (tree().row_of[found[0]], found[1], words)
 
 
 @cache
-def _all_threes() -> dict[str, frozenset[str]]:
-    return {word: _threes(word) for word in tree().row_of}
-
-
-def _threes(word: str) -> frozenset[str]:
-    marked = f"<{word}>"
-    return frozenset(marked[i : i + 3] for i in range(len(marked) - 2))
-
-
-def _shared(a: frozenset[str], b: frozenset[str]) -> float:
-    """Dice's coefficient of two sets."""
-    return 2.0 * len(a & b) / (len(a) + len(b))
+def _all_words() -> list[str]:
+    return list(tree().row_of)
 
 
 def _letters(words: Sequence[str]) -> NDArray[np.float32]:
@@ -131,6 +125,6 @@ def _letters(words: Sequence[str]) -> NDArray[np.float32]:
         marked = f"<{word}>"
         for size in range(_SHORTEST, _LONGEST + 1):
             for i in range(max(len(marked) - size + 1, 0)):
-                row = crc32(marked[i : i + size].encode())
+                row = crc32(marked[i : i + size].encode("utf-8", "surrogatepass"))
                 total += codes()[row % len(codes())]
     return (total / max(math.sqrt(float(total @ total)), 1e-12)).astype(np.float32)

@@ -1,0 +1,260 @@
+"""Vectors of words: synonyms, kinds, groups, spelling, and what says nothing."""
+
+import importlib.resources
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.indoor.encode.word_codes import DIMENSION, codes
+from placegraph.indoor.encode.word_tree import GROUP, KIN, grown, mixed, spelled, tree
+from placegraph.indoor.encode.words import digest, known, vector
+
+# names of what indoor data sets label, to see that the tree of things knows them
+NYU40 = """
+wall|floor|cabinet|bed|chair|sofa|table|door|window|bookshelf|picture|counter|blinds|desk|shelves
+curtain|dresser|pillow|mirror|floor mat|clothes|ceiling|books|refridgerator|television|paper|towel
+shower curtain|box|whiteboard|person|night stand|toilet|sink|lamp|bathtub|bag
+"""
+SCANNET200 = """
+wall|chair|floor|table|door|couch|cabinet|shelf|desk|office chair|bed|pillow|sink|picture|window
+toilet|bookshelf|monitor|curtain|book|armchair|coffee table|box|refrigerator|lamp|kitchen cabinet
+towel|clothes|tv|nightstand|counter|dresser|stool|cushion|plant|ceiling|bathtub|end table
+dining table|keyboard|bag|backpack|toilet paper|printer|tv stand|whiteboard|blanket|shower curtain
+trash can|closet|stairs|microwave|stove|shoe|computer tower|bottle|bin|ottoman|bench|board
+washing machine|mirror|copier|basket|sofa chair|file cabinet|fan|laptop|shower|paper|person
+paper towel dispenser|oven|blinds|rack|plate|blackboard|piano|suitcase|rail|radiator
+recycling bin|container|wardrobe|soap dispenser|telephone|bucket|clock|stand|light
+laundry basket|pipe|clothes dryer|guitar|toilet paper holder|seat|speaker|column|bicycle|ladder
+bathroom stall|shower wall|cup|jacket|storage bin|coffee maker|dishwasher|paper towel roll|machine
+mat|windowsill|bar|toaster|bulletin board|ironing board|fireplace|soap dish|kitchen counter
+doorframe|toilet paper dispenser|mini fridge|fire extinguisher|ball|hat|shower curtain rod
+water cooler|paper cutter|tray|shower door|pillar|ledge|toaster oven|mouse
+toilet seat cover dispenser|furniture|cart|storage container|scale|tissue box|light switch|crate
+power outlet|decoration|sign|projector|closet door|vacuum cleaner|candle|plunger|stuffed animal
+headphones|dish rack|broom|guitar case|range hood|dustpan|hair dryer|water bottle|handicap bar
+purse|vent|shower floor|water pitcher|mailbox|bowl|paper bag|alarm clock|music stand
+projector screen|divider|laundry detergent|bathroom counter|bathroom vanity|closet wall
+laundry hamper|bathroom stall door|ceiling light|trash bin|dumbbell|stair rail|tube
+bathroom cabinet|cd case|closet rod|coffee kettle|structure|shower head|keyboard piano
+case of water bottles|coat rack|storage organizer|folded chair|fire alarm|power strip|calendar
+poster|potted plant|luggage|mattress
+"""
+COCO = """
+person|bicycle|car|motorcycle|airplane|bus|train|truck|boat|traffic light|bench|bird|cat|dog
+backpack|umbrella|handbag|tie|suitcase|frisbee|skis|snowboard|sports ball|kite|baseball bat
+skateboard|surfboard|tennis racket|bottle|wine glass|cup|fork|knife|spoon|bowl|banana|apple|sandwich
+orange|broccoli|carrot|hot dog|pizza|donut|cake|chair|couch|potted plant|bed|dining table|toilet|tv
+laptop|mouse|remote|keyboard|cell phone|microwave|oven|toaster|sink|refrigerator|book|clock|vase
+scissors|teddy bear|hair drier|toothbrush
+"""
+PASCAL = """
+aeroplane|bicycle|bird|boat|bottle|bus|car|cat|chair|cow|diningtable|dog|horse|motorbike|person
+pottedplant|sheep|sofa|train|tvmonitor
+"""
+ADE20K = """
+wall|floor;flooring|ceiling|bed|windowpane;window|cabinet|person;individual|door;double door|table
+plant;flora;plant life|curtain;drape;drapery|chair|painting;picture|sofa;couch;lounge|shelf|mirror
+rug;carpet;carpeting|armchair|seat|fence;fencing|desk|wardrobe;closet;press|lamp
+bathtub;bathing tub;bath;tub|railing;rail|cushion|box|column;pillar|signboard;sign
+chest of drawers;chest;bureau;dresser|counter|sink|fireplace;hearth|refrigerator;icebox
+stairs;steps|case;display case;showcase|pool table;billiard table|pillow|screen door;screen
+stairway;staircase|bookcase|blind;screen|coffee table;cocktail table|toilet;can;commode|flower|book
+bench|countertop|stove;kitchen stove;range|kitchen island|computer|swivel chair|bar|towel
+light;light source|chandelier;pendant|television receiver;television set;tv
+apparel;wearing apparel|pole|bannister;banister|escalator;moving staircase|ottoman;pouf;puff
+bottle|buffet;counter;sideboard|poster;posting|stage|conveyer belt|washer;automatic washer
+plaything;toy|stool|barrel;cask|basket;handbasket|bag|cradle|oven|ball|food;solid food|step;stair
+trade name;brand name|microwave;microwave oven|pot;flowerpot|bicycle;bike|dishwasher
+screen;silver screen|blanket;cover|sculpture|hood;exhaust hood|sconce|vase|traffic light
+tray|ashcan;trash can|fan|crt screen|plate|monitor;monitoring device
+bulletin board;notice board|shower|radiator|glass;drinking glass|clock|flag
+"""
+SCAN3R = """
+armchair|bath cabinet|beam|bed|bench|blanket|blinds|book|box|bucket|cabinet|carpet|ceiling|chair
+clothes|clutter|commode|computer desk|couch|couch table|counter|cupboard|curtain|cushion|desk
+dining chair|dining table|door|doorframe|end table|extractor hood|floor|footstool|fridge|garbage bin
+heater|kitchen cabinet|kitchen counter|kitchen towel|lamp|laundry basket|light|microwave|mirror
+monitor|nightstand|ottoman|oven|pc|picture|pillow|pipe|plant|radiator|rocking chair|shelf|shoe rack
+side table|sink|sofa|stair|stool|stove|table|toilet|towel|trash can|tv|tv stand|wall|wardrobe
+washing machine|window|windowsill|showcase|toilet brush|clothes dryer|hanging cabinet|puf
+"""
+
+
+def cosine(a, b):
+    return float(vector(a) @ vector(b))
+
+
+def test_codes_are_orthogonal_or_cross_at_one_eighth():
+    all_ = codes()
+    assert all_.shape == (2048, DIMENSION)
+    cross = np.abs(all_ @ all_.T)
+    assert np.allclose(np.diag(cross), 1)
+    np.fill_diagonal(cross, 0)
+    assert set(np.unique(cross.round(6))) == {0.0, 0.125}
+    for i in range(0, 2048, 64):
+        assert not cross[i : i + 64, i : i + 64].any()
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        "couch|sofa|settee|Couch|sofas|SOFA ", "tv|television|tv monitor|TV|tvmonitor|television set",
+        "night stand|nightstand|NightStand|night_stand|nightstand 3", "shelf|shelves",
+        "trash can|garbage bin|waste basket", "fridge|refrigerator|refridgerator",
+        "wash basin|sink|washbasins", "picture|painting|paintings",
+        "window;windowpane|window", "bed/double bed|bed", "knives|knife", "babies|person",
+        "cabinet (closed)|cabinet",
+    ],
+)  # fmt: skip
+def test_synonyms_plurals_and_spellings_are_one(same):
+    first, *others = same.split("|")
+    for other in others:
+        assert cosine(first, other) == pytest.approx(1, abs=1e-5), other
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ("chair", "armchair"), ("chair", "office chair"), ("armchair", "office chair"),
+        ("stool", "armchair"), ("stool", "office chair"), ("cupboard", "wardrobe"),
+        ("cabinet", "wardrobe"), ("wardrobe", "chest of drawers"), ("desk", "table"),
+        ("tv", "monitor"), ("bookshelf", "shelf"), ("floor lamp", "ceiling lamp"),
+    ],
+)  # fmt: skip
+def test_kin_are_near(a, b):
+    assert 0.55 < cosine(a, b) < 0.85
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ("leather chair", "chair"), ("leather desk chair", "desk chair"), ("tall RoomWindow", "window"),
+        ("wallpicture", "picture"), ("chair with wheels", "chair"), ("pile of old books", "book"),
+        ("blue-grey sofas", "sofa"), ("HouseWall", "wall"), ("microwaveoven 2", "microwave oven"),
+    ],
+)  # fmt: skip
+def test_a_word_is_a_kind_of_what_it_ends_in(a, b):
+    assert cosine(a, b) > 0.75
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [("refrigerater", "fridge"), ("armchiar", "armchair"), ("teevision", "tv"), ("wardrob", "closet"),
+     ("bookshelve", "bookshelf"), ("dishwascher", "dishwasher")],
+)  # fmt: skip
+def test_misspelt_words_are_near_what_they_are_spelled_like(wrong, right):
+    assert not known(wrong)
+    assert cosine(wrong, right) > 0.5
+
+
+def test_unknown_words_are_like_what_is_spelled_alike():
+    assert not known("xylotron")
+    assert cosine("xylotron", "xylotrons") > 0.7
+    assert cosine("old xylotron", "xylotron") > 0.5
+    assert abs(cosine("xylotron", "chair")) < 0.35
+
+
+def test_a_group_is_nearer_than_the_rest():
+    groups = {
+        "seating": ["chair", "sofa", "bench", "ottoman"],
+        "electronics": ["tv", "computer", "printer", "telephone"],
+        "structure": ["wall", "floor", "ceiling", "stairs"],
+    }
+    same = [cosine(a, b) for g in groups.values() for a in g for b in g if a < b]
+    other = [
+        cosine(a, b)
+        for g in groups.values()
+        for h in groups.values()
+        if g is not h
+        for a in g
+        for b in h
+    ]
+    assert np.mean(same) == pytest.approx(GROUP**2, abs=0.1)
+    assert np.mean(other) == pytest.approx(0, abs=0.05)
+    assert np.mean([cosine(name, word) for name, of in groups.items() for word in of]) > 0.35
+
+
+def test_few_things_that_are_nothing_of_each_other_are_alike():
+    vectors = tree().vectors
+    cross = np.abs(vectors @ vectors.T)[np.triu_indices(len(vectors), 1)]
+    assert np.quantile(cross, 0.5) < 0.12
+    assert np.quantile(cross, 0.9) < 0.25
+
+
+@pytest.mark.parametrize(
+    "label",
+    ["", " ", "unknown", "Object", "other", "others", "12", "-", "otherfurniture", "UNLABELED"],
+)
+def test_what_says_nothing(label):
+    assert not vector(label).any()
+
+
+def names(text):
+    return [name for line in text.strip().splitlines() for name in line.split("|")]
+
+
+@pytest.mark.parametrize(
+    ("labels", "share"),
+    [(NYU40, 1.0), (SCANNET200, 0.99), (COCO, 1.0), (PASCAL, 1.0), (ADE20K, 0.96), (SCAN3R, 0.98)],
+    ids=["nyu40", "scannet200", "coco", "pascal", "ade20k", "3rscan"],
+)
+def test_data_sets_are_known(labels, share):
+    """By the tree; the rest ends in something that is: what is neither stands here."""
+    labels = names(labels)
+    strange = [label for label in labels if not known(label)]
+    assert 1 - len(strange) / len(labels) >= share, strange
+
+
+def test_words_stand_in_one_place():
+    text = importlib.resources.files("placegraph.indoor.encode").joinpath("data/things.txt")
+    seen = Counter()
+    for line in text.read_text("utf-8").splitlines():
+        seen.update({spelled(word) for word in line.partition("#")[0].split(",")} - {""})
+    assert [word for word, count in seen.items() if count > 1] == []
+    assert len(tree().vectors) + DIMENSION <= len(codes())
+    assert len(digest()) == 8
+
+
+def test_a_tree_of_ones_own():
+    got = grown("sea # a comment\n  boat, ship\n    tug\n\n  fish\nland\n  house\n")
+    assert got.row_of == {
+        "sea": 0,
+        "boat": 1,
+        "ship": 1,
+        "tug": 2,
+        "fish": 3,
+        "land": 4,
+        "house": 5,
+    }
+    cosines = got.vectors @ got.vectors.T
+    assert np.diag(cosines) == pytest.approx(1, abs=1e-5)
+    assert cosines[0, 1] == pytest.approx(GROUP, abs=1e-5)
+    assert cosines[1, 2] == pytest.approx(KIN, abs=1e-5)
+    assert cosines[0, 4] == 0
+    assert abs(cosines[2, 5]) < 0.3
+    other = grown("sea\n  boat\n")
+    assert other.digest != got.digest
+    assert (other.vectors[1] == got.vectors[1]).all()
+
+
+@given(st.text(max_size=30))
+def test_any_label_has_a_unit_vector_or_none(label):
+    got = vector(label)
+    assert got.shape == (DIMENSION,)
+    assert got.dtype == np.float32
+    length = float(np.linalg.norm(got))
+    assert length == 0 or length == pytest.approx(1, abs=1e-4)
+    assert (vector(label) == got).all()
+    assert (vector(f" {label.strip()} ") == got).all()
+
+
+@given(st.integers(0, 2047), st.integers(0, 2047), st.floats(0, 1))
+def test_mixtures_have_the_cosine_asked_for(a, b, cosine_):
+    if a == b:
+        return
+    got = mixed(codes()[a], codes()[b], cosine_)
+    assert float(got @ codes()[a]) == pytest.approx(cosine_, abs=1e-5)
+    assert float(np.linalg.norm(got)) == pytest.approx(1, abs=1e-5)
