@@ -148,6 +148,35 @@ class PoseMode:
 
 
 @dataclass(frozen=True, eq=False)
+class SceneMode:
+    """A scene of a library, how sure it is, and why."""
+
+    scene: str
+    """Its name."""
+    probability: float
+    """Against all other scenes of the library, and against being in none of them."""
+    score: float
+    """Log-likelihood ratio of the query in this scene against anywhere [nat]; under the paper's
+    sum (Sec. 4) the sum over frames of the mean best cosine."""
+    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
+    """Finds the evidence."""
+
+    @cached_property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """Which objects speak for this scene and against it."""
+        return self.explain()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        return {
+            "scene": self.scene,
+            "probability": self.probability,
+            "score": self.score,
+            "evidence": [e.to_dict() for e in self.evidence],
+        }
+
+
+@dataclass(frozen=True, eq=False)
 class Refinement:
     """What became of a coarse pose when it was fitted to images and depth (Sec. 3.6)."""
 
@@ -182,7 +211,7 @@ class PassRecord:
     """For each frame its row in the capture, poses (N, 4) and weights (N,)."""
 
 
-Mode = TypeVar("Mode", Place, PoseMode)
+Mode = TypeVar("Mode", Place, PoseMode, SceneMode)
 
 
 @dataclass(frozen=True)
@@ -258,3 +287,17 @@ class PoseEstimate(Estimate[PoseMode]):
             "stats": self.stats,
             "refinement": self.refinement.to_dict() if self.refinement else None,
         }
+
+
+@dataclass(frozen=True)
+class SceneEstimate(Estimate[SceneMode]):
+    """Which scenes of a library a capture was taken in, or a text describes."""
+
+    elsewhere: float = 0.0
+    """Probability that it is none of them."""
+    stats: dict[str, Any] = field(default_factory=dict)
+    """What it took: seconds of each stage."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`."""
+        return super().to_dict() | {"elsewhere": self.elsewhere, "stats": self.stats}

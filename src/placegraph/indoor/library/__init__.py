@@ -1,0 +1,10 @@
+"""Many scenes, and the question in which of them one is (Sec. 4).
+
+`SceneLibrary` holds them: `add`, `remove`, `search` by a capture or a text, `localize`, `save`. How
+to: `docs/howto-library.md`; the method: `docs/indoor.md`.
+"""
+
+from placegraph.indoor.library.library import SceneLibrary, library_of
+from placegraph.indoor.library.options import SearchOptions
+
+__all__ = ["SceneLibrary", "SearchOptions", "library_of"]

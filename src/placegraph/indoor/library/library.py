@@ -1,0 +1,322 @@
+"""The library: many scene maps, and the question which of them a capture was taken in."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import InputError, MapError, OptionError
+from placegraph.indoor.encode import Encoder, encoder
+from placegraph.indoor.library.index import Index
+from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.signature import Signature, signature_of
+from placegraph.indoor.scene_map import SceneMap
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from placegraph.estimate import PoseEstimate, SceneEstimate
+    from placegraph.formats.capture import Capture
+    from placegraph.formats.frame import Frame
+
+    Progress = Callable[[str, int, int], None]
+
+SUFFIX = ".scene"
+"""Of the maps in a folder."""
+_OPEN = 8  # maps kept open
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One scene of a library."""
+
+    signature: Signature
+    path: Path | None
+    """Map file; None where the map is only in memory."""
+
+
+class SceneLibrary:
+    """Scenes by name, each with a signature of kilobytes; maps are opened when they are needed.
+
+    Made empty, opened from a file that `save` wrote, or from a folder of scene maps.
+
+    Parameters
+    ----------
+    encoders
+        What scenes and captures are compared by: names, such as ``labels``, or encoders. A capture
+        needs something for one of them only.
+    height
+        Of the cameras above the floor [m]; those of `FilterOptions.heights` if not given.
+
+    Raises
+    ------
+    OptionError
+        There is no encoder, or none of that name, or two are alike.
+
+    """
+
+    def __init__(
+        self,
+        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "appearance"),
+        *,
+        height: float | None = None,
+    ) -> None:
+        given = [encoders] if isinstance(encoders, str | Encoder) else list(encoders)
+        self.encoders = tuple(encoder(e) if isinstance(e, str) else e for e in given)
+        keys = [e.key for e in self.encoders]
+        if not keys or len(set(keys)) < len(keys):
+            raise OptionError(
+                f"encoders are {', '.join(keys) or 'none'}; give at least one, each once."
+            )
+        self.height = height
+        self._entries: dict[str, Entry] = {}
+        self._index: Index | None = None
+        self._open: OrderedDict[str, SceneMap] = OrderedDict()
+
+    # -------------------------------------------------------------------------------- scenes
+
+    def add(
+        self,
+        name: str,
+        scene: SceneMap | str | os.PathLike[str],
+        captures: Sequence[Capture] = (),
+    ) -> None:
+        """Add a map, or the map of a file.
+
+        Parameters
+        ----------
+        name
+            Of the scene; no slash, and not yet taken.
+        scene
+            A map, kept in memory, or its file, opened again when it is needed.
+        captures
+            Images of it, where an encoder needs some; their odometry is map_from_camera.
+
+        Raises
+        ------
+        OptionError
+            The name is none, or taken; the scene says nothing to the encoders (`signature_of`).
+        InputError, MapError
+            The file is no sound scene map.
+
+        """
+        if not name or "/" in name:
+            raise OptionError(f"name is {name!r}; give one without a slash.")
+        if name in self._entries:
+            raise OptionError(f"{name!r} is taken; remove it first, or take another name.")
+        path = None if isinstance(scene, SceneMap) else Path(scene)
+        opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
+        signature = signature_of(opened, self.encoders, captures, self.height)
+        self.insert(name, Entry(signature, path))
+        if path is None:
+            self._open[name] = opened
+
+    def insert(self, name: str, entry: Entry) -> None:
+        """Add a scene whose signature is known already."""
+        self._entries[name] = entry
+        self._index = None
+
+    def remove(self, name: str) -> None:
+        """Take a scene out; its file stays. Raises `OptionError` where there is none."""
+        self.entry(name)
+        del self._entries[name]
+        self._open.pop(name, None)
+        self._index = None
+
+    def entry(self, name: str) -> Entry:
+        """Signature and file of a scene; `OptionError` where there is none of this name."""
+        if name not in self._entries:
+            raise OptionError(f"{name!r} is no scene of this library; it has {self._some()}.")
+        return self._entries[name]
+
+    def scene(self, name: str) -> SceneMap:
+        """Map of a scene, opened where it is not open yet.
+
+        Raises
+        ------
+        OptionError
+            There is no scene of this name.
+        InputError, MapError
+            Its file is gone, is no sound map, or another one than was added.
+
+        """
+        entry = self.entry(name)
+        if name in self._open:
+            self._open.move_to_end(name)
+            return self._open[name]
+        if entry.path is None:
+            raise InputError(
+                f"{name}: the library knows its signature alone, and no map of it; add it again by "
+                "its file."
+            )
+        if not entry.path.exists():
+            raise InputError(
+                f"{entry.path}: the map of {name!r} is not there; bring it back, or remove the scene."
+            )
+        opened = SceneMap.open(entry.path)
+        if opened.graph.ids != entry.signature.graph.ids:
+            raise MapError(
+                f"{entry.path} is another map than was added as {name!r}; remove the scene and add "
+                "it again."
+            )
+        self._open[name] = opened
+        while sum(self._entries[n].path is not None for n in self._open) > _OPEN:
+            self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
+        return opened
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all scenes, in the order in which they came."""
+        return tuple(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __repr__(self) -> str:
+        encoders = ", ".join(e.name for e in self.encoders)
+        return f"SceneLibrary({len(self)} scenes by {encoders})"
+
+    def _some(self) -> str:
+        names = ", ".join(list(self._entries)[:5])
+        return names + (", ..." if len(self) > 5 else "") if names else "none at all"
+
+    @property
+    def index(self) -> Index:
+        """All signatures side by side; `OptionError` where the library is empty."""
+        if not self._entries:
+            raise OptionError("The library is empty: add a scene before you search it.")
+        if self._index is None:
+            signatures = [e.signature for e in self._entries.values()]
+            self._index = Index.of(signatures, [e.key for e in self.encoders])
+        return self._index
+
+    # ------------------------------------------------------------------------------- questions
+
+    def search(
+        self,
+        query: str | Capture | Sequence[Frame],
+        *,
+        frames: slice | Sequence[int] | None = None,
+        options: SearchOptions | None = None,
+        most: int = 10,
+    ) -> SceneEstimate:
+        """Which scenes a capture was taken in, or a text describes, likeliest first.
+
+        Parameters
+        ----------
+        query
+            A capture or frames in order of time; or a text: "a kitchen with two sinks".
+        frames
+            Which frames; all if not given.
+        options
+            `SearchOptions`; what measured best if not given. Of captures only.
+        most
+            Modes returned at most.
+
+        Raises
+        ------
+        OptionError
+            The library is empty; the query has nothing that can be compared, or understood.
+        InputError
+            An image is broken.
+
+        """
+        if most < 1:
+            raise OptionError(f"most is {most}; ask for at least one scene.")
+        if isinstance(query, str):
+            from placegraph.indoor.library.by_text import search_text
+
+            return search_text(self, query, most)
+        from placegraph.indoor.library.by_capture import search_capture
+
+        return search_capture(self, query, frames, options or SearchOptions(), most)
+
+    def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
+        """Scene and pose of a capture: retrieval, then the filter in the best scenes together.
+
+        Parameters, result and errors: `placegraph.indoor.library.localize.localize`.
+        """
+        from placegraph.indoor.library.localize import localize
+
+        return localize(self, capture, **options)
+
+    # ----------------------------------------------------------------------------------- files
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all signatures and the places of the maps into one file (atomically).
+
+        Maps are named relative to the file, so that both can be moved together. Raises `MapError`
+        where it cannot be written, `OptionError` where a map is only in memory or there is none.
+        """
+        from placegraph.indoor.library.library_file import save
+
+        save(self, path)
+
+    @classmethod
+    def open(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        encoders: str | Encoder | Sequence[str | Encoder] | None = None,
+        progress: Progress | None = None,
+    ) -> SceneLibrary:
+        """Open a library's file, or make a library of a folder of scene maps.
+
+        Parameters
+        ----------
+        path
+            File that `save` wrote, or folder with ``*.scene``.
+        encoders
+            Encoders of a folder's library, or of a file's, where they cannot be made by name alone.
+        progress
+            Is told how many maps of a folder have been read.
+
+        Raises
+        ------
+        InputError, MapError
+            It is no such thing; a folder holds no map; encoders are other than the file's.
+
+        """
+        if Path(path).is_dir():
+            return cls._of_folder(Path(path), encoders, progress)
+        from placegraph.indoor.library.library_file import load
+
+        return load(path, encoders)
+
+    @classmethod
+    def _of_folder(
+        cls,
+        folder: Path,
+        encoders: str | Encoder | Sequence[str | Encoder] | None,
+        progress: Progress | None,
+    ) -> SceneLibrary:
+        paths = sorted(folder.glob(f"*{SUFFIX}"))
+        if not paths:
+            raise InputError(
+                f"{folder} holds no scene map (*{SUFFIX}); build some with `placegraph scene build`."
+            )
+        library = cls() if encoders is None else cls(encoders)
+        for i, path in enumerate(paths):
+            if progress:
+                progress("reading maps", i, len(paths))
+            library.add(path.stem, path)
+        if progress:
+            progress("reading maps", len(paths), len(paths))
+        return library
+
+
+def library_of(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  # noqa: ANN401
+    """Library of maps in memory; options are those of `SceneLibrary`."""
+    library = SceneLibrary(**options)
+    for name, scene in maps.items():
+        library.add(name, scene)
+    return library

@@ -1,0 +1,45 @@
+"""Options of searching a library: plain structs; defaults are what measured best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from placegraph.errors import OptionError
+from placegraph.indoor.options import check_numbers, check_positive, check_whole
+
+
+@dataclass(frozen=True, slots=True)
+class SearchOptions:
+    """How a capture is compared with the scenes of a library."""
+
+    method: Literal["likelihood", "cosines"] = "likelihood"
+    """``likelihood``: a log-likelihood ratio against the library as a whole; ``cosines``: the
+    paper's sum over frames of the mean over patches of the best cosine (Sec. 4)."""
+    rarity: bool = True
+    """Weigh what is said against how common it is in the library."""
+    geometry: bool = True
+    """Compare with panoramas: what is seen together, and in which direction."""
+    odometry: bool = True
+    """Frames lie on one way; without, each frame may lie anywhere in the scene."""
+    wrong: float = 0.3
+    """Share of patches taken to say something wrong."""
+    focus: float = 0.6
+    """Share of what is seen in a direction that is the object which fills most of it."""
+    witnesses: float = 24.0
+    """Patches of a frame that speak independently of each other."""
+    looks: int = 12
+    """Frames compared with panoramas, spread over the capture."""
+    finalists: int = 24
+    """Scenes compared with panoramas: the best by what they hold."""
+    shortlist: int = 2000
+    """Scenes looked at in a larger library: those whose vectors are nearest."""
+
+    def __post_init__(self) -> None:
+        if self.method not in {"likelihood", "cosines"}:
+            raise OptionError(f"method is {self.method!r}; it is 'likelihood' or 'cosines'.")
+        if not 0 < self.wrong < 1:
+            raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
+        check_numbers(self)
+        check_positive(self, "witnesses")
+        check_whole(self, "looks", "finalists", "shortlist")

@@ -1,0 +1,195 @@
+"""In which scene of a library a capture was taken (Sec. 4), by what it shows and where.
+
+The paper sums the best cosines. Here every patch is a witness that may err: what it says of a
+scene is how much likelier it is there than in the library at large, so that a wall says little and
+a piano much. Scenes that hold what was seen are then asked whether it is seen there *together*:
+frames are laid along their way through a scene's panoramas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.indoor.library.index import starts_of
+from placegraph.indoor.library.kernels import add_told, along_ways, best_cosines, mixtures
+from placegraph.indoor.library.signature import BANDS, TURNS
+from placegraph.indoor.observe import spread
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.library.index import Index, Vocabulary
+    from placegraph.indoor.library.options import SearchOptions
+    from placegraph.indoor.library.query import Query, Said
+
+IMAGINED = 2.0
+"""Scenes of anything at all that stand beside the library's own as what is common: in a library of
+one scene, nothing of it would be rare."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """What a query says of each of S scenes."""
+
+    total: NDArray[np.float64]
+    """(S,) [nat], or sums of cosines; the larger the better."""
+    witnesses: float
+    """Patches of a frame that spoke, times frames; how much there was to say."""
+    seconds: dict[str, float]
+
+
+def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
+    """Scores of all scenes of an index."""
+    start = perf_counter()
+    said = [s for s in query.said if s.key in index.vocabularies]
+    if options.method == "cosines":
+        sums = np.sum([_cosines(index, s, len(query)) for s in said], axis=0, dtype=np.float64)
+        return Scores(sums, 0.0, {"cosines": perf_counter() - start})
+    ratios = [ratio(s, index.vocabularies[s.key], len(index), options) for s in said]
+    total, witnesses = _held(index, query, said, ratios, options)
+    seconds = {"held": perf_counter() - start}
+    if options.geometry:
+        start = perf_counter()
+        total = _placed(index, query, said, ratios, total, options)
+        seconds["placed"] = perf_counter() - start
+    return Scores(total, witnesses, seconds)
+
+
+def ratio(
+    said: Said, vocabulary: Vocabulary, scenes: int, options: SearchOptions
+) -> NDArray[np.float32]:
+    """How much likelier each word is of a thing that looks like each vector, than of anything.
+
+    (W, U): exp(cosine / temperature) over its mean, the library's own shares and a little of
+    anything (`IMAGINED`).
+    """
+    cosines = said.words @ vocabulary.vectors.T
+    belief = np.exp((cosines - 1.0) / np.float32(said.temperature))
+    known = vocabulary.vectors.any(axis=1)
+    belief[:, ~known] = 0.0
+    if options.rarity:
+        usual = belief @ vocabulary.common.astype(np.float32)
+        usual = (scenes * usual + IMAGINED * belief.mean(axis=1)) / (scenes + IMAGINED)
+    else:
+        usual = np.full(len(belief), belief.mean(), np.float32)
+    belief /= np.maximum(usual, 1e-30)[:, None]
+    # of what nothing is known, nothing follows
+    belief[:, ~known] = 1.0
+    return np.ascontiguousarray(belief, np.float32)
+
+
+def _cosines(index: Index, said: Said, frames: int) -> NDArray[np.float32]:
+    """Sum over frames of the mean over patches of the best cosine (S,)."""
+    vocabulary = index.vocabularies[said.key]
+    per_frame = np.bincount(said.frame, minlength=frames)
+    weight = np.bincount(said.word, 1.0 / per_frame[said.frame], len(said.words))
+    cosines = np.ascontiguousarray(said.words @ vocabulary.vectors.T)
+    return np.asarray(
+        best_cosines(cosines, vocabulary.code, index.starts, weight.astype(np.float32))
+    )
+
+
+def patch_weights(said: Said, frames: int, options: SearchOptions) -> NDArray[np.float32]:
+    """Weight (P,) of each patch: those of one frame count for `witnesses` together at most."""
+    per_frame = np.bincount(said.frame, minlength=frames)
+    share = np.minimum(1.0, options.witnesses / np.maximum(per_frame, 1))
+    return np.asarray(share[said.frame], np.float32)
+
+
+def _held(
+    index: Index,
+    query: Query,
+    said: list[Said],
+    ratios: list[NDArray[np.float32]],
+    options: SearchOptions,
+) -> tuple[NDArray[np.float64], float]:
+    """What the patches say of what each scene holds (S,), wherever in it."""
+    total, witnesses = np.zeros(len(index)), 0.0
+    for s, r in zip(said, ratios, strict=True):
+        weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))
+        code = index.vocabularies[s.key].code
+        mixture = mixtures(r, code, index.share, index.starts)
+        total += np.log((1.0 - options.wrong) * mixture + np.float32(options.wrong)) @ weight
+        witnesses += float(weight.sum())
+    return total, witnesses
+
+
+def _placed(
+    index: Index,
+    query: Query,
+    said: list[Said],
+    ratios: list[NDArray[np.float32]],
+    held: NDArray[np.float64],
+    options: SearchOptions,
+) -> NDArray[np.float64]:
+    """Scores (S,) of the finalists by what is seen where; no other is better than these."""
+    count = min(options.finalists, len(index))
+    chosen = np.sort(np.argpartition(-held, count - 1)[:count])
+    looked = spread(len(query), options.looks)
+    objects = np.concatenate([np.arange(index.starts[s], index.starts[s + 1]) for s in chosen])
+    code = np.zeros(int(index.starts[-1]), np.int32)
+    code[objects] = np.arange(len(objects))
+    told, turns, bands, starts, unknown = _told(
+        index, query, said, ratios, chosen, objects, looked, options
+    )
+    rows = [np.arange(len(looked))] if options.odometry else list(np.arange(len(looked))[:, None])
+    placed = np.zeros(count)
+    for group in rows:
+        first, last = starts[group[0]], starts[group[-1] + 1]
+        placed += along_ways(
+            told[first:last], turns[first:last], bands[first:last],
+            np.append(starts[group], last) - first, chosen, index.starts, code, index.panoramas,
+            index.place_starts, index.places, query.steps(looked[group]), unknown[group],
+        )  # fmt: skip
+    placed *= len(query) / len(looked)
+    total = np.minimum(held, placed.min())
+    total[chosen] = placed
+    return total
+
+
+def _told(
+    index: Index,
+    query: Query,
+    said: list[Said],
+    ratios: list[NDArray[np.float32]],
+    chosen: NDArray[np.int64],
+    objects: NDArray[np.int64],
+    looked: NDArray[np.int64],
+    options: SearchOptions,
+) -> tuple[NDArray[Any], ...]:
+    """What bins of frames tell of some objects (O,), as `along_ways` takes it.
+
+    told (B, O), turn (B,), band (B,), first bin of each frame (T + 1,), and what each frame is
+    taken to tell of what is not mapped (T,).
+    """
+    rank = np.full(len(query), -1)
+    rank[looked] = np.arange(len(looked))
+    uses = [(rank[s.frame] >= 0) & (s.band >= 0) for s in said]
+    where = [
+        (rank[s.frame] * BANDS + s.band)[use] * TURNS + s.turn[use]
+        for s, use in zip(said, uses, strict=True)
+    ]
+    bins, bin_of = np.unique(np.concatenate(where), return_inverse=True)
+    told = np.zeros((len(bins), len(objects)), np.float32)
+    unknown = np.zeros(len(looked), np.float32)
+    sizes = np.diff(index.starts)[chosen]
+    ends = np.cumsum([len(w) for w in where])
+    for s, r, use, end in zip(said, ratios, uses, ends.tolist(), strict=True):
+        code = index.vocabularies[s.key].code[objects]
+        mixture = mixtures(r, code, index.share[objects], starts_of(sizes))
+        # a bin of a panorama names the object that fills most of it; others are there too
+        there = options.focus * r[:, code] + (1.0 - options.focus) * np.repeat(mixture, sizes, 0).T
+        logs = np.log((1.0 - options.wrong) * there + np.float32(options.wrong))
+        weight = patch_weights(s, len(query), options)[use]
+        add_told(told, bin_of.ravel()[end - int(use.sum()) : end], s.word[use], weight, logs)
+        unknown += np.bincount(
+            rank[s.frame[use]], 0.5 * np.log(options.wrong) * weight, len(looked)
+        ).astype(np.float32)
+    frame, place = np.divmod(bins, BANDS * TURNS)
+    band, turn = np.divmod(place, TURNS)
+    starts = np.searchsorted(frame, np.arange(len(looked) + 1))
+    return told, turn.astype(np.int32), band.astype(np.int32), starts.astype(np.int64), unknown

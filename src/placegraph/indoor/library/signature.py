@@ -1,0 +1,179 @@
+"""What a library keeps of a scene to know it again: kilobytes, without meshes and images.
+
+Its graph without geometry, a vector an object and encoder, and *panoramas*: which object lies in
+which direction, seen from some places of its floor. They say how much of what is seen an object
+takes up, what is seen together, and how that changes along a way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.encode import vectors_of
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST
+from placegraph.indoor.visibility import build_table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.capture import Capture
+    from placegraph.graph import SceneGraph
+    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.scene_map import SceneMap
+
+PLACES = 16
+"""Panoramas of a scene at most."""
+TURNS = 24
+"""Bins of azimuth of a panorama: 15 degrees."""
+BANDS = 4
+"""Bins of elevation, from `REACH` below the horizon to as much above it: 25 degrees."""
+REACH = HIGHEST
+"""Elevation at which panoramas end [rad]."""
+MOST = 20_000
+"""Objects of a scene at most."""
+_SPACING = 0.8  # of the grid that places are chosen from [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """What is known of one scene of N objects without opening its map."""
+
+    graph: SceneGraph
+    """Without embeddings."""
+    attributes: tuple[dict[str, str], ...]
+    """(N,)"""
+    vectors: Mapping[str, NDArray[np.float32]]
+    """(N, d) unit vectors, or zero, by the key of their encoder."""
+    share: NDArray[np.float32]
+    """(N,) of what is seen from its places, adding up to 1."""
+    places: NDArray[np.float32]
+    """(P, 2) x, y [m, map] of the panoramas."""
+    panoramas: NDArray[np.uint16]
+    """(P, BANDS, TURNS) row of the object, N where the map ends; azimuth bins are centred on
+    multiples of 2 pi / TURNS."""
+
+    def __len__(self) -> int:
+        return len(self.graph)
+
+    @property
+    def rooms(self) -> tuple[str, ...]:
+        """Names of its rooms, as far as the map names them."""
+        named = dict.fromkeys(a.get("room", "") for a in self.attributes)
+        return tuple(name for name in named if name)
+
+    def nbytes(self) -> int:
+        """Bytes of its arrays as they are searched."""
+        vectors = sum(v.size for v in self.vectors.values())  # a byte a number
+        return vectors + self.panoramas.size + self.places.nbytes + self.share.nbytes
+
+
+def signature_of(
+    scene: SceneMap,
+    encoders: Sequence[Encoder],
+    captures: Sequence[Capture] = (),
+    height: float | None = None,
+) -> Signature:
+    """Signature of a map.
+
+    Parameters
+    ----------
+    encoders
+        Whose vectors are kept: the map's own where they are of this encoder, else made anew.
+    captures
+        Images of the map, for encoders that need some; their odometry is map_from_camera.
+    height
+        Of the camera above the floor [m]; as `FilterOptions` has it if not given.
+
+    Raises
+    ------
+    OptionError
+        No object says anything to any encoder; no place of it is free; it has too many objects.
+    MapError
+        Its vectors are of another encoder.
+
+    """
+    if len(scene) > MOST:
+        raise OptionError(
+            f"{scene.source or 'The map'} has {len(scene):,} objects; a scene of a library has up to "
+            f"{MOST:,}. Split it by rooms."
+        )
+    vectors = {e.key: checked(vectors_of(e, scene, captures), e, scene) for e in encoders}
+    if not any(v.any() for v in vectors.values()):
+        raise OptionError(
+            f"{scene.source or 'The map'}: none of its {len(scene)} objects says anything to "
+            f"{', '.join(e.name for e in encoders)}; give labels to its objects, or colours."
+        )
+    heights = FilterOptions().heights if height is None else (height,)
+    table = build_table(scene, FilterOptions(heights=(float(np.mean(heights)),), spacing=_SPACING))
+    if not len(table):
+        raise OptionError(
+            f"{scene.source or 'The map'} has no free place {np.mean(heights):.1f} m above its floor "
+            "to look around from; give the camera's height."
+        )
+    chosen = far_apart(table.positions[:, :2], PLACES)
+    panoramas = coarse(table.panoramas.objects[chosen], len(scene))
+    seen = table.panoramas.objects.ravel()
+    counts = np.bincount(seen, minlength=len(scene) + 1)[: len(scene)] + 0.5
+    return Signature(
+        graph=replace(scene.graph, embeddings=None),
+        attributes=scene.attributes,
+        vectors=vectors,
+        share=(counts / counts.sum()).astype(np.float32),
+        places=table.positions[chosen, :2].astype(np.float32),
+        panoramas=panoramas,
+    )
+
+
+def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap) -> NDArray[np.float32]:
+    """Vectors (N, d) of unit length, or zero; `OptionError` where they are no such thing."""
+    vectors = np.asarray(vectors, np.float32)
+    if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
+        raise OptionError(
+            f"encoder {encoder.key}: vectors {vectors.shape} of {scene.source or 'the map'}; "
+            f"{(len(scene), encoder.dimension)} finite numbers belong."
+        )
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
+
+
+def far_apart(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
+    """Rows of at most `most` of points (K, 2): the most central first, then ever the farthest."""
+    first = int(np.linalg.norm(points - np.median(points, axis=0), axis=1).argmin())
+    rows = [first]
+    away = np.linalg.norm(points - points[first], axis=1)
+    while len(rows) < min(most, len(points)):
+        row = int(away.argmax())
+        if away[row] <= 0:
+            break
+        rows.append(row)
+        away = np.minimum(away, np.linalg.norm(points - points[row], axis=1))
+    return np.array(rows)
+
+
+def coarse(objects: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
+    """Panoramas (P, BANDS, TURNS) by the object that most rays (P, E, A) of a bin hit."""
+    places = len(objects)
+    wide, high = AZIMUTHS // TURNS, ELEVATIONS // BANDS
+    # bins are centred on multiples of their width, of the fine as of the coarse
+    turned = np.roll(objects, wide // 2, axis=2)
+    rays = turned.reshape(places, BANDS, high, TURNS, wide).swapaxes(2, 3)
+    rays = rays.reshape(places * BANDS * TURNS, high * wide)
+    ordered = np.sort(rays, axis=1)
+    # the longest run of equal numbers
+    best, most = ordered[:, 0].copy(), np.zeros(len(ordered), np.int64)
+    run = np.ones(len(ordered), np.int64)
+    for k in range(1, ordered.shape[1] + 1):
+        ends = np.ones(len(ordered), np.bool_)
+        if k < ordered.shape[1]:
+            ends = ordered[:, k] != ordered[:, k - 1]
+        longer = ends & (run > most)
+        best[longer], most[longer] = ordered[longer, k - 1], run[longer]
+        run = np.where(ends, 1, run + 1)
+    return np.minimum(best, count).astype(np.uint16).reshape(places, BANDS, TURNS)
