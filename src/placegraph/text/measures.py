@@ -37,7 +37,8 @@ _NUMBER = r"""(?:
   | (?:a\s+)?(?:couple(?:\s+of)?|few|hundred|quarter(?:\s+of\s+an?)?) | several | an?(?:\s+single)?
 )"""
 _UNIT = r"""(?:
-    m | met(?:er|re)s? | cm | centimet(?:er|re)s? | km | kilomet(?:er|re)s? | ft | feet | foot | yds? | yards? | miles? | mi
+    m | met(?:er|re)s? | cm | centimet(?:er|re)s? | km | kilomet(?:er|re)s?
+  | ft | feet | foot | yds? | yards? | miles? | mi
   | (?:city\s+|long\s+|short\s+|more\s+)?blocks? | paces?
   | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
 )"""
