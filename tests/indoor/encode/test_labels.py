@@ -1,0 +1,272 @@
+"""The encoder of labels: label images, probabilities, synonyms and kin, confusions, bad input."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.formats.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor import encode
+from placegraph.indoor.build import scene_of_model
+from placegraph.indoor.encode import Encoder, MapEncoder, bound
+from placegraph.indoor.encode.confusion import Confusion
+from placegraph.indoor.encode.grid import GRID
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.merge import merge_scenes
+
+CAMERA = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
+EIGHT = Camera(80, 40, 50.0, 50.0, 40.0, 20.0)
+UNIT = ((0, 0, 0), (1, 1, 1))
+FOUR = (4, 8)
+
+
+@pytest.fixture(scope="module")
+def scene(boxes):
+    """Floor, chair, desk, chair, and something unknown."""
+    model = boxes({"floor": UNIT, "Chair": UNIT, "desk": UNIT, "chair ": UNIT, "object": UNIT})
+    return scene_of_model(model)
+
+
+def frame(names, row, kind="labels"):
+    """Frame of 4 x 8 patches of 10 px, all lines of them like `row`."""
+    ids = np.kron(np.array([row] * 4), np.ones((10, 10), int))
+    return Frame.from_arrays(
+        np.zeros((90, 160, 3), np.uint8), CAMERA, labels=ids, label_camera=EIGHT, label_kind=kind,
+        label_names=names,
+    )  # fmt: skip
+
+
+def cosines(encoder, scene, image):
+    """(8, N) of the patches of the first line; NaN where a patch says nothing."""
+    patches = bound(encoder, scene).encode(image)
+    rows = patches.rows[:8]
+    return np.where(rows[:, None] >= 0, patches.table[rows], np.nan)
+
+
+def test_it_is_an_encoder_that_knows_no_map(scene):
+    encoder = encode.encoder("labels", grid=FOUR)
+    assert isinstance(encoder, Encoder)
+    assert isinstance(encoder, LabelsEncoder)
+    assert isinstance(bound(encoder, scene), MapEncoder)
+    vectors = encoder.objects(scene)
+    assert vectors.shape == (len(scene), encoder.dimension)
+    assert vectors.dtype == np.float32
+    assert np.linalg.norm(vectors, axis=1) == pytest.approx([1, 1, 1, 1, 0], abs=1e-5)
+    assert encoder.key == LabelsEncoder().key != "labels"
+
+
+def test_labels_are_all_objects_of_that_label(scene):
+    names = {3: "chair", 4: "DESK", 5: "floor", 6: "unknown", 9: " chairs"}
+    image = frame(names, [3, 4, 5, 6, -1, 7, 9, 3])
+    got = cosines(LabelsEncoder(FOUR), scene, image)
+    assert got[[0, 6, 7]][:, [1, 3]] == pytest.approx(1, abs=1e-5)
+    assert got[1, 2] == pytest.approx(1, abs=1e-5)
+    assert got[2, 0] == pytest.approx(1, abs=1e-5)
+    assert np.isnan(got[[3, 4, 5]]).all()
+    assert np.abs(got[[0, 1, 2]][[[0], [1], [2]], [[0, 2], [0, 1], [1, 2]]]).max() < 0.3
+    assert not got[0, 4]  # nothing is known of that one
+    patches = bound(LabelsEncoder(FOUR), scene).encode(image)
+    assert (patches.camera, patches.grid) == (EIGHT, FOUR)
+    assert len(patches.table) == 3  # patches of one label share a row
+    assert patches.temperature == LabelsEncoder.temperature
+
+
+def test_other_words_mean_the_same_or_what_is_alike(scene):
+    names = {0: "armchair", 1: "office chair", 2: "table", 3: "parquet", 4: "refrigerator"}
+    got = cosines(LabelsEncoder(FOUR), scene, frame(names, [0, 1, 2, 3, 4, 4, 4, 4]))
+    assert got[:4].argmax(axis=1).tolist() == [1, 1, 2, 0]
+    assert (got[:4].max(axis=1) > 0.6).all()
+    assert got[4].max() < 0.3
+
+
+def test_a_grid_is_any(scene):
+    image = frame({0: "chair", 2: "desk"}, [0, 0, 0, 0, 2, 2, 2, 2])
+    for grid in (GRID, (14, 14), (3, 2)):
+        encoder = LabelsEncoder(grid)
+        got = encoder.patches(image)
+        assert got.shape == (*grid, encoder.dimension)
+        assert (got[0, 0] == encoder.vector("chair")).all()
+        assert (got[-1, -1] == encoder.vector("desk")).all()
+    assert (
+        LabelsEncoder((1, 1)).patches(image)[0, 0] @ LabelsEncoder().objects(scene).T > 0.99
+    ).any()
+
+
+def test_frames_without_labels():
+    bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA)
+    assert LabelsEncoder().patches(bare) is None
+    assert LabelsEncoder().camera(bare) == CAMERA
+    nameless = frame({}, [0, 1, 2, 3, 4, 5, 6, 7], "instances")
+    assert not LabelsEncoder().patches(nameless).any()
+
+
+def test_a_merged_map_has_the_labels_of_all_its_scenes(scene):
+    merged = merge_scenes({"attic": scene, "cellar": scene})
+    got = cosines(LabelsEncoder(FOUR), merged, frame({0: "chair"}, [0] * 8))
+    assert np.flatnonzero(got[0] > 0.99).tolist() == [1, 3, 6, 8]
+
+
+def test_vectors_that_the_map_holds_are_used(scene):
+    encoder = LabelsEncoder(FOUR)
+    held = scene.with_embeddings(encoder.objects(scene)[::-1], encoder=encoder.key)
+    got = cosines(encoder, held, frame({0: "chair"}, [0] * 8))
+    assert np.flatnonzero(got[0] > 0.95).tolist() == [1, 3]  # reversed, they are the same rows
+    got = cosines(encoder, held, frame({0: "floor"}, [0] * 8))
+    assert np.flatnonzero(got[0] > 0.95).tolist() == [4]
+
+
+# ---------------------------------------------------------------------------- probabilities
+
+
+def probable(**share):
+    """A segmenter that gives every pixel these probabilities."""
+    values = np.array(list(share.values()), np.float32)
+    return {
+        "segmenter": lambda image: np.broadcast_to(values, (12, 24, len(values))),  # noqa: ARG005
+        "names": list(share),
+    }
+
+
+def test_probabilities_are_mixtures(scene):
+    image = frame({}, [0] * 8)
+    encoder = LabelsEncoder(FOUR, **probable(chair=0.5, desk=0.5))
+    assert encoder.camera(image) == CAMERA  # it reads the colour image
+    got = cosines(encoder, scene, image)
+    assert got[0, 1] == pytest.approx(got[0, 2], abs=1e-3)
+    assert got[0, 1] > got[0, 0] + 0.4
+    sure = cosines(LabelsEncoder(FOUR, **probable(chair=1.0, desk=0.0)), scene, image)
+    assert sure[0, 1] == pytest.approx(1, abs=1e-5)
+    mostly = cosines(LabelsEncoder(FOUR, **probable(chair=0.8, desk=0.2)), scene, image)
+    assert 1 > mostly[0, 1] > got[0, 1] > mostly[0, 2] > mostly[0, 0]
+
+
+def test_probabilities_are_averaged_over_patches(scene):
+    """Left chair, right desk; in the middle column of three, half and half."""
+    shares = np.zeros((6, 12, 2))
+    shares[:, :6, 0] = shares[:, 6:, 1] = 1.0
+    encoder = LabelsEncoder((1, 3), segmenter=lambda _: shares, names=["chair", "desk"])
+    got = encoder.patches(frame({}, [0] * 8))[0] @ encoder.objects(scene).T
+    assert got[0, 1] == pytest.approx(1, abs=1e-5)
+    assert got[2, 2] == pytest.approx(1, abs=1e-5)
+    assert got[1, 1] == pytest.approx(got[1, 2], abs=1e-3)
+
+
+def test_probabilities_that_say_nothing():
+    image = frame({}, [0] * 8)
+    assert not LabelsEncoder(FOUR, **probable(unknown=0.6, chair=0.4)).patches(image).any()
+    assert LabelsEncoder(FOUR, **probable(unknown=0.5, chair=0.5)).patches(image).all(axis=2).any()
+    coarse = LabelsEncoder(FOUR, segmenter=lambda _: np.ones((2, 2, 1)), names=["chair"])
+    got = coarse.patches(image)  # four pixels for 32 patches
+    assert np.count_nonzero(got.any(axis=2)) == 4
+
+
+class Halves:
+    """A segmenter of colour images: the left half is a sofa, the right is nothing."""
+
+    names = {7: "sofa"}  # noqa: RUF012
+
+    def size(self, width, height):
+        return width, height
+
+    def labels(self, rgb):
+        out = np.full(rgb.shape[:2], -1)
+        out[:, : out.shape[1] // 2] = 7
+        return out
+
+
+def test_a_segmenter_of_colour_images():
+    encoder = LabelsEncoder(FOUR, segmenter=Halves())
+    image = frame({0: "chair"}, [0] * 8)
+    got = encoder.patches(image)
+    assert (got[:, :4] == encoder.vector("couch")).all()
+    assert not got[:, 4:].any()
+    assert encoder.camera(image) == CAMERA
+
+
+def test_segmenters_that_do_not_keep_their_word():
+    image = frame({}, [0] * 8)
+    for answer in (
+        np.ones((4, 4)), np.ones((4, 4, 3)), np.ones((4, 4, 2), int), np.full((4, 4, 2), np.nan),
+        np.full((4, 4, 2), -0.5),
+    ):  # fmt: skip
+        encoder = LabelsEncoder(segmenter=lambda _, a=answer: a, names=["chair", "desk"])
+        with pytest.raises(OptionError, match="segmenter"):
+            encoder.patches(image)
+
+    class Broken(Halves):
+        def labels(self, rgb):
+            return np.zeros(rgb.shape)
+
+    with pytest.raises(OptionError, match=r"labels \(height, width\) belong"):
+        LabelsEncoder(segmenter=Broken()).patches(image)
+
+
+def test_options_that_are_none():
+    for grid in ((0, 4), (4, 0), (-1, 2)):
+        with pytest.raises(OptionError, match="at least one row"):
+            LabelsEncoder(grid)
+    with pytest.raises(OptionError, match="names: give"):
+        LabelsEncoder(segmenter=lambda _: np.ones((1, 1, 1)))
+    for options in ({"names": ["chair"]}, {"names": ["chair"], "segmenter": Halves()}):
+        with pytest.raises(OptionError, match="names: only"):
+            LabelsEncoder(**options)
+    with pytest.raises(OptionError, match="encoder 'labels'"):
+        encode.encoder("labels", shape=3)
+
+
+# ------------------------------------------------------------------------------- confusions
+
+
+def test_a_said_label_stands_for_what_it_may_be(scene):
+    """Four of five tables that this segmentation sees are desks, and all its desks are floor."""
+    known = Confusion(
+        ("table", "desk", "floor"), [[0.1, 0.0, 0.9], [0.4, 0.6, 0.0], [0.0, 0.9, 0.1]]
+    )
+    names = {0: "table", 1: "desk", 2: "chair"}
+    image = frame(names, [0, 1, 2, 2, 2, 2, 2, 2])
+    plain = cosines(LabelsEncoder(FOUR), scene, image)
+    told = cosines(LabelsEncoder(FOUR, confusion=known), scene, image)
+    assert told[0, 2] > plain[0, 2] + 0.05
+    assert told[1, 0] > told[1, 2] > 0.3 > plain[1, 0]
+    assert (told[2] == plain[2]).all()  # nothing is known of chairs
+    assert np.linalg.norm(LabelsEncoder(confusion=known).patches(image), axis=2) == pytest.approx(
+        1, abs=1e-5
+    )
+    assert LabelsEncoder(confusion=known).key == LabelsEncoder().key
+
+
+def test_confusions_of_probabilities(scene):
+    known = Confusion(("desk", "chair"), [[0.0, 1.0], [1.0, 0.0]])
+    encoder = LabelsEncoder(FOUR, confusion=known, **probable(chair=1.0, desk=0.0))
+    got = cosines(encoder, scene, frame({}, [0] * 8))
+    assert got[0].argmax() == 2
+
+
+def test_accuracy_rises_with_a_known_confusion(boxes, rng):
+    """A segmentation that takes desks for tables and half the sofas for beds, in a room with both."""
+    truth = ["desk", "table", "sofa", "bed", "chair", "floor"]
+    scene = scene_of_model(boxes(dict.fromkeys(truth, UNIT)))
+    matrix = np.eye(6) * 0.9 + 0.02
+    matrix[0] = [0.05, 0.85, 0.025, 0.025, 0.025, 0.025]
+    matrix[2] = [0.02, 0.02, 0.45, 0.47, 0.02, 0.02]
+    matrix[1] = [0.45, 0.45, 0.025, 0.025, 0.025, 0.025]
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    true = rng.integers(6, size=4096)
+    said = np.array([rng.choice(6, p=matrix[t]) for t in true]).reshape(64, 64)
+    image = Frame.from_arrays(
+        np.zeros((64, 64, 3), np.uint8), Camera(64, 64, 50.0, 50.0, 32.0, 32.0),
+        labels=said, label_names=dict(enumerate(truth)),
+    )  # fmt: skip
+
+    def believed(encoder):
+        """Mean probability given to the truth, and how often that is the largest."""
+        patches = bound(encoder, scene).encode(image)
+        share = np.exp(patches.table[patches.rows] / patches.temperature)
+        share /= share.sum(axis=1, keepdims=True)
+        own = share[np.arange(4096), true]
+        return float(np.log(own).mean()), float((share.argmax(axis=1) == true).mean())
+
+    plain = believed(LabelsEncoder((64, 64)))
+    told = believed(LabelsEncoder((64, 64), confusion=Confusion(tuple(truth), matrix)))
+    assert told[1] > plain[1] + 0.05
+    assert told[0] > plain[0] + 0.5  # nat
