@@ -12,11 +12,12 @@ from placegraph.cli.scene_facts import info
 from placegraph.cli.scene_localize import localize
 from placegraph.cli.scene_refine import refine
 from placegraph.cli.scene_render import render
+from placegraph.cli.scene_train import train
 from placegraph.cli.scene_view import view
 
 app = typer.Typer(
     help="Indoor: make maps of rooms, and find the pose of a few frames in them.",
     no_args_is_help=True,
 )
-for command in (build, info, check, diff, update, export, view, localize, refine, render):
+for command in (build, info, check, diff, update, export, view, localize, refine, render, train):
     app.command()(command)

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
 
 WIDTH, HEIGHT = 1180, 460
-LOSSES = ("match", "similarity", "embedding", "fusion", "loss", "check")
+LOSSES = ("match", "similarity", "embedding", "fusion", "loss")
 """Series that are losses."""
 RECALL = "recall@1 within 50 m, tiles held out"
 COLORS = {
     "match": "mode", "similarity": "transit", "embedding": "leisure", "fusion": "amber",
     "relational": "soft-ink", "network": "transit", "dense": "leisure", "fused": "mode",
-    "loss": "mode", "check": "transit", "patch": "transit", "later": "leisure", "room": "mode",
+    "loss": "mode", "patch": "transit", "changed": "leisure", "room": "mode",
 }  # fmt: skip
 """Of the palette, by series."""
 

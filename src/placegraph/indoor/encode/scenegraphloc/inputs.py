@@ -285,7 +285,7 @@ def together(rooms: Sequence[Room], *, device: Any = "cpu") -> Objects:  # noqa:
     return Objects(
         points=joined([r.points for r in rooms]),
         offsets=joined([r.offsets for r in rooms]),
-        edges=tuple(torch.from_numpy(r.edges).to(device) for r in rooms),
+        edges=tuple(torch.tensor(r.edges, device=device) for r in rooms),
         sizes=sizes,
         relations=joined([r.relations for r in rooms]),
         attributes=joined([r.attributes for r in rooms]),

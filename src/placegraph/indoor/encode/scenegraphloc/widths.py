@@ -61,11 +61,12 @@ class Widths:
                 )
 
     @classmethod
-    def small(cls, feature: int) -> Widths:
+    def small(cls, feature: int, attributes: int = ATTRIBUTES) -> Widths:
         """Widths for features of `feature` numbers, of a network that a processor trains."""
         return cls(
             feature=feature, embedding=64, hidden=128, gate=max(4, feature // 4), modality=32,
             points=(32, 64, 64), graph=32, view=64, pose_hidden=32,
+            attributes=attributes,
         )  # fmt: skip
 
     @classmethod
