@@ -24,6 +24,7 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode.compact import worlds
 from placegraph.synthetic.flats import Flat
 from placegraph.synthetic.homes import home, scene_of
+from placegraph.training import torch_or_what_installs_it
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -79,6 +80,7 @@ def render(given: argparse.Namespace) -> None:
 
 def train(given: argparse.Namespace) -> None:
     """Train, or go on."""
+    torch_or_what_installs_it()
     from placegraph.indoor.encode.compact.train import Plan, train_on
 
     plan = Plan(steps=given.steps, batch=given.batch, seed=given.seed)

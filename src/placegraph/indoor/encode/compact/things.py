@@ -157,12 +157,16 @@ def _shape(
 def _across(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shorter and longer side (N, 2) [m] of the smallest rectangle around points (N, P, 2).
 
-    However the map is turned: of TURNS rectangles, between which it lies.
+    However the map is turned: of TURNS rectangles, and of the one along which the points spread
+    most, which is right for what is thin.
     """
+    x, y = np.moveaxis(points - points.mean(axis=1, keepdims=True), 2, 0)
+    along = np.arctan2(2.0 * (x * y).mean(axis=1), (x * x - y * y).mean(axis=1)) / 2.0
     sides = np.full((len(points), 2), np.inf)
-    for angle in np.arange(TURNS) * (np.pi / 2.0 / TURNS):
-        c, s = np.cos(angle), np.sin(angle)
-        turned = np.sort(np.ptp(points @ np.array([[c, -s], [s, c]]), axis=1), axis=1)
+    for angle in (along, *np.arange(TURNS) * (np.pi / 2.0 / TURNS)):
+        c, s = (np.reshape(f(angle), (-1, 1)) for f in (np.cos, np.sin))
+        turned = np.stack([np.ptp(c * x + s * y, axis=1), np.ptp(c * y - s * x, axis=1)], axis=1)
+        turned.sort(axis=1)
         smaller = turned.prod(axis=1) < sides.prod(axis=1)
         sides[smaller] = turned[smaller]
     return sides

@@ -7,7 +7,6 @@ Folder and weights file are written as it goes on, so that a cut leaves the best
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
-from placegraph.errors import InputError, OptionError
+from placegraph.errors import InputError
 from placegraph.indoor.encode.compact import picture, vary
 from placegraph.indoor.encode.compact.network import Network
 from placegraph.indoor.encode.compact.shape import Shape
@@ -28,6 +27,7 @@ from placegraph.indoor.encode.compact.weights import trained, write_weights
 from placegraph.indoor.encode.compact.worlds import World
 from placegraph.indoor.encode.words import digest, vector
 from placegraph.store import read_map, write_map
+from placegraph.training import add_row, planned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float32]
 
 STATE, VERSION = "compact-training", 1
+EVERY = 25
+"""Steps between rows of the curves."""
 HELD_OUT = 14
 """Every so manieth world of a kind is not trained on."""
 
@@ -60,7 +62,7 @@ class Plan:
     """Weight of finding an object among those of all scenes, beside those of its own."""
     average: float = 0.998
     """The network kept is a running mean of what was trained."""
-    check: int = 250
+    check: int = 100
     """Steps between validations."""
     seed: int = 0
 
@@ -103,14 +105,10 @@ def train_on(
     while state.step < plan.steps:
         group = known[state.step % len(known)]
         loss = state.learn(group)
-        if state.step % 50 == 0:
-            spent = (time.perf_counter() - began) / 60.0
-            state.note({"step": state.step, "loss": loss, "minutes": spent})
-            tell(f"step {state.step}: loss {loss:.3f}, {spent:.1f} min")
+        row = {"epoch": state.step, "loss": loss, "minutes": (time.perf_counter() - began) / 60.0}
         if state.step % plan.check == 0 or state.step == plan.steps:
             nats, right, temperature = judge(state.network(), checks)
-            state.note({"step": state.step, "nats": nats, "right": right, "tau": temperature})
-            tell(f"step {state.step}: held out {nats:.3f} nats, {right:.1%} right")
+            row |= {"nats": nats, "right": right, "temperature": temperature}
             if nats > state.best:
                 state.best = nats
                 told = {
@@ -120,6 +118,9 @@ def train_on(
                 arrays = {n: t.detach().numpy() for n, t in state.mean.items()}
                 write_weights(output, trained(state.model.shape, arrays, temperature, told))
             state.write()
+        if state.step % EVERY == 0:
+            add_row(folder, row)
+            tell(", ".join(f"{name} {value:.4g}" for name, value in row.items()))
 
 
 def split(folder: Path) -> tuple[list[list[World]], list[World]]:
@@ -160,12 +161,8 @@ class State:
     @classmethod
     def begun(cls, folder: Path, plan: Plan, known: Sequence[Sequence[World]]) -> State:
         """A new training, or the one of the folder."""
-        folder.mkdir(parents=True, exist_ok=True)
+        planned(folder, asdict(plan))
         state = cls(folder, plan)
-        told = folder / "plan.json"
-        if told.exists() and json.loads(told.read_text(encoding="utf-8")) != asdict(plan):
-            raise OptionError(f"{folder} holds a training with another plan; name another folder.")
-        told.write_text(json.dumps(asdict(plan), indent=1), encoding="utf-8")
         if (folder / "state").exists():
             state.read()
         else:
@@ -223,11 +220,6 @@ class State:
         """The running mean, as it will be shipped."""
         arrays = {n: t.numpy().astype(np.float16).astype(np.float32) for n, t in self.mean.items()}
         return Network(self.model.shape, arrays)
-
-    def note(self, row: dict[str, Any]) -> None:
-        """Add a row to the curves."""
-        with (self.folder / "curves.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
 
     def write(self) -> None:
         """Keep all that going on needs."""
