@@ -1,0 +1,207 @@
+"""The encoder that needs no weights: colour and texture of a patch against those of the surfaces.
+
+Every small cell of an image is described by five numbers: lightness, two chromaticities, each
+against the image's own level, and contrast at two scales. Cosines and sines of random projections of
+them (random Fourier features, Rahimi and Recht, NIPS 2007) make the dot product of two cells a
+Gaussian kernel; their mean over a patch, or over all cells that show an object, is a vector of
+the distribution (a kernel mean embedding). Objects are looked at as visitors would see them: the
+map is rendered from inside, and what is rendered is described as any other image.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import Camera
+from placegraph.indoor.encode.glances import around, towards
+from placegraph.indoor.encode.grid import GRID
+from placegraph.indoor.options import FilterOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.capture import Capture
+    from placegraph.formats.frame import Frame
+    from placegraph.indoor.scene_map import SceneMap
+
+DIMENSION = 64
+TEMPERATURE = 0.1
+"""Calibrated on the shared house and on drawn homes (`benchmarks/patch_accuracy.py`)."""
+_CAMERA = Camera(256, 144, 184.0, 184.0, 128.0, 72.0)
+"""Size that all images are brought to, and what the map is rendered with: 70 degrees wide."""
+_CELL = 2  # [px]
+_BLOCK = 4  # [cells], over which the coarser contrast is taken
+_DARK = 40.0  # added to colours before their logarithm: differences of dark ones are noise
+_EVEN = 0.05  # added to contrasts before theirs
+_WIDTHS = np.array([0.75, 0.19, 0.04, 1.6, 1.2], np.float32)
+"""What counts as alike: lightness, red - blue, green - both, fine and coarse contrast (logs)."""
+_BALANCE = 0.8
+"""Share of the cast of the brightest cells, and of the level of lightness, that is taken out."""
+_BRIGHT = 0.3  # share of cells that count among the brightest
+_ENOUGH = 32  # cells that an object is known by
+_SEED = 2
+
+
+def _frequencies() -> NDArray[np.float32]:
+    """Projections (5, DIMENSION / 2): orthogonal in sets, of lengths as of Gaussian vectors."""
+    rng = np.random.default_rng(_SEED)
+    count, parts = len(_WIDTHS), []
+    for _ in range(-(-DIMENSION // 2 // count)):
+        turned, _ = np.linalg.qr(rng.standard_normal((count, count)))
+        parts.append(turned * np.sqrt(rng.chisquare(count, count))[:, None])
+    return np.asarray(np.concatenate(parts)[: DIMENSION // 2].T / _WIDTHS[:, None], np.float32)
+
+
+_FREQUENCIES = _frequencies()
+_USUAL = np.array(
+    [
+        -0.407,  0.614, -0.448, -0.353, -0.367, -0.115, -0.321, -0.395,  0.451,  0.22 , -0.571,
+        0.178, -0.352,  0.46 , -0.16 ,  0.264,  0.194,  0.264,  0.196,  0.422, -0.391, -0.058,
+        0.485, -0.335, -0.434,  0.276, -0.289,  0.165,  0.364,  0.112, -0.382, -0.022,  0.098,
+        0.317, -0.466, -0.044,  0.032, -0.288,  0.253, -0.154, -0.242,  0.252,  0.407, -0.374,
+        0.029, -0.188, -0.215, -0.535, -0.288,  0.225, -0.225, -0.194,  0.514, -0.277, -0.065,
+        0.113, -0.088, -0.285,  0.073,  0.182,  0.716,  0.414,  0.068,  0.297,
+    ],
+    np.float32,
+)  # fmt: skip
+"""Mean vector of the objects of the house and of drawn homes: what all surfaces share."""
+
+
+class AppearanceEncoder:
+    """Patches and objects by the colours and the texture that can be seen of them."""
+
+    name = "appearance"
+    dimension = DIMENSION
+    temperature = TEMPERATURE
+
+    @property
+    def key(self) -> str:
+        """Its name and a digest of its constants."""
+        return f"appearance {_digest()}"
+
+    def patches(self, image: Frame) -> NDArray[np.float32]:
+        """Unit vectors (9, 16, d) of a frame's patches; (16, 9, d) of an upright image.
+
+        Raises `InputError` where the image is broken.
+        """
+        from PIL import Image
+
+        rgb = image.rgb()
+        upright = rgb.shape[0] > rgb.shape[1]
+        size = (_CAMERA.height, _CAMERA.width) if upright else (_CAMERA.width, _CAMERA.height)
+        rows, columns = GRID[::-1] if upright else GRID
+        small = Image.fromarray(rgb).resize(size, Image.Resampling.BOX)
+        features = _features(_described(np.asarray(small)))
+        h, w, d = features.shape
+        parts = features.reshape(rows, h // rows, columns, w // columns, d)
+        return _unit(parts.mean(axis=(1, 3)) - _USUAL)
+
+    def camera(self, image: Frame) -> Camera:
+        """Camera of the colour image."""
+        return image.camera
+
+    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
+        """Unit vectors (N, d) of a map's objects; zero of what cannot be seen, or has no colour."""
+        means, cells = surfaces(scene)
+        return np.where(cells[:, None] > 0, _unit(means - _USUAL), np.float32(0.0))
+
+
+def surfaces(scene: SceneMap) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Mean features (N, d) of a map's objects, not centred, and how many cells (N,) show them."""
+    from placegraph.indoor.render import Renderer
+
+    sums = np.zeros((len(scene), DIMENSION))
+    cells = np.zeros(len(scene), np.int64)
+    if not scene.coloured:
+        return sums.astype(np.float32), cells
+    renderer, table = Renderer(scene), scene.visibility(FilterOptions())
+
+    def look(poses: NDArray[np.float64]) -> None:
+        for pose in poses:
+            drawn = renderer.render(pose, _CAMERA)
+            _add(drawn.colour, drawn.objects, sums, cells)
+
+    look(around(table))
+    look(towards(table, np.flatnonzero(cells < _ENOUGH)))
+    return (sums / np.maximum(cells, 1)[:, None]).astype(np.float32), cells
+
+
+def _add(
+    colour: NDArray[np.uint8],
+    objects: NDArray[np.int32],
+    sums: NDArray[np.float64],
+    cells: NDArray[np.int64],
+) -> None:
+    """Add the features of a rendering to the sums (N, d) of the objects that it shows."""
+    known = _pooled((objects >= 0).astype(np.float32), _CELL) == 1.0
+    if not known.any():
+        return
+    filled = np.where((objects >= 0)[..., None], colour, colour[objects >= 0].mean(axis=0))
+    features = _features(_described(filled, known))[known]
+    shown, row = np.unique(objects[::_CELL, ::_CELL][known], return_inverse=True)
+    order = np.argsort(row.ravel(), kind="stable")
+    counts = np.bincount(row.ravel())
+    sums[shown] += np.add.reduceat(features[order], np.cumsum(counts) - counts, axis=0)
+    cells[shown] += counts
+
+
+def _described(
+    rgb: NDArray[np.uint8] | NDArray[np.float64], known: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """Five numbers (h, w, 5) of each cell of an image; levels are those of the cells known."""
+    fine = rgb.astype(np.float32)
+    colour = np.log(_pooled(fine, _CELL) + np.float32(_DARK))
+    light = colour.mean(axis=-1)
+    red_blue = colour[..., 0] - colour[..., 2]
+    green = colour[..., 1] - (colour[..., 0] + colour[..., 2]) / 2
+    there = np.ones(light.shape, np.bool_) if known is None else known
+    bright = there & (light >= np.quantile(light[there], 1.0 - _BRIGHT))
+    shade = np.log(fine.mean(axis=-1) + np.float32(8.0))
+    return np.stack(
+        [
+            light - _BALANCE * np.median(light[there]),
+            red_blue - _BALANCE * red_blue[bright].mean(),
+            green - _BALANCE * green[bright].mean(),
+            np.log(_contrast(shade, _CELL) + np.float32(_EVEN)),
+            np.kron(
+                np.log(_contrast(_pooled(shade, _CELL), _BLOCK) + np.float32(_EVEN)),
+                np.ones((_BLOCK, _BLOCK), np.float32),
+            ),
+        ],
+        axis=-1,
+    ).astype(np.float32)
+
+
+def _features(described: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Features (..., d) whose dot products are kernels of descriptions (..., 5)."""
+    angles = described @ _FREQUENCIES
+    return np.concatenate([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def _pooled(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """Means over squares of an image (h, w, ...)."""
+    h, w = image.shape[:2]
+    parts = image.reshape(h // size, size, w // size, size, *image.shape[2:])
+    return np.asarray(parts.mean(axis=(1, 3)), np.float32)
+
+
+def _contrast(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """Standard deviations over squares of an image (h, w)."""
+    variance = _pooled(image**2, size) - _pooled(image, size) ** 2
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
+
+
+def _digest() -> str:
+    numbers = (_CELL, _BLOCK, _DARK, _EVEN, _BALANCE, _BRIGHT)
+    parts = repr(numbers).encode(), _FREQUENCIES.tobytes(), _USUAL.tobytes()
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:8]

@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from placegraph.formats.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.encode import Encoder, bound, encoder
+from placegraph.indoor.encode.appearance import DIMENSION, AppearanceEncoder, _features
+from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.textures import linear_from_srgb, srgb_from_linear
+
+APPEARANCE = AppearanceEncoder()
+
+
+def frame_of(rgb):
+    h, w = rgb.shape[:2]
+    return Frame.from_arrays(rgb, Camera(w, h, w, w, w / 2, h / 2))
+
+
+def lit(rgb, gains):
+    """The same place under another light, or exposed otherwise."""
+    linear = linear_from_srgb(rgb / 255.0) * gains
+    return np.rint(255 * np.clip(srgb_from_linear(linear), 0, 1)).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def vectors(room):
+    return APPEARANCE.objects(room)
+
+
+@pytest.fixture(scope="module")
+def pictures(walk):
+    return [f.rgb() for f in walk]
+
+
+def test_it_is_what_the_registry_makes():
+    made = encoder("appearance")
+    assert isinstance(made, Encoder)
+    assert (made.name, made.dimension) == ("appearance", DIMENSION)
+    assert made.key == APPEARANCE.key
+    assert made.key.startswith("appearance ")
+
+
+@pytest.mark.parametrize(
+    ("shape", "grid"),
+    [
+        ((90, 160), (9, 16)),
+        ((160, 90), (16, 9)),
+        ((91, 161), (9, 16)),
+        ((1, 1), (9, 16)),
+        ((2, 1), (16, 9)),
+        ((3, 5000), (9, 16)),
+        ((3000, 4000), (9, 16)),
+    ],
+)
+def test_images_of_any_size_have_patches(shape, grid, rng):
+    image = frame_of(rng.integers(0, 256, (*shape, 3), np.uint8))
+    patches = APPEARANCE.patches(image)
+    assert patches.shape == (*grid, DIMENSION)
+    assert patches.dtype == np.float32
+    assert np.linalg.norm(patches, axis=-1) == pytest.approx(1.0, abs=1e-4)
+    assert APPEARANCE.camera(image) is image.camera
+
+
+@given(st.integers(0, 255))
+def test_an_even_image_has_even_patches(grey):
+    patches = APPEARANCE.patches(frame_of(np.full((36, 64, 3), grey, np.uint8)))
+    assert np.isfinite(patches).all()
+    assert np.ptp(patches.reshape(-1, DIMENSION), axis=0).max() < 1e-5
+
+
+def test_patches_lie_where_the_image_has_them():
+    rgb = np.full((144, 256, 3), 200, np.uint8)
+    rgb[32:48, 64:80] = 180, 20, 30
+    alike = APPEARANCE.patches(frame_of(rgb)) @ APPEARANCE.patches(frame_of(rgb))[0, 0]
+    odd = alike < 0.9
+    assert odd[2, 4]
+    assert odd.sum() == 1
+
+
+def test_an_upright_image_is_read_upright(pictures):
+    """What is turned to its side has the same patches, turned: nothing depends on directions."""
+    rgb = pictures[0]
+    turned = APPEARANCE.patches(frame_of(np.ascontiguousarray(np.rot90(rgb))))
+    lying = APPEARANCE.patches(frame_of(rgb))
+    assert np.sum(np.rot90(lying) * turned, axis=-1).min() > 0.9
+
+
+@pytest.mark.parametrize(
+    "gains", [(1.4, 1.4, 1.4), (0.7, 0.7, 0.7), (1.15, 1.0, 0.85), (0.8, 0.95, 1.1)]
+)
+def test_exposure_and_white_balance_change_little(pictures, gains):
+    same, other = [], []
+    for rgb in pictures:
+        before, after = (
+            APPEARANCE.patches(frame_of(image)).reshape(-1, DIMENSION)
+            for image in (rgb, lit(rgb, gains))
+        )
+        cosines = after @ before.T
+        same.append(np.diag(cosines).mean())
+        other.append(np.median(cosines))
+    assert np.mean(same) > 0.8
+    assert np.mean(same) > np.mean(other) + 0.4
+
+
+def test_dot_products_are_a_gaussian_kernel(rng):
+    widths = np.array([0.75, 0.19, 0.04, 1.6, 1.2])
+    steps = rng.standard_normal((2000, 5)) * rng.uniform(0, 1.2, (2000, 1))
+    start, end = (_features((at * widths).astype(np.float32)) for at in (0 * steps, steps))
+    kernel = (start * end).sum(axis=1) / (DIMENSION / 2)
+    assert np.sqrt(np.mean((kernel - np.exp(-(steps**2).sum(axis=1) / 2)) ** 2)) < 0.12
+
+
+def test_every_object_that_can_be_seen_has_a_unit_vector(room, vectors, walk):
+    assert vectors.shape == (len(room), DIMENSION)
+    lengths = np.linalg.norm(vectors, axis=1)
+    assert np.isclose(lengths, 1.0, atol=1e-4).sum() >= len(room) - 1
+    assert (np.isclose(lengths, 1.0, atol=1e-4) | (lengths == 0.0)).all()
+    assert APPEARANCE.objects(room, [walk]) == pytest.approx(vectors)
+
+
+def test_patches_know_their_objects(room, vectors, walk):
+    """Objects of other colours are told apart, in another light than the map's: none."""
+    ranks = []
+    for frame in walk:
+        ids = np.asarray(Image.fromarray(frame.labels()).resize((16, 9), Image.Resampling.NEAREST))
+        cosines = APPEARANCE.patches(frame) @ vectors.T
+        for id_, row in zip(ids.ravel().tolist(), cosines.reshape(144, -1), strict=True):
+            if id_ >= 0:
+                ranks.append((row < row[room.row_of(str(id_))]).mean())
+    assert np.mean(ranks) > 0.8
+
+
+def test_bound_to_a_map(room, vectors, walk):
+    kept = room.with_embeddings(vectors, encoder=APPEARANCE.key)
+    patches = bound(APPEARANCE, kept).encode(walk[0])
+    assert patches.grid == (9, 16)
+    assert patches.temperature == APPEARANCE.temperature
+    table = APPEARANCE.patches(walk[0]).reshape(144, -1) @ vectors.T
+    assert patches.table[patches.rows] == pytest.approx(table, abs=0.03)  # 8 bits
+
+
+def test_a_map_without_colours_says_nothing(room):
+    mesh = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
+    bare = SceneMap.create(mesh, room.graph.ids, room.graph.labels, floor=0.0)
+    assert not APPEARANCE.objects(bare).any()
