@@ -85,6 +85,7 @@ def train_on(
     folder: Path,
     output: str | PathLike[str],
     plan: Plan,
+    shape: Shape | None = None,
     *,
     tell: Callable[[str], None] = lambda _: None,
 ) -> None:
@@ -99,7 +100,7 @@ def train_on(
 
     """
     known, held = split(worlds)
-    state = State.begun(folder, plan, known)
+    state = State.begun(folder, plan, known, shape or Shape())
     checks = [batch_of([w], [i], None) for w in held for i in range(0, len(w.light), 2)]
     began = time.perf_counter()
     while state.step < plan.steps:
@@ -118,7 +119,7 @@ def train_on(
                 arrays = {n: t.detach().numpy() for n, t in state.mean.items()}
                 write_weights(output, trained(state.model.shape, arrays, temperature, told))
             state.write()
-        if state.step % EVERY == 0:
+        if state.step % EVERY == 0 or "nats" in row:
             add_row(folder, row)
             tell(", ".join(f"{name} {value:.4g}" for name, value in row.items()))
 
@@ -142,10 +143,10 @@ def split(folder: Path) -> tuple[list[list[World]], list[World]]:
 class State:
     """A training under way."""
 
-    def __init__(self, folder: Path, plan: Plan) -> None:
+    def __init__(self, folder: Path, plan: Plan, shape: Shape) -> None:
         torch.manual_seed(plan.seed)
         self.folder, self.plan = folder, plan
-        self.model = TorchNetwork(Shape())
+        self.model = TorchNetwork(shape)
         self.scale = torch.nn.Parameter(torch.tensor(math.log(10.0)))
         self.parameters = dict(self.model.named_parameters()) | {"scale": self.scale}
         flat = [p for p in self.parameters.values() if p.ndim < 2]
@@ -159,10 +160,12 @@ class State:
         self.step, self.best = 0, 0.0  # nats of guessing
 
     @classmethod
-    def begun(cls, folder: Path, plan: Plan, known: Sequence[Sequence[World]]) -> State:
+    def begun(
+        cls, folder: Path, plan: Plan, known: Sequence[Sequence[World]], shape: Shape
+    ) -> State:
         """A new training, or the one of the folder."""
-        planned(folder, asdict(plan))
-        state = cls(folder, plan)
+        planned(folder, asdict(plan) | {"shape": shape.to_dict()})
+        state = cls(folder, plan, shape)
         if (folder / "state").exists():
             state.read()
         else:
