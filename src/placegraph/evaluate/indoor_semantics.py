@@ -11,7 +11,7 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from placegraph.errors import MissingExtraError
+from placegraph.errors import InputError, MissingExtraError
 from placegraph.evaluate.indoor_bench import Bench
 from placegraph.evaluate.indoor_jobs import answered
 from placegraph.evaluate.indoor_maps import place
@@ -115,7 +115,7 @@ def available() -> list[str]:
     for name in OF_IMAGES:
         try:
             encoder(name)
-        except (MissingExtraError, ModuleNotFoundError):
+        except (InputError, MissingExtraError, ModuleNotFoundError):  # no weights yet, no module
             continue
         found.append(name)
     return found

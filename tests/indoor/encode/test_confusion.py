@@ -70,7 +70,8 @@ def test_lines_of_a_csv_may_stand_in_any_order(tmp_path):
         ("a.csv", ",a,b\na,1,0\nc,0,1\n", "first line"), ("a.csv", ",a\na,one\n", "as many numbers"),
         ("a.csv", ",a,b\na,1\nb,0,1\n", "as many numbers"), ("a.csv", ",a\na,-1\n", "not below 0"),
         ("a.csv", ",a\na,nan\n", "not below 0"), ("a.csv", b"\xff\xfe\x00", "cannot be read"),
-        ("a.json", "{", "not JSON"), ("a.json", "[1]", "JSON object"), ("a.json", '{"names": "ab"}', "JSON object"),
+        ("a.json", "{", "not JSON"),
+        ("a.json", "[1]", "JSON object"), ("a.json", '{"names": "ab"}', "JSON object"),
         ("a.json", '{"names": ["a"], "matrix": [["x"]]}', "as many numbers"),
         ("a.json", '{"names": ["a"], "matrix": [[1, 2]]}', "shape"),
         ("a.json", '{"names": ["a", "A"], "matrix": [[1, 2], [1, 2]]}', "twice"),
@@ -129,7 +130,7 @@ def confused(capture, room, truth, said):
 
 def test_what_is_said_of_a_map_is_found_out(room, walk, truth):
     capture = confused(walk, room, truth, {"sideboard": "sofa", "chair": "stool"})
-    known = Confusion.estimate(room, [capture[:5], capture[5:]])
+    known = Confusion.estimate(room, [capture[:5], capture[5:]], step=2)
     row = {name: i for i, name in enumerate(known.names)}
     assert known.matrix[row["sideboard"], row["sofa"]] > 0.8
     assert known.matrix[row["wall"], row["wall"]] > 0.95
