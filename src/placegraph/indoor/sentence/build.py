@@ -51,8 +51,10 @@ class Builder:
         before, after = list(clause.before), list(clause.after)
         things = [item for item in before if isinstance(item, Thing)]
         match clause.verb:
-            case "is_" if things and _only_places(after):
-                self._say_of(before, after)
+            case "is_" if things and after and isinstance(after[0], Place):
+                rest = next((i for i, a in enumerate(after) if isinstance(a, Thing)), len(after))
+                self._say_of(before, after[:rest])
+                self._walk(after[rest:], ME)  # "..., a lamp behind me"
             case "is_" if things and not any(t.kind == "thing" for t in things):
                 self._walk(after, ME)  # "this is the kitchen"
             case "is_" if things:
@@ -358,10 +360,6 @@ def _mention(thing: Thing, text: str) -> Mention:
         negated="NO" in kinds or count == 0,
         room=room_kind(label),
     )
-
-
-def _only_places(items: Sequence[Item]) -> bool:
-    return bool(items) and not any(isinstance(item, Thing) for item in items)
 
 
 def _turned(after: Sequence[Item], before: Sequence[Item]) -> list[Item]:

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))
 _DETERMINERS = frozenset(("DET", "A", "NUM", "NO", "SOME"))
 _NOUNS = frozenset(("WORD", *_DETERMINERS))
+_BEFORE_NOUN = frozenset(("NOT", *_DETERMINERS))
 _PLACES = frozenset(("REL", "DIR", "BETWEEN", "FAR", "HERE", "FACE", "AWAY", "DIST"))
 _AMBIGUOUS = frozenset(("STAND", "PART", "FACE", "HERE", "SIGHT", "SEE", "HAVE", "SKIP", "WITH"))
 """Types whose single words may be part of what a thing is called: "standing lamp"."""
+_STANDS = frozenset(("stands", "sits", "hangs", "lies"))
 _LONGEST = 60
 """Chunks in a clause; nobody speaks in longer ones."""
 _MOST = 1000
@@ -71,7 +73,8 @@ def _take(sentence: Sequence[Word], lower: list[str], i: int, text: str, found: 
         )
     else:
         # "KitchenTable" is two words, and so is "kitchen_table"
-        parts = label_words(text[word.start : word.start + len(words)])
+        written = text[word.start : word.start + len(words)]
+        parts = [] if written[:-1].isupper() else label_words(written)  # "TVs" is one
         found.append(Chunk("WORD", word.start, end, " ".join(parts) or words))
     return n
 
@@ -89,6 +92,8 @@ def _settled(found: list[Chunk]) -> Iterator[Chunk]:
     for i, chunk in enumerate(found):
         after = found[i + 1].type if i + 1 < len(found) else ""
         settled = _settle(chunk, before.type if before else "", after)
+        if settled is not None and settled.words in _STANDS and _counted(found[:i]):
+            settled = replace(settled, type="WORD")  # "two tv stands in the kitchen"
         if settled is None:
             continue
         if settled.type == "DIR" and before is not None and before.type == "DIR":
@@ -98,6 +103,12 @@ def _settled(found: list[Chunk]) -> Iterator[Chunk]:
             continue
         before = settled
         yield settled
+
+
+def _counted(found: Sequence[Chunk]) -> bool:
+    """Whether chunks end in more than one of a thing: no verb in the singular follows."""
+    end = next((k for k in range(len(found), 0, -1) if found[k - 1].type != "WORD"), 0)
+    return end > 0 and found[end - 1].type in ("NUM", "SOME") and found[end - 1].value != 1
 
 
 def _paired(found: list[Chunk]) -> list[Chunk]:
@@ -125,7 +136,7 @@ def _middle(one: float, other: float) -> float:
 def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
     kind = chunk.type
     single = " " not in chunk.words
-    if kind in _AMBIGUOUS and single and after == "WORD" and before in _DETERMINERS:
+    if kind in _AMBIGUOUS and single and after == "WORD" and before in _BEFORE_NOUN:
         return replace(chunk, type="WORD")  # "a standing lamp", "the side table"
     if kind == "PART" and before == "WORD":
         return replace(chunk, type="WORD")
@@ -141,6 +152,8 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
         return replace(chunk, type="REL", value="in front of")
     if kind == "DIR" and before in ("DET", "A") and single:
         return replace(chunk, type="WORD")
+    if kind == "BE" and chunk.words in _STANDS and after not in _PLACES:
+        return replace(chunk, type="WORD")  # "two tv stands"
     if kind == "BE" and before in _DETERMINERS:
         return None
     return chunk
@@ -189,4 +202,5 @@ def _cuts(current: Sequence[Chunk], rest: Sequence[Chunk], *, verb: bool) -> boo
         return True
     placed = sum(chunk.type in _PLACES for chunk in current)
     # "on my left, there is a plant": one place, said of what comes
-    return placed > 0 and not (placed == 1 and group[0] in ("EXISTS", "SEE"))
+    leads = placed == 1 and current[0].type in _PLACES
+    return placed > 0 and not (leads and not {"EXISTS", "SEE"}.isdisjoint(group))

@@ -20,6 +20,8 @@ LEAST = 0.5
 """Cosine of words that are no kin any more (`encode.word_tree`: 0.64 of two kinds of a thing)."""
 SYNONYM = 0.95
 """How well a synonym fits."""
+GENERAL = 0.7
+"""How well a label fits that says less than what was asked for: a "table" may be a "side table"."""
 EXACT = 0.9
 """What fits this well is the thing itself."""
 _MANY = 20_000  # words kept
@@ -37,7 +39,8 @@ def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
     start = _start(asked)
     for i, label in enumerate(labels):
         if _start(label) == start and start and same_thing(asked, label):
-            out[i] = 1.0
+            said, own = set(label_words(asked)[:-1]), set(label_words(label)[:-1])
+            out[i] = 1.0 if said <= own else max(out[i], GENERAL)
     return np.asarray(out, np.float32)
 
 

@@ -73,13 +73,15 @@ def kinds_of(
 
     """
     known = table()
-    logs = np.log(known.usual) + held @ known.present.T + _ABSENT * ((1.0 - held) @ known.absent.T)
+    # what is there, and to a lesser degree what is not
+    telling = known.present - _ABSENT * known.absent
+    logs = np.log(known.usual) + _ABSENT * known.absent.sum(axis=1) + held @ telling.T
     share = np.exp(logs - logs.max(axis=1, keepdims=True))
     share /= share.sum(axis=1, keepdims=True)
     of_thing = known.usual[:, None] * np.exp(known.present)
     homes = np.flatnonzero(np.broadcast_to(undivided, len(held)))
-    for kind, telling in enumerate(of_thing):
-        most = (held[homes] * telling).max(axis=1, initial=0.0)
+    for kind, of_it in enumerate(of_thing if len(homes) else ()):
+        most = (held[homes] * of_it).max(axis=1, initial=0.0)
         share[homes, kind] = np.maximum(share[homes, kind], most)
     return np.asarray(share)
 

@@ -88,7 +88,7 @@ def _ratios(
         return [(s, None) for s in sentence.statements]
     things = Things(sentence, scene)
     useful = [s for s in sentence.statements if not things.missing(s)]
-    sight = Sight(things, table, useful) if useful else None
+    sight = Sight(things, table) if useful else None
     return [
         (s, None if sight is None or s not in useful else _compared(sight.fit(s), s.certainty))
         for s in sentence.statements

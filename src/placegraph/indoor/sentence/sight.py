@@ -9,13 +9,11 @@ import numpy as np
 
 from placegraph.indoor.panoramas import ELEVATIONS, HIGHEST, STEP, range_of
 from placegraph.indoor.sentence.kin import EXACT
-from placegraph.indoor.sentence.kinds import kinds_of, likenesses, table
+from placegraph.indoor.sentence.kinds import kinds_of, table
 from placegraph.indoor.sentence.sentence import Kind
 from placegraph.indoor.sentence.sight_kernels import look_around_for, look_for, turned, vote_rooms
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from placegraph.indoor.sentence.sentence import Statement
@@ -57,27 +55,27 @@ class Sight:
         Which objects are spoken of.
     views
         The table.
-    statements
-        Those that will be asked for.
     """
 
-    def __init__(
-        self, things: Things, views: VisibilityTable, statements: Sequence[Statement]
-    ) -> None:
+    def __init__(self, things: Things, views: VisibilityTable) -> None:
         self._things, self._views = things, views
-        wanted = np.zeros(len(things.scene), np.bool_)
-        for s in statements:
-            for t in s.things:
-                wanted |= things.weights[t] > 0
-        if any(s.kind is Kind.ROOM for s in statements):
-            wanted |= self._telling.any(axis=1)
-        self._rows = np.flatnonzero(wanted)
-        slot = np.full(len(things.scene) + 1, -1, np.int32)
+        spoken = [weights > 0 for weights in things.weights]
+        self._rows = np.flatnonzero(np.any(spoken, axis=0))
+
+    @cached_property
+    def _sightings(self) -> tuple[Floats, NDArray[np.int16], NDArray[np.bool_]]:
+        """How near (J, K) the things spoken of are seen, in which bin, and whether cut off below."""
+        slot = np.full(len(self._things.scene) + 1, -1, np.int32)
         slot[self._rows] = np.arange(len(self._rows))
-        pano = views.panoramas
-        self._near, self._at, self._cut = look_for(
+        pano = self._views.panoramas
+        found: tuple[Floats, NDArray[np.int16], NDArray[np.bool_]] = look_for(
             pano.objects, pano.ranges, slot, _LEVEL, len(self._rows)
         )
+        return found
+
+    @property
+    def _near(self) -> Floats:
+        return self._sightings[0]
 
     def fit(self, s: Statement) -> Floats:
         """How well (K, A), or (K, 1) of all headings, a statement fits; in [0, 1]."""
@@ -134,7 +132,7 @@ class Sight:
         unseen = ~np.isfinite(self._near)
         sure = np.where(unseen, np.float32(_BELOW), np.float32(1.0))
         below = unseen & (box < 1.0)
-        return np.where(self._cut | below, np.minimum(box, self._near), self._near), sure
+        return np.where(self._sightings[2] | below, np.minimum(box, self._near), self._near), sure
 
     def _close(self, t: int, edge: tuple[float, float], said: float | None) -> Floats:
         distance, sure = self._distance
@@ -169,7 +167,8 @@ class Sight:
 
     def _angle(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
         """Angle (P, K) from the second to the first thing of pairs, to the left [rad, +-pi]."""
-        turn = (self._at[pairs[:, 0]] - self._at[pairs[:, 1]]) * STEP
+        at = self._sightings[1]
+        turn = (at[pairs[:, 0]] - at[pairs[:, 1]]) * STEP
         return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
 
     def _best(self, a: int, b: int, pairs: NDArray[np.int64], fit: NDArray[np.floating]) -> Floats:
@@ -204,37 +203,39 @@ class Sight:
         return self._best(a, b, pairs, fit)
 
     # rooms
-    @cached_property
-    def _telling(self) -> Floats:
-        """(N, T) how well objects are the things by which rooms are told."""
-        labels = self._things.scene.graph.labels
-        known = list(dict.fromkeys(labels))
-        row = np.array([known.index(label) for label in labels])
-        return likenesses(known)[row]
-
     def _room(self, s: Statement) -> Floats:
         """How probably (K,) a position is in a room of a kind: by its room, and by what is near."""
         of, names, kinds = self._things.rooms
         kind = table().kinds.index(self._things.sentence.mentions[s.things[0]].room)
-        pano = self._views.panoramas
-        weight = np.exp(-range_of(np.arange(256, dtype=np.uint8)) / _LEANS)
-        share = vote_rooms(
-            pano.objects, pano.ranges, np.append(of, np.int32(-1)), weight, len(names)
-        )
-        told = share @ kinds[:, kind]
+        share = vote_rooms(*self._thinned, np.append(of, np.int32(-1)), _leaning(), len(names))
+        told = share @ kinds[:, kind].astype(np.float32)
         if all(name.isdigit() for name in names):  # numbers, as `rooms_of` gives them
             told = (told + self._place[:, kind]) / 2.0
         return np.asarray(told, np.float32)
 
+    @property
+    def _thinned(self) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+        """Objects and ranges of every sixth direction: enough for what is all around."""
+        pano = self._views.panoramas
+        return pano.objects[:, 1::3, ::2], pano.ranges[:, 1::3, ::2]
+
     @cached_property
     def _place(self) -> NDArray[np.float64]:
         """How probably (K, R) a place is part of each kind of room, by what is in sight near it."""
-        near = np.where(self._near < _AROUND, np.float32(1.0), np.float32(0.0))
-        telling = self._telling[self._rows]
+        telling = self._things.telling
+        rows = np.flatnonzero(telling.any(axis=1))
+        slot = np.full(len(telling) + 1, -1, np.int32)
+        slot[rows] = np.arange(len(rows))
+        near = look_for(*self._thinned, slot, _LEVEL[1::3], len(rows))[0] < _AROUND
         held = np.zeros((near.shape[1], telling.shape[1]), np.float32)
-        for j, t in zip(*np.nonzero(telling), strict=True):
-            np.maximum(held[:, t], telling[j, t] * near[j], out=held[:, t])
+        for j, t in zip(*np.nonzero(telling[rows]), strict=True):
+            np.maximum(held[:, t], telling[rows[j], t] * near[j], out=held[:, t])
         return kinds_of(held, np.False_)
+
+
+def _leaning() -> NDArray[np.float32]:
+    """Weight (256,) of what is seen at each range, for the room that one is in."""
+    return np.exp(-range_of(np.arange(256, dtype=np.uint8)) / np.float32(_LEANS))
 
 
 def _levels() -> NDArray[np.float32]:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.sentence.facts import triples
-from placegraph.indoor.sentence.index import TextIndex
 from placegraph.indoor.sentence.kin import EXACT, fits
-from placegraph.indoor.sentence.kinds import table
+from placegraph.indoor.sentence.kinds import kind_by_name, kinds_of, likenesses, table
 from placegraph.indoor.sentence.score import sayings
 from placegraph.indoor.sentence.sentence import Kind
 
@@ -90,9 +89,20 @@ class Things:
         names = list(dict.fromkeys(name for name in named if name))
         number = {name: i for i, name in enumerate(names)}
         of = np.array([number.get(name, -1) for name in named], np.int32)
-        columns = TextIndex([self.scene.graph], [named]).columns
-        kinds = columns.rooms[~columns.whole] if names else np.zeros((0, len(table().kinds)))
-        return of, [name.partition(" ")[2] for name in names], kinds
+        held = np.zeros((len(names), self.telling.shape[1]), np.float32)
+        np.maximum.at(held, of[of >= 0], self.telling[of >= 0])
+        kinds = kinds_of(held, np.False_)
+        names = [name.partition(" ")[2] for name in names]
+        for row, name in enumerate(names):
+            kinds[row] = kind_by_name(name, kinds[row])
+        return of, names, kinds
+
+    @cached_property
+    def telling(self) -> Floats:
+        """(N, T) how well objects are the things by which rooms are told (`kinds.table`)."""
+        labels = list(dict.fromkeys(self.scene.graph.labels))
+        row = [labels.index(label) for label in self.scene.graph.labels]
+        return likenesses(labels)[row]
 
     def _in_room(self, kind: str) -> Floats:
         """How well (N,) objects stand for a room of a kind: they are in it."""
