@@ -21,7 +21,6 @@ from placegraph.evaluate.scene_retrieval import (
 from placegraph.evaluate.scene_retrieval_places import (
     Place,
     Walk,
-    _said,
     finer,
     homes,
     room_scene,
@@ -30,7 +29,7 @@ from placegraph.evaluate.scene_retrieval_report import figures, report
 from placegraph.evaluate.scene_retrieval_scale import measure, varied
 from placegraph.evaluate.scene_retrieval_study import Row, Study
 from placegraph.evaluate.scene_retrieval_vectors import NOISY, Replay, encoded, encoder_of
-from placegraph.evaluate.scene_retrieval_walks import kept, read, write
+from placegraph.evaluate.scene_retrieval_walks import kept, read, said, write
 from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.encode.labels import LabelsEncoder
@@ -212,10 +211,10 @@ def record_without_labels(walk):
 
 def test_what_a_network_says_is_the_plain_word_where_it_is_the_only_one():
     flat = Flat.parse(TWO_ROOMS.replace("label=bookcase", "label=bookshelf"))
-    said = _said(flat.furnish(np.random.default_rng(0)))
-    assert said["bookshelf"] == "bookcase"
-    assert said["sofa"] == "sofa"
-    table = _said(
+    words = said(flat.furnish(np.random.default_rng(0)))
+    assert words["bookshelf"] == "bookcase"
+    assert words["sofa"] == "sofa"
+    table = said(
         Flat.parse(TWO_ROOMS.replace("label=desk", "label=table")).furnish(np.random.default_rng(0))
     )
     assert "table" not in table  # a desk, or one to dine at
@@ -253,7 +252,7 @@ def test_finer_meshes_are_the_same_surface():
 
 
 def test_homes_are_filmed_once(tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph.evaluate.scene_retrieval_places.LENGTH", 2)
+    monkeypatch.setattr("placegraph.evaluate.scene_retrieval_walks.LENGTH", 2)
     ((place, walks),) = homes([5], tmp_path)
     assert [w.changed for w in walks] == [False, True]
     assert all(w.place == place.name == "home 5" for w in walks)

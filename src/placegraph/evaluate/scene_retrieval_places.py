@@ -15,15 +15,14 @@ import numpy as np
 from placegraph.evaluate.indoor_maps import house, place
 from placegraph.evaluate.indoor_windows import HALVES, true_poses
 from placegraph.evaluate.journal import fingerprint
-from placegraph.evaluate.scene_retrieval_walks import kept
+from placegraph.evaluate.scene_retrieval_walks import RENDERING, filmed, kept
 from placegraph.formats.capture import Capture, open_capture
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mesh import Mesh
 from placegraph.indoor.rooms import Rooms, rooms_of
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.sources import FromCapture
-from placegraph.synthetic.homes import STYLES, changed, home, record, scene_of, visit
-from placegraph.synthetic.homes_catalogue import SYNONYMS
+from placegraph.synthetic.homes import STYLES, home, scene_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,23 +31,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.frame import Frame
-    from placegraph.synthetic.flats import Flat
-    from placegraph.synthetic.interior import Interior
 
 _Number = TypeVar("_Number", bound=np.generic)
 
-RENDERING = (
-    "geometry.py", "synthetic/flat*.py", "synthetic/homes*.py", "synthetic/interior.py",
-    "synthetic/walks.py", "synthetic/drawing.py", "synthetic/trace.py",
-    "evaluate/scene_retrieval_places.py", "evaluate/scene_retrieval_walks.py",
-)  # fmt: skip
-"""Code that decides what homes and walks are."""
 FIRST = 1000
 """Seed of the first home that figures are reported of; those below are for development."""
 HOMES = 56
-LENGTH = 50
-"""Frames of a walk through a home."""
-RATE = 5.0
 FINE = 0.4
 """Triangles of what several rooms share are cut to edges no longer than this [m]."""
 NEAR = 0.3
@@ -87,32 +75,10 @@ def homes(seeds: Sequence[int], cache: Path) -> Iterator[tuple[Place, list[Walk]
         walks = []
         for later in (False, True):
             kind = "later" if later else "same"
-            made = partial(_filmed, flat, interior, seed, later=later)
+            made = partial(filmed, flat, interior, seed, later=later)
             capture = kept(folder / f"{seed} {kind}.npz", made)
             walks.append(Walk(f"{name} {kind}", name, capture, later))
         yield Place(name, scene_of(interior, name=name)), walks
-
-
-def _filmed(flat: Flat, interior: Interior, seed: int, *, later: bool) -> Capture:
-    """Walk through a home at any time of the day."""
-    rng = np.random.default_rng([seed, 1 + later])
-    state = changed(interior, rng) if later else interior
-    walk = visit(flat, state, rng, frames=LENGTH, rate=RATE)
-    daylight = float(rng.uniform())
-    return record(state, walk, rng, daylight=daylight, words=_said(state))
-
-
-def _said(interior: Interior) -> dict[str, str]:
-    """What labels are called by who labels images: the plain word, where it is the only one.
-
-    Maps of homes call things by synonyms: a network that says "sofa" sees what a map has as "couch".
-    """
-    plain: dict[str, set[str]] = {}
-    for word, others in SYNONYMS.items():
-        for other in others:
-            plain.setdefault(other, set()).add(word)
-    labels = {thing.label for thing in interior.things}
-    return {label: min(plain[label]) for label in labels if len(plain.get(label, ())) == 1}
 
 
 # -------------------------------------------------------------------------------- house, office

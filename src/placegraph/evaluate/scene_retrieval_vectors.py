@@ -16,7 +16,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.evaluate.journal import fingerprint
 from placegraph.evaluate.label_noise import NoisyLabels
-from placegraph.evaluate.scene_retrieval_places import RENDERING
+from placegraph.evaluate.scene_retrieval_walks import RENDERING
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
 

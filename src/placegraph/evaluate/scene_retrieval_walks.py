@@ -1,4 +1,4 @@
-"""Walks of the retrieval benchmark on disk: rendered once, their images decoded when asked for."""
+"""Walks of the retrieval benchmark: filmed in homes, kept on disk, decoded when asked for."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from PIL import Image
 from placegraph.formats.capture import Capture
 from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera
+from placegraph.synthetic.homes import changed, record, visit
+from placegraph.synthetic.homes_catalogue import SYNONYMS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,9 +22,44 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.synthetic.flats import Flat
+    from placegraph.synthetic.interior import Interior
+
+RENDERING = (
+    "geometry.py", "synthetic/flat*.py", "synthetic/homes*.py", "synthetic/interior.py",
+    "synthetic/walks.py", "synthetic/drawing.py", "synthetic/trace.py",
+    "evaluate/scene_retrieval_walks.py",
+)  # fmt: skip
+"""Code that decides what homes and walks are."""
+LENGTH = 50
+"""Frames of a walk through a home."""
+RATE = 5.0
+"""Frames a second."""
 QUALITY = 92
 """Of the JPEG images, as in capture folders."""
 _NOTHING = 255  # in label images
+
+
+def filmed(flat: Flat, interior: Interior, seed: int, *, later: bool) -> Capture:
+    """Walk through a home at any time of the day."""
+    rng = np.random.default_rng([seed, 1 + later])
+    state = changed(interior, rng) if later else interior
+    walk = visit(flat, state, rng, frames=LENGTH, rate=RATE)
+    daylight = float(rng.uniform())
+    return record(state, walk, rng, daylight=daylight, words=said(state))
+
+
+def said(interior: Interior) -> dict[str, str]:
+    """What labels are called by who labels images: the plain word, where it is the only one.
+
+    Maps of homes call things by synonyms: a network that says "sofa" sees what a map has as "couch".
+    """
+    plain: dict[str, set[str]] = {}
+    for word, others in SYNONYMS.items():
+        for other in others:
+            plain.setdefault(other, set()).add(word)
+    labels = {thing.label for thing in interior.things}
+    return {label: min(plain[label]) for label in labels if len(plain.get(label, ())) == 1}
 
 
 def kept(path: Path, made: Callable[[], Capture]) -> Capture:
