@@ -103,8 +103,12 @@ class Sight:
 
     def _in_sight(self, t: int) -> Floats:
         """How well (K,) a thing in sight is the thing, and how readily it is spoken of."""
-        readily = 1.0 / (1.0 + np.square(self._near / SPOKEN))
-        return np.asarray((self._weights(t)[:, None] * readily).max(axis=0), np.float32)
+        return np.asarray((self._weights(t)[:, None] * self._readily).max(axis=0), np.float32)
+
+    @cached_property
+    def _readily(self) -> Floats:
+        """How readily (J, K) things are spoken of: 0 of what is out of sight."""
+        return np.asarray(1.0 / (1.0 + np.square(self._near / SPOKEN)), np.float32)
 
     def _held(self, t: int) -> Floats:
         mention = self._things.sentence.mentions[t]
@@ -173,10 +177,9 @@ class Sight:
 
     def _best(self, a: int, b: int, pairs: NDArray[np.int64], fit: NDArray[np.floating]) -> Floats:
         weight = self._weights(a)[pairs[:, 0]] * self._weights(b)[pairs[:, 1]]
-        seen = np.isfinite(self._near[pairs]).all(axis=1)
-        count = self._near.shape[1]
-        best = (weight[:, None] * np.where(seen, fit, 0.0)).max(axis=0, initial=0.0)
-        return np.broadcast_to(best, count).astype(np.float32)
+        fit = fit * self._readily[pairs].prod(axis=1)
+        best = (weight[:, None] * np.nan_to_num(fit)).max(axis=0, initial=0.0)
+        return np.broadcast_to(best, self._near.shape[1]).astype(np.float32)
 
     def _between(self, a: int, b: int) -> Floats:
         pairs = self._pairs(a, b)
