@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
 
 DIMENSION = 64
-TEMPERATURE = 0.1
+TEMPERATURE = 0.12
 """Calibrated on the shared house and on drawn homes (`benchmarks/patch_accuracy.py`)."""
 _CAMERA = Camera(256, 144, 184.0, 184.0, 128.0, 72.0)
 """Size that all images are brought to, and what the map is rendered with: 70 degrees wide."""
