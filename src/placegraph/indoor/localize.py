@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.indoor.encode import for_map
 from placegraph.indoor.frames import chosen_frames
 from placegraph.indoor.motion import keyframes
 from placegraph.indoor.observe import sight
@@ -18,13 +19,16 @@ from placegraph.indoor.sequence import Sequence_, leveled, usable
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import ArrayLike
+
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture import Capture
     from placegraph.formats.frame import Frame
-    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.matching import Matcher
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.search import Prior
+    from placegraph.indoor.sentence import Sentence
 
     Progress = Callable[[str, int, int], None]
 
@@ -38,7 +42,9 @@ def localize(
     *,
     frames: slice | Sequence[int] | None = None,
     prior: Prior | None = None,
-    encoder: Encoder | None = None,
+    description: str | Sentence | None = None,
+    shares: ArrayLike | None = None,
+    encoder: str | Encoder | MapEncoder | None = None,
     options: FilterOptions | None = None,
     refine: bool | RefineOptions = True,
     matcher: str | Matcher = "auto",
@@ -58,8 +64,15 @@ def localize(
         Which of them; all if not given.
     prior
         Roughly where the first frame was taken, if known; else the whole map is searched.
+    description
+        What somebody says of where the last frame was taken: "next to the sofa, facing the window"
+        (of a capture that is tracked, being longer than `WINDOW`, the first). It shapes the first
+        particles, and counts as one witness for the poses found.
+    shares
+        (S,) of a merged map: share of the first particles that each of its scenes gets.
     encoder
-        Says what patches show; the capture's own labels if not given.
+        Says what patches show: a name such as ``appearance``, an `Encoder`, or one bound to this
+        map; the capture's own labels if not given.
     options
         `FilterOptions`; what measured best if not given.
     refine
@@ -77,7 +90,10 @@ def localize(
     Raises
     ------
     OptionError
-        No frame is chosen; nothing that the frames show can be compared with the map.
+        No frame is chosen; nothing that the frames show can be compared with the map; the
+        description says nothing that the map has.
+    MapError
+        The map holds vectors of another encoder.
     InputError
         An image is broken.
     MissingExtraError
@@ -95,16 +111,26 @@ def localize(
         raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
     refining = RefineOptions() if refine is True else refine or None
     matching = chosen_matcher(matcher, device) if refining else None
+    reading = None if encoder is None else for_map(encoder, scene)
     sequence = None
     if len(chosen) > WINDOW:
-        from placegraph.indoor.tracker import follow
+        from placegraph.indoor.tracker import Tracker, follow
 
-        coarse = follow(scene, chosen, prior, encoder, options, seed, device, progress)
+        if prior is not None:
+            raise OptionError(
+                f"prior: a capture of {len(chosen)} frames is tracked, which starts without one; "
+                "choose fewer frames."
+            )
+        tracker = Tracker(
+            scene, options=options, encoder=reading, seed=seed, device=device,
+            description=description, shares=shares,
+        )  # fmt: skip
+        coarse = follow(tracker, chosen, progress)
         senses = usable(scene, options)
         sightings = [sight(frame, None, senses) for frame in chosen[-WINDOW:]] if refining else []
     else:
         scorer = Scorer(scene, options.likelihood, device)
-        sequence = Sequence_.of(scene, chosen, encoder, options, scorer)
+        sequence = Sequence_.of(scene, chosen, reading, options, scorer, description, shares)
         coarse = sequence.localized(prior, np.random.default_rng(seed), progress)
         sightings = sequence.sightings
     if refining is None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Camera
-    from placegraph.indoor.encode import Encoder, Patches
+    from placegraph.indoor.encode import MapEncoder, Patches
     from placegraph.indoor.options import FilterOptions, Likelihood
 
 COARSE = 40.0
@@ -50,7 +50,7 @@ class Sighting:
     """(H, W, 3)"""
 
 
-def sight(frame: Frame, encoder: Encoder | None, options: FilterOptions) -> Sighting:
+def sight(frame: Frame, encoder: MapEncoder | None, options: FilterOptions) -> Sighting:
     """Read what the options ask for, and no more; raises `InputError` where an image is broken."""
     depth = frame.depth() if options.depth else None
     if depth is not None and not np.isfinite(depth).any():

@@ -25,13 +25,14 @@ if TYPE_CHECKING:
     from placegraph.indoor.change.changes import SceneDiff
     from placegraph.indoor.change.options import DiffOptions
     from placegraph.indoor.check import Finding
-    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.matching import Matcher
     from placegraph.indoor.mesh import Mesh
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.raycast import RayCaster
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.render import Rendering
+    from placegraph.indoor.sentence import Sentence
     from placegraph.indoor.surface import Surface
     from placegraph.indoor.tracker import Tracker
     from placegraph.indoor.visibility import VisibilityTable
@@ -286,7 +287,9 @@ class SceneMap:
         *,
         frames: Any = None,  # noqa: ANN401  # see `localize`
         prior: Any = None,  # noqa: ANN401  # see `localize`
-        encoder: Encoder | None = None,
+        description: str | Sentence | None = None,
+        shares: ArrayLike | None = None,
+        encoder: str | Encoder | MapEncoder | None = None,
         options: FilterOptions | None = None,
         refine: bool | RefineOptions = True,
         matcher: str | Matcher = "auto",
@@ -301,8 +304,9 @@ class SceneMap:
         from placegraph.indoor.localize import localize
 
         return localize(
-            self, capture, frames=frames, prior=prior, encoder=encoder, options=options,
-            refine=refine, matcher=matcher, seed=seed, device=device, progress=progress,
+            self, capture, frames=frames, prior=prior, description=description, shares=shares,
+            encoder=encoder, options=options, refine=refine, matcher=matcher, seed=seed,
+            device=device, progress=progress,
         )  # fmt: skip
 
     def refine(

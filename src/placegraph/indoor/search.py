@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
+    from placegraph.indoor.leaning import Leaning
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.score import Noise, View
     from placegraph.indoor.visibility import VisibilityTable
@@ -28,6 +29,7 @@ LOOKS = 5
 SEEDS = 48
 """Places kept of them."""
 _POOL = 6000  # best cells among which distinct seeds are looked for
+_FEWEST = 3  # seeds of a merged scene, however small its share
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,18 +60,36 @@ def table_seeds(
     noise: Noise,
     reference: int,
     most: int = SEEDS,
+    leaning: Leaning | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
 
     `poses`: (T, 4) odometry of all views, level. The frames looked up are spread over the sequence.
+    `leaning` adds what is known beforehand of the reference frame.
     """
     looked = spread(len(views), LOOKS)
     steps = between(poses[reference], poses[looked])
     ranks = table.ranks([views[i] for i in looked], steps, noise)
-    flat = ranks.ravel()
+    if leaning is None:
+        return _best(table, ranks, np.arange(len(table)), most)
+    ranks += leaning.logs
+    parts = [
+        _best(table, ranks, rows, max(_FEWEST, round(share * most)))
+        for rows, share in leaning.parts
+    ]
+    seeds, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(-values, kind="stable")
+    return seeds[order], values[order]
+
+
+def _best(
+    table: VisibilityTable, ranks: NDArray[np.float32], rows: NDArray[np.int64], most: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distinct poses (K, 4) of some positions, best first, and their ranks."""
+    flat = ranks[rows].ravel()
     pool = np.argpartition(-flat, min(_POOL, flat.size - 1))[:_POOL]
     position, heading = np.divmod(pool, AZIMUTHS)
-    found = np.column_stack([table.positions[position], heading * STEP])
+    found = np.column_stack([table.positions[rows[position]], heading * STEP])
     kept = distinct(found, flat[pool].astype(np.float64), most, apart=0.45, turned=0.3)
     return found[kept], flat[pool][kept].astype(np.float64)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from placegraph.indoor.encode import bound
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.filter import ParticleFilter, run_pass
+from placegraph.indoor.leaning import Leaning
 from placegraph.indoor.motion import level_poses
 from placegraph.indoor.observe import COARSE, FINE, sight, spread, views
 from placegraph.indoor.particles import Particles
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.random import Generator
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from placegraph.formats.frame import Frame
     from placegraph.indoor.encode import MapEncoder
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.score import View
     from placegraph.indoor.scorer import Scorer
     from placegraph.indoor.search import Prior
+    from placegraph.indoor.sentence import Sentence
     from placegraph.indoor.visibility import VisibilityTable
 
     Progress = Callable[[str, int, int], None]
@@ -66,6 +69,10 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
     sightings: list[Sighting]
     poses: NDArray[np.float64]
     """(T, 4) odometry, level."""
+    description: str | Sentence | None = None
+    """What somebody said of where the last frame was taken."""
+    shares: ArrayLike | None = None
+    """(S,) share of the first particles of each merged scene."""
     seconds: dict[str, float] = field(default_factory=dict)
     _views: dict[float, list[View]] = field(default_factory=dict)
 
@@ -77,6 +84,8 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         encoder: MapEncoder | None,
         options: FilterOptions,
         scorer: Scorer,
+        description: str | Sentence | None = None,
+        shares: ArrayLike | None = None,
     ) -> Sequence_:
         """Read and encode frames.
 
@@ -99,7 +108,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
                 "the map has no colours (or these terms are switched off)."
             )
         check_unit(float(np.linalg.norm(np.ptp(scene.bounds, axis=0))), sightings)
-        return cls(scene, options, scorer, sightings, leveled(frames), seconds)
+        return cls(scene, options, scorer, sightings, leveled(frames), description, shares, seconds)
 
     def __len__(self) -> int:
         return len(self.sightings)
@@ -115,6 +124,11 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
     def table(self) -> VisibilityTable:
         """The map's table."""
         return self.scene.visibility(self.options)
+
+    @cached_property
+    def leaning(self) -> Leaning | None:
+        """What is known beforehand of the last frame's pose."""
+        return Leaning.of(self.scene, self.table, self.description, self.shares)
 
     def localized(
         self, prior: Prior | None, rng: Generator, progress: Progress | None = None
@@ -162,7 +176,9 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
         if self.options.start == "uniform" or prior is not None:
             return np.zeros((0, 4))
         views_, last = self.views(COARSE), len(self) - 1
-        seeds, _ = table_seeds(self.table, views_, self.poses, self.scorer.noise, last)
+        seeds, _ = table_seeds(
+            self.table, views_, self.poses, self.scorer.noise, last, leaning=self.leaning
+        )
         tries = around(seeds, _TRIES, 0.3, 0.06, rng)
         looked = spread(len(self), _SCREENED)
         steps = between(self.poses[last], self.poses[looked])
@@ -194,9 +210,11 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
             # back to the first frame, from where the pass starts
             back = between(self.poses[-1], self.poses[0])
             start = self._start(number, spec, compose(modes, back), prior, rng)
-            filter_ = ParticleFilter(
-                self.scorer, self.options, rng, Particles.even(start), spec.particles
-            )
+            particles = Particles.even(start)
+            if self.leaning is not None and not number:
+                ends = compose(start, between(self.poses[0], self.poses[-1]))
+                particles, _ = particles.reweighted(self.leaning.at(ends))
+            filter_ = ParticleFilter(self.scorer, self.options, rng, particles, spec.particles)
             frames = [s.frame.index for s in self.sightings]
             run = run_pass(filter_, self.views(spec.stride), steps, frames, self._elsewhere, tick)
             modes = run.modes

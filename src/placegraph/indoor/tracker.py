@@ -18,6 +18,7 @@ from placegraph.geometry import (
     split_pose,
     wrap,
 )
+from placegraph.indoor.encode import for_map
 from placegraph.indoor.filter import ParticleFilter
 from placegraph.indoor.observe import FINE, sight
 from placegraph.indoor.options import FilterOptions
@@ -30,14 +31,14 @@ from placegraph.indoor.verdict import verdict
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from placegraph.formats.frame import Frame
     from placegraph.geometry import Camera
-    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.observe import Sighting
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.search import Prior
+    from placegraph.indoor.sentence import Sentence
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""
@@ -67,6 +68,8 @@ class Tracker:
         Camera of the frames; frames of another are refused.
     options, encoder, seed, device
         As of `localize`.
+    description, shares
+        As of `localize`, of where it begins: forgotten once the pose is known.
 
     """
 
@@ -76,14 +79,17 @@ class Tracker:
         camera: Camera | None = None,
         *,
         options: FilterOptions | None = None,
-        encoder: Encoder | None = None,
+        encoder: str | Encoder | MapEncoder | None = None,
         seed: int = 0,
         device: str = "auto",
+        description: str | Sentence | None = None,
+        shares: ArrayLike | None = None,
     ) -> None:
         self.scene = scene
         self.camera = camera
         self.options = usable(scene, options or FilterOptions())
-        self.encoder = encoder
+        self.encoder = None if encoder is None else for_map(encoder, scene)
+        self.description, self.shares = description, shares
         self.rng = np.random.default_rng(seed)
         self.scorer = Scorer(scene, self.options.likelihood, device)
         self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
@@ -160,6 +166,7 @@ class Tracker:
 
     def _settle(self, fit: Fit) -> None:
         """Gather the particles around a fit."""
+        self.description = self.shares = None
         spread = np.maximum(fit.spread, 2.0 * NARROWEST)
         poses = fit.pose + self.rng.normal(size=(PARTICLES, 4)) * spread
         self._filter = ParticleFilter(
@@ -203,7 +210,9 @@ class Tracker:
 
     def _sequence(self, sightings: list[Sighting]) -> Sequence_:
         poses = leveled([s.frame for s in sightings])
-        return Sequence_(self.scene, self.options, self.scorer, sightings, poses)
+        return Sequence_(
+            self.scene, self.options, self.scorer, sightings, poses, self.description, self.shares
+        )
 
     def _is_keyframe(self, frame: Frame) -> bool:
         if not self.keyframes:
@@ -221,25 +230,14 @@ def _steps(frames: Sequence[Frame]) -> NDArray[np.float64]:
 
 
 def follow(
-    scene: SceneMap,
+    tracker: Tracker,
     frames: Sequence[Frame],
-    prior: Prior | None,
-    encoder: Encoder | None,
-    options: FilterOptions,
-    seed: int,
-    device: str,
     progress: Callable[[str, int, int], None] | None,
 ) -> PoseEstimate:
     """`localize` for a long capture: its last pose, and a trajectory of poses as they were known.
 
     Frames before the pose was first known are led back from there by odometry.
     """
-    if prior is not None:
-        raise OptionError(
-            f"prior: a capture of {len(frames)} frames is tracked, which starts without one; "
-            "choose fewer frames."
-        )
-    tracker = Tracker(scene, options=options, encoder=encoder, seed=seed, device=device)
     known: list[NDArray[np.float64] | None] = []
     for i, frame in enumerate(frames):
         estimate = tracker.update(frame)

@@ -17,9 +17,13 @@ from placegraph.indoor.polish import covariance_of, probabilities
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
     from placegraph.estimate import Evidence
     from placegraph.geometry import Floats
+    from placegraph.indoor.leaning import Leaning
     from placegraph.indoor.polish import Fit
+    from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.sequence import Sequence_
 
 TEMPERATURE = 2.7
@@ -54,14 +58,14 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     views_ = sequence.views(FINE)
     steps = between(sequence.poses[last], sequence.poses)
     levels = np.stack([s.level for s in sequence.sightings])
-    agreed = [
-        agreement(sequence.scorer, f.pose, [views_[i] for i in looked], steps[looked])
-        for f in fits[:_EXPLAINED]
-    ]
-    values = np.array([f.log_likelihood for f in fits])
-    heat = TEMPERATURE if np.isnan(agreed[0].depth) else TEMPERATURE_DEPTH
+
+    def agreed_at(fit: Fit) -> Agreement:
+        return agreement(sequence.scorer, fit.pose, [views_[i] for i in looked], steps[looked])
+
+    heat = TEMPERATURE if np.isnan(agreed_at(fits[0]).depth) else TEMPERATURE_DEPTH
     gaussian = sequence.options.likelihood.kind == "gaussian"  # Eq. 2 is taken at its word
-    shares = probabilities(values, 1.0 if gaussian else heat * np.sqrt(len(looked)))
+    fits, shares = _shared(sequence, fits, 1.0 if gaussian else heat * np.sqrt(len(looked)))
+    agreed = [agreed_at(f) for f in fits[:_EXPLAINED]]
     modes = []
     for i, (fit, share) in enumerate(zip(fits, shares, strict=True)):
         matrix = pose_matrix(fit.pose, levels[last])
@@ -74,10 +78,12 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
                 probability=float(share),
                 scene=scene.scenes[row],
                 scene_from_camera=scene.scene_from_map[row] @ matrix,
-                explain=partial(explain, scene, agreed[i]) if i < len(agreed) else tuple,
+                explain=partial(_explained, sequence.leaning, scene, agreed[i], fit.pose)
+                if i < len(agreed)
+                else tuple,
             )
         )
-    told = float(values[0]) / len(looked)
+    told = float(fits[0].log_likelihood) / len(looked)
     status, reason = judge(agreed[0], modes, told)
     if status is Status.OK and len(sequence) > 1:
         newest = agreement(sequence.scorer, fits[0].pose, views_[last:], steps[last:])
@@ -95,11 +101,33 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
     )
 
 
+def _shared(
+    sequence: Sequence_, fits: list[Fit], heat: float
+) -> tuple[list[Fit], NDArray[np.float64]]:
+    """Fits, likeliest first, and their probabilities.
+
+    What somebody said of the place is no image: it is a witness of its own, and counts in full.
+    """
+    shares = probabilities(np.array([f.log_likelihood for f in fits]), heat)
+    if sequence.leaning is None:
+        return fits, shares
+    shares *= np.exp(sequence.leaning.at(np.stack([f.pose for f in fits])))
+    order = np.argsort(-shares, kind="stable")
+    return [fits[i] for i in order], shares[order] / shares.sum()
+
+
+def _explained(
+    leaning: Leaning | None, scene: SceneMap, agreed: Agreement, pose: Floats
+) -> tuple[Evidence, ...]:
+    said = () if leaning is None else leaning.evidence(pose)
+    return said + explain(scene, agreed)
+
+
 def evidence_at(sequence: Sequence_, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
     """Finds what the newest frames say of a pose (4,) of the last one; the frames are let go."""
     newest = sequence.round(FINE, rounds=0)
     agreed = agreement(sequence.scorer, pose, newest.views, newest.steps)
-    return partial(explain, sequence.scene, agreed)
+    return partial(_explained, sequence.leaning, sequence.scene, agreed, pose)
 
 
 _EXPLAINED = 3  # modes that can be explained

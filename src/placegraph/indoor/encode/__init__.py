@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Camera
     from placegraph.indoor.scene_map import SceneMap
 
-__all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder"]
+__all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map"]
 
 TEMPERATURE = 0.05
 """Cosine that counts one nat, of encoders whose vectors agree or do not."""
@@ -182,6 +182,16 @@ def bound(encoder: Encoder, scene: SceneMap, captures: Sequence[Capture] = ()) -
 
     """
     return BoundEncoder(encoder, vectors_of(encoder, scene, captures))
+
+
+def for_map(given: str | Encoder | MapEncoder, scene: SceneMap) -> MapEncoder:
+    """Encoder of a map from a name, from an encoder that knows no map, or as it is.
+
+    Raises as `encoder` and `bound` do.
+    """
+    if isinstance(given, MapEncoder):
+        return given
+    return bound(encoder(given) if isinstance(given, str) else given, scene)
 
 
 def vectors_of(

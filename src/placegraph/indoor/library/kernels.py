@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another
 room."""
@@ -148,7 +147,7 @@ def _neighbours(places):
         for q in range(count):
             away[q] = (places[q, 0] - places[p, 0]) ** 2 + (places[q, 1] - places[p, 1]) ** 2
         for k in range(min(NEIGHBOURS, count)):
-            q = np.argmin(away)
+            q = int(np.argmin(away))
             if away[q] > 4.0 * OFF * OFF:
                 break
             out[p, k] = q

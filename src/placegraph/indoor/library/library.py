@@ -13,6 +13,7 @@ from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import Signature, signature_of
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.sentence import TextIndex
 
 if TYPE_CHECKING:
     import os
@@ -74,6 +75,7 @@ class SceneLibrary:
         self.height = height
         self._entries: dict[str, Entry] = {}
         self._index: Index | None = None
+        self._texts: TextIndex | None = None
         self._open: OrderedDict[str, SceneMap] = OrderedDict()
 
     # -------------------------------------------------------------------------------- scenes
@@ -117,14 +119,14 @@ class SceneLibrary:
     def insert(self, name: str, entry: Entry) -> None:
         """Add a scene whose signature is known already."""
         self._entries[name] = entry
-        self._index = None
+        self._index = self._texts = None
 
     def remove(self, name: str) -> None:
         """Take a scene out; its file stays. Raises `OptionError` where there is none."""
         self.entry(name)
         del self._entries[name]
         self._open.pop(name, None)
-        self._index = None
+        self._index = self._texts = None
 
     def entry(self, name: str) -> Entry:
         """Signature and file of a scene; `OptionError` where there is none of this name."""
@@ -198,6 +200,18 @@ class SceneLibrary:
             signatures = [e.signature for e in self._entries.values()]
             self._index = Index.of(signatures, [e.key for e in self.encoders])
         return self._index
+
+    @property
+    def texts(self) -> TextIndex:
+        """All graphs as texts ask for them; `OptionError` where the library is empty."""
+        if self._texts is None:
+            _ = self.index
+            signatures = [e.signature for e in self._entries.values()]
+            self._texts = TextIndex(
+                (s.graph for s in signatures),
+                ([a.get("room", "") for a in s.attributes] for s in signatures),
+            )
+        return self._texts
 
     # ------------------------------------------------------------------------------- questions
 

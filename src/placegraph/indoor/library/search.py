@@ -47,7 +47,9 @@ def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
     start = perf_counter()
     said = [s for s in query.said if s.key in index.vocabularies]
     if options.method == "cosines":
-        sums = np.sum([_cosines(index, s, len(query)) for s in said], axis=0, dtype=np.float64)
+        sums = np.stack([_cosines(index, s, len(query)) for s in said]).sum(
+            axis=0, dtype=np.float64
+        )
         return Scores(sums, 0.0, {"cosines": perf_counter() - start})
     ratios = [ratio(s, index.vocabularies[s.key], len(index), options) for s in said]
     total, witnesses = _held(index, query, said, ratios, options)

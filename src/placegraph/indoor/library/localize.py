@@ -1,0 +1,161 @@
+"""Scene and pose of a capture: retrieval, then one filter in the best few scenes side by side.
+
+The best scenes are merged into one map (App. D) and localized in together: each gets its share of
+the first particles, and their poses are weighed against each other by the very same likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.geometry import split_pose
+from placegraph.indoor.frames import chosen_frames
+from placegraph.indoor.localize import localize as localize_in
+from placegraph.indoor.merge import merge_scenes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode
+    from placegraph.formats.capture import Capture
+    from placegraph.formats.frame import Frame
+    from placegraph.indoor.library.library import SceneLibrary
+    from placegraph.indoor.library.options import SearchOptions
+    from placegraph.indoor.scene_map import SceneMap
+
+SCENES = 4
+"""Scenes localized in at most."""
+COVERED = 0.99
+"""Probability that they hold together, if fewer do."""
+_LEAST = 0.02  # share of the particles of a scene that is looked at all
+
+
+def localize(
+    library: SceneLibrary,
+    capture: Capture | Sequence[Frame],
+    *,
+    frames: slice | Sequence[int] | None = None,
+    most: int = SCENES,
+    search: SearchOptions | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    **options: Any,  # noqa: ANN401  # of `indoor.localize`
+) -> PoseEstimate:
+    """In which scene of a library a capture was taken, and where in it.
+
+    Each mode names its scene, and its pose is in that scene's own map; so is the trajectory, in the
+    best mode's. `stats["retrieval"]` holds what the search said. Maps are only read.
+
+    Parameters
+    ----------
+    capture
+        A capture, or frames in order of time.
+    frames
+        Which of them; all if not given.
+    most
+        Scenes localized in at most: those that hold 99 % of the probability, if these are fewer.
+    search
+        How scenes are searched.
+    progress
+        Called with what is done, how far, and of how much.
+    **options
+        Of `placegraph.indoor.localize.localize`: description, encoder, options, refine, ...
+
+    Raises
+    ------
+    OptionError
+        The library is empty; nothing that the frames show can be compared.
+    InputError, MapError
+        An image is broken; a map is gone, or another one than was added.
+    MissingExtraError
+        An option needs an extra.
+
+    """
+    if most < 1:
+        raise OptionError(f"most is {most}; localize in at least one scene.")
+    chosen = chosen_frames(capture, frames)
+    found = library.search(chosen, options=search, most=most)
+    candidates = _candidates(found)
+    start = perf_counter()
+    scene = merge_scenes({m.scene: _bare(library.scene(m.scene)) for m in candidates})
+    merging = perf_counter() - start
+    estimate = localize_in(
+        scene, chosen, shares=_shares(scene, candidates), progress=progress, **options
+    )
+    return _in_their_own(estimate, scene, found, candidates, merging)
+
+
+def _candidates(found: SceneEstimate) -> list[SceneMode]:
+    """The best scenes, until they hold enough of what is in any scene at all."""
+    inside = max(1e-12, 1.0 - found.elsewhere)
+    out, held = [], 0.0
+    for mode in found.modes:
+        out.append(mode)
+        held += mode.probability
+        if held >= COVERED * inside:
+            break
+    return out
+
+
+def _bare(scene: SceneMap) -> SceneMap:
+    """Map without embeddings: those of different encoders cannot be merged, nor are they needed."""
+    return replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
+
+
+def _shares(scene: SceneMap, candidates: list[SceneMode]) -> list[float]:
+    """Share (S,) of the particles of each scene of the merged map: parts of one share evenly."""
+    names = [part.partition("/")[0] for part in scene.scenes]
+    total = sum(m.probability for m in candidates) or 1.0
+    share = {m.scene: max(_LEAST, m.probability / total) for m in candidates}
+    return [share[name] / names.count(name) for name in names]
+
+
+def _in_their_own(
+    estimate: PoseEstimate,
+    scene: SceneMap,
+    found: SceneEstimate,
+    candidates: list[SceneMode],
+    merging: float,
+) -> PoseEstimate:
+    """Estimate with poses in the maps of their scenes, and with the doubts of the search."""
+    into = {name: scene.scene_from_map[i] for i, name in enumerate(scene.scenes)}
+    left_out = 1.0 - found.elsewhere - sum(m.probability for m in candidates)
+    status, reason = estimate.status, estimate.reason
+    if status is Status.OK and left_out > 0.1:
+        status = Status.AMBIGUOUS
+        reason = (
+            f"{reason} But it may be another scene ({left_out:.0%}) than the {len(candidates)} "
+            "looked into; look into more."
+        )
+    trajectory = estimate.trajectory
+    if estimate.best is not None:
+        trajectory = into[estimate.best.scene] @ trajectory
+    retrieval = {"elsewhere": found.elsewhere} | {m.scene: m.probability for m in found.modes}
+    refinement = estimate.refinement
+    if refinement is not None:
+        refinement = replace(
+            refinement,
+            coarse=_own(refinement.coarse, into),
+            coarse_trajectory=into[refinement.coarse.scene] @ refinement.coarse_trajectory,
+        )
+    return replace(
+        estimate,
+        status=status,
+        reason=reason,
+        modes=tuple(_own(m, into) for m in estimate.modes),
+        trajectory=trajectory,
+        refinement=refinement,
+        stats=estimate.stats | {"retrieval": retrieval | {"seconds": found.stats["seconds"] | {
+            "merging": round(merging, 4)}}},
+    )  # fmt: skip
+
+
+def _own(mode: PoseMode, into: dict[str, Any]) -> PoseMode:
+    """Mode with its pose in its own scene's map; scenes are shifted when merged, never turned."""
+    pose, _ = split_pose(np.asarray(into[mode.scene] @ mode.map_from_camera))
+    return replace(mode, map_from_camera=into[mode.scene] @ mode.map_from_camera, pose=pose)
