@@ -65,7 +65,7 @@ OTHER_WORDS = {
     "ReadingDesk": "office desk", "BalconyTable": "side table", "Door": "wooden door",
     "Dumbbell": "weights", "Tablet": "ipad", "FitnessEquipment": "exercise machine",
     "Handle": "doorknob", "HouseWall": "brick wall", "Floor": "parquet",
-    "KitchenCabinet": "cupboard", "KitchenUtensils": "dishes", "Rangehood": "extractor hood",
+    "KitchenCabinet": "cupboard", "KitchenUtensils": "cooking pot", "Rangehood": "extractor hood",
     "Refrigerator": "deep freezer", "SeasoningBox": "storage box", "ShoeRack": "coat stand",
     "Sofa": "couch", "Tableware": "plates", "TVCabinet": "sideboard", "Vase": "flower vase",
     "RoomWall": "partition", "Wardrobe": "closet", "Ceiling": "roof",
