@@ -108,9 +108,17 @@ class TextIndex:
 
     def add(self, graph: SceneGraph, rooms: Sequence[str] = ()) -> int:
         """Add a scene at the end and return its row; raises `OptionError` as `Sentence.score`."""
-        self._scenes.append(units(graph, rooms))
+        return self.add_units(units(graph, rooms))
+
+    def add_units(self, described: Sequence[Unit]) -> int:
+        """Add a scene by what may be described of it (`facts.units`, `TextIndex.units`)."""
+        self._scenes.append(list(described))
         self._columns = None
         return len(self._scenes) - 1
+
+    def units(self, row: int) -> tuple[Unit, ...]:
+        """What may be described of a scene: its rooms, and where there are several all of it."""
+        return tuple(self._scenes[row])
 
     def remove(self, row: int) -> None:
         """Take a scene out; those after it move up. `OptionError` where there is none."""
