@@ -13,7 +13,7 @@ SCALES = ((0.05, 0.2), (0.2, 0.4), (0.4, 0.4))
 """Granularity, the distance [m] over which the pull changes, and magnitude [m] (SPEC, 11)."""
 SHARE = 0.95
 """Of all clouds; the others stay as they are."""
-_MOST = 64
+_MOST = 48
 """Cells along an axis: clouds too large for a granularity are pulled more coarsely."""
 
 
@@ -33,7 +33,7 @@ def _pull(
     low = points.min(axis=0)
     step = np.maximum(np.ptp(points, axis=0) / (_MOST - 3), granularity)
     shape = (np.ptp(points, axis=0) / step).astype(np.int64) + 3
-    noise = rng.standard_normal((*shape, 3))
+    noise = rng.standard_normal((*shape, 3), np.float32)
     for axis in (0, 1, 2) * 2:
         noise = _blurred(noise, axis)
     at = (points - low) / step + 1.0
@@ -47,10 +47,11 @@ def _pull(
     return out
 
 
-def _blurred(noise: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+def _blurred(noise: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     """Mean of each node and its two neighbours along an axis; beyond the edge is nothing."""
     lines = np.moveaxis(noise, axis, 0)
     total = lines.copy()
     total[1:] += lines[:-1]
     total[:-1] += lines[1:]
-    return np.moveaxis(total / 3.0, 0, axis)
+    total *= np.float32(1.0 / 3.0)
+    return np.moveaxis(total, 0, axis)

@@ -13,7 +13,7 @@ from placegraph.indoor.encode.scenegraphloc.features import (
     ImageFeatures,
     features_named,
 )
-from placegraph.indoor.encode.scenegraphloc.inputs import PointSource, rooms_of, together
+from placegraph.indoor.encode.scenegraphloc.inputs import POINTS, PointSource, rooms_of, together
 from placegraph.indoor.encode.scenegraphloc.views import object_views, quarter_turns
 from placegraph.indoor.encode.scenegraphloc.words import RELATIONS, read_attributes
 
@@ -105,7 +105,8 @@ class SceneGraphLocEncoder:
         self.rotate, self.points, self.views, self.seed = rotate, points, views, seed
         self.attributes = () if attributes is None else read_attributes(attributes)
         self._check()
-        self.temperature = _temperature(temperature, held.notes)
+        self.temperature = _number(held.notes, "temperature", TEMPERATURE, temperature, 10.0)
+        self._points = int(_number(held.notes, "points", POINTS, None, POINTS))
         settings = f"{points}{seed}{'' if views else ',no views'}"
         words = f",{len(self.attributes)} attributes" if self.attributes else ""
         self.key = f"{self.name}:{held.digest}:{self.features.key}:{settings}{words}"
@@ -160,7 +161,9 @@ class SceneGraphLocEncoder:
         out = np.zeros((len(scene), self.dimension), np.float32)
         with torch.inference_mode():
             for rows, room in rooms:
-                vectors = self.network.objects(together([room], device=self._device))
+                vectors = self.network.objects(
+                    together([room.with_points(self._points)], device=self._device)
+                )
                 unit = torch.nn.functional.normalize(vectors, dim=-1, eps=1e-12)
                 out[rows] = unit.cpu().numpy()
         return out
@@ -205,13 +208,16 @@ def _features(
     return made
 
 
-def _temperature(given: float | None, notes: dict[str, str]) -> float:
+def _number(
+    notes: dict[str, str], name: str, otherwise: float, given: float | None, most: float
+) -> float:
+    """A number above 0: what is given, or what the file says, or else what was published."""
     try:
-        value = float(notes.get("temperature", TEMPERATURE)) if given is None else given
+        value = float(notes.get(name, otherwise)) if given is None else given
     except ValueError:
         value = 0.0
-    if not 0.0 < value <= 10.0:
-        raise OptionError(f"temperature is {value}; choose above 0 and at most 10.")
+    if not 0.0 < value <= most:
+        raise OptionError(f"{name} is {value}; choose above 0 and at most {most:g}.")
     return value
 
 

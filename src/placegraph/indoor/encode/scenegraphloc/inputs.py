@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -56,6 +56,10 @@ class Room:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def with_points(self, count: int) -> Room:
+        """Room with the first `count` points of each object."""
+        return replace(self, points=self.points[:, :count])
 
 
 def rooms_of(

@@ -46,7 +46,7 @@ class TrainOptions:
     others: int = 9
     """Other rooms whose objects a patch is told from."""
     points: int = 512
-    """Of each object that a step looks at, drawn anew in each epoch."""
+    """Of each object, drawn anew in each epoch; the encoder then looks at as many."""
     rate: float = 1.1e-3
     weight_decay: float = 1e-6
     decay: float = 0.97
@@ -152,14 +152,16 @@ def train(
 
         loss = trainer.epoch(told)
         row = {"epoch": float(epoch + 1), "loss": loss}
-        row |= judge(trainer.network, asked, device).row()
+        row |= judge(trainer.network, asked, device, points=options.points).row()
         add_row(at, row)  # first: an epoch that is done again gives the same row
         trainer.write(at / SNAPSHOT)
         progress.epoch(row)
     network = trainer.network.cpu()
+    judged = judge(network, asked, "cpu", points=options.points)
     notes = {
         "features": teacher.features.key,
-        "temperature": f"{judge(network, asked, 'cpu').temperature:.4g}",
+        "temperature": f"{judged.temperature:.4g}",
+        "points": str(options.points),
         "epochs": str(options.epochs),
         "seed": str(options.seed),
         "places": str(len(learned)),

@@ -14,7 +14,7 @@ from torch import Tensor
 from placegraph.errors import InputError
 from placegraph.files import write_file
 from placegraph.indoor.encode.scenegraphloc.elastic import distorted
-from placegraph.indoor.encode.scenegraphloc.inputs import Room, together
+from placegraph.indoor.encode.scenegraphloc.inputs import POINTS, Room, together
 from placegraph.indoor.encode.scenegraphloc.network import SceneGraphLoc, unit
 from placegraph.indoor.encode.scenegraphloc.objective import Truth, losses
 from placegraph.indoor.encode.scenegraphloc.weights import network_of, read_snapshot
@@ -237,10 +237,19 @@ class Judged:
         return told if self.changed is None else told | {"changed": self.changed}
 
 
-def judge(network: SceneGraphLoc, lessons: Sequence[Lesson], device: str) -> Judged:
-    """Ask a network about places; it must be in the state for inference."""
+def judge(
+    network: SceneGraphLoc, lessons: Sequence[Lesson], device: str, *, points: int = POINTS
+) -> Judged:
+    """Ask a network about places; it must be in the state for inference.
+
+    `points`: of each object, as many as it was trained with.
+    """
     with torch.inference_mode():
-        rooms = {(k, bool(e)): r for k, x in enumerate(lessons) for e, r in enumerate(_rooms(x))}
+        rooms = {
+            (k, bool(e)): room.with_points(points)
+            for k, lesson in enumerate(lessons)
+            for e, room in enumerate(_rooms(lesson))
+        }
         encoded = {
             key: unit(network.objects(together([room], device=device))).cpu().numpy()
             for key, room in rooms.items()

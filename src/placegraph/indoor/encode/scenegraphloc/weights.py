@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 IGNORED = ("backbone.", "patch_global_encoder.", "obj_global_encoder.")
 """Keys of what the published training can be told to bring along and nobody needs."""
 _SOURCE = re.compile(r"(sg_encoder\.structure_encoder\.layer_stack\.\d+\.lin)_(src|dst)\.weight")
+NOTES = "placegraph"
+"""Name of the metadata of .safetensors files that we write."""
 _MEND = "give the published snapshot, or what `placegraph scene train` wrote"
 
 
@@ -145,18 +147,20 @@ def write_weights(
     if Path(path).suffix != ".safetensors":
         raise OptionError(f"{path}: weights are written as .safetensors; name such a file.")
     state = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items()}
-    write_file(path, [save(state, dict(notes))])
+    # one entry: the order of several is not always the same, and so the file's bytes
+    write_file(path, [save(state, {NOTES: json.dumps(dict(notes), sort_keys=True)})])
 
 
 def _safetensors(path: Path, data: bytes, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
         state = load(data)
         head = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        notes = json.loads(head.get("__metadata__", {}).get(NOTES, "{}"))
     except (SafetensorError, ValueError) as error:
         raise InputError(
             f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {mend}."
         ) from error
-    return state, {str(k): str(v) for k, v in head.get("__metadata__", {}).items()}
+    return state, {str(k): str(v) for k, v in dict(notes).items()}
 
 
 def _one_spelling(state: Mapping[str, Tensor], source: str) -> dict[str, Tensor]:
