@@ -25,6 +25,8 @@ _ANYTHING = frozenset(
 """What names a place without saying which."""
 _BESIDES = frozenset(("behind", "above", "under", "left of", "right of", "attached to", "against"))
 """Relations of the speaker to a thing that tell no more than that it is near."""
+_REMEMBERED = 50
+"""Things back to which "the table" is looked for."""
 _NOTHING = frozenset(("thing", "things", "something", "anything", "nothing", "everything", "one"))
 
 
@@ -316,7 +318,7 @@ class Builder:
         """Row of a mention: "the table" is the table spoken of before."""
         definite = any(d.type == "DET" for d in thing.determiners) and not mention.negated
         if definite:
-            for row in range(len(self.mentions) - 1, -1, -1):
+            for row in range(len(self.mentions) - 1, -1, -1)[:_REMEMBERED]:
                 other = self.mentions[row]
                 if not other.negated and _same(mention, other):
                     return row
