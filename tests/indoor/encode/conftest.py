@@ -24,5 +24,8 @@ def timm():
         library = torch.library.Library("torchvision", "DEF")
         for name in ("nms", "qnms"):
             library.define(name + OPERATORS)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # on busy cores, threads of small networks mostly wait for each other
     yield pytest.importorskip("timm", reason="needs timm: pip install 'placegraph[learn]'")
+    torch.set_num_threads(threads)
     del library  # what it declared lives as long as it does
