@@ -1,6 +1,8 @@
 """Training of the compact encoder; needs PyTorch.
 
-Every patch is to find its object, among those of its scene and of others (InfoNCE).
+Every patch is to find its object, among those of its scene and of others (InfoNCE). How much of a
+scene is seen of each object is told to the softmax: what is left to learn is how much likelier an
+object is than anywhere in the scene, which is what a particle filter asks for.
 Folder and weights file are written as it goes on, so that a cut leaves the best network so far and
 `train_on` continues where it was. Worlds that are held out choose that network, and its temperature.
 """
@@ -25,7 +27,7 @@ from placegraph.indoor.encode.compact.things import features
 from placegraph.indoor.encode.compact.torch_network import TorchNetwork
 from placegraph.indoor.encode.compact.weights import trained, write_weights
 from placegraph.indoor.encode.compact.worlds import World
-from placegraph.indoor.encode.words import digest, vector
+from placegraph.indoor.encode.words import vector
 from placegraph.store import read_map, write_map
 from placegraph.training import add_row, planned
 
@@ -42,6 +44,8 @@ if TYPE_CHECKING:
 STATE, VERSION = "compact-training", 1
 EVERY = 25
 """Steps between rows of the curves."""
+PROBES = ("bed", "ceiling", "chair", "floor", "lamp", "sofa", "table", "wall")
+"""Labels whose vectors are kept with the weights, which know no others."""
 HELD_OUT = 14
 """Every so manieth world of a kind is not trained on."""
 
@@ -56,7 +60,7 @@ class Plan:
     rate: float = 2e-3
     """Of learning, at its highest."""
     decay: float = 0.02
-    balance: float = 0.5
+    balance: float = 0.25
     """An object that n patches of a picture show weighs n^(1 - balance)."""
     elsewhere: float = 0.25
     """Weight of finding an object among those of all scenes, beside those of its own."""
@@ -78,6 +82,8 @@ class Batch(NamedTuple):
     """(B, rows * columns) row of the object of each patch; -1: none."""
     scene: NDArray[np.int64]
     """(N,) picture whose scene an object is of."""
+    shares: Floats
+    """(N,) share of each object among all that is seen of its scene."""
 
 
 def train_on(
@@ -114,7 +120,7 @@ def train_on(
                 state.best = nats
                 told = {
                     "plan": asdict(plan), "step": state.step, "nats": nats, "right": right,
-                    "words": digest(),
+                    "words": {label: vector(label).tolist() for label in PROBES},
                 }  # fmt: skip
                 arrays = {n: t.detach().numpy() for n, t in state.mean.items()}
                 write_weights(output, trained(state.model.shape, arrays, temperature, told))
@@ -210,6 +216,7 @@ class State:
         known = self.model.know(torch.from_numpy(batch.features))
         logits = seen.reshape(b, -1, d) @ known.T * self.scale.clamp(max=math.log(50.0)).exp()
         own = torch.from_numpy(batch.scene[None] == np.arange(b)[:, None])[:, None]
+        logits = logits + torch.from_numpy(np.log(batch.shares))
         flat = logits.reshape(-1, logits.shape[-1])
         true = torch.from_numpy(batch.true.reshape(-1))
         weights = torch.from_numpy(weights_of(batch.true, self.plan.balance).reshape(-1))
@@ -281,7 +288,7 @@ def batch_of(
     worlds: Sequence[World], pictures: Sequence[int], rng: np.random.Generator | None
 ) -> Batch:
     """Pictures of worlds of one grid; without `rng` as they are."""
-    cells, told, true, scene = [], [], [], []
+    cells, told, true, scene, shares = [], [], [], [], []
     first = 0
     for b, (world, i) in enumerate(zip(worlds, pictures, strict=True)):
         light = world.light[i].astype(np.float32)
@@ -300,8 +307,15 @@ def batch_of(
         told.append(facts(world, factors, rng))
         true.append(np.where(patches >= 0, patches.astype(np.int64) + first, -1).reshape(-1))
         scene.append(np.full(len(factors), b))
+        shares.append(world.shares)
         first += len(factors)
-    return Batch(np.stack(cells), np.concatenate(told), np.stack(true), np.concatenate(scene))
+    return Batch(
+        np.stack(cells),
+        np.concatenate(told),
+        np.stack(true),
+        np.concatenate(scene),
+        np.concatenate(shares),
+    )
 
 
 def weights_of(true: NDArray[np.int64], balance: float) -> Floats:
@@ -314,7 +328,7 @@ def weights_of(true: NDArray[np.int64], balance: float) -> Floats:
 
 
 def judge(network: Network, checks: Sequence[Batch]) -> tuple[float, float, float]:
-    """What patches tell of their objects, against guessing among all of the scene.
+    """What patches tell of their objects, against anywhere in the scene.
 
     Returns nats a patch, the share of patches whose best object is the true one, and the
     temperature at which the nats are most.
@@ -322,23 +336,28 @@ def judge(network: Network, checks: Sequence[Batch]) -> tuple[float, float, floa
     rows = list(_cosines(network, checks))
     found = [(told(rows, tau), tau) for tau in np.geomspace(0.02, 0.5, 25).tolist()]
     nats, temperature = max(found)
-    right = np.concatenate([cosines.argmax(axis=1) == true for cosines, true in rows])
+    right = np.concatenate([cosines.argmax(axis=1) == true for cosines, true, _ in rows])
     return nats, float(right.mean()), temperature
 
 
-def _cosines(network: Network, checks: Sequence[Batch]) -> Iterator[tuple[Floats, NDArray[Any]]]:
+def _cosines(
+    network: Network, checks: Sequence[Batch]
+) -> Iterator[tuple[Floats, NDArray[Any], Floats]]:
     for batch in checks:
         seen = network.see(batch.cells[0]).reshape(-1, network.shape.dimension)
         true = batch.true[0]
-        yield (seen @ network.know(batch.features).T)[true >= 0], true[true >= 0]
+        there = true >= 0
+        yield (seen @ network.know(batch.features).T)[there], true[there], batch.shares
 
 
-def told(rows: Sequence[tuple[Floats, NDArray[Any]]], temperature: float) -> float:
-    """Mean of log(softmax(cosine / temperature) of the true object * number of objects)."""
+def told(rows: Sequence[tuple[Floats, NDArray[Any], Floats]], temperature: float) -> float:
+    """Mean log-likelihood ratio of the true object against what is seen anywhere [nats].
+
+    `rows`: cosines (P, N) of patches, their true objects (P,), and shares (N,) of what is seen.
+    """
     gains = []
-    for cosines, true in rows:
+    for cosines, true, shares in rows:
         logits = cosines / np.float32(temperature)
         logits -= logits.max(axis=1, keepdims=True)
-        norm = np.log(np.exp(logits).sum(axis=1))
-        gains.append(logits[np.arange(len(true)), true] - norm + np.log(cosines.shape[1]))
+        gains.append(logits[np.arange(len(true)), true] - np.log(np.exp(logits) @ shares))
     return float(np.concatenate(gains).mean())

@@ -92,6 +92,12 @@ class World:
         return self.rises.shape[1] // 2, self.rises.shape[2] // 2
 
     @property
+    def shares(self) -> Floats:
+        """(N,) share of each object among all patches, none of them nil."""
+        counts = np.bincount(self.patches[self.patches >= 0], minlength=len(self.area)) + 1.0
+        return (counts / counts.sum()).astype(np.float32)
+
+    @property
     def things(self) -> Things:
         """Its objects."""
         one = np.zeros(len(self.area), np.int32)
