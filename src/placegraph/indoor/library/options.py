@@ -24,7 +24,7 @@ class SearchOptions:
     """Frames lie on one way; without, each frame may lie anywhere in the scene."""
     wrong: float = 0.3
     """Share of patches taken to say something wrong."""
-    focus: float = 0.6
+    focus: float = 0.75
     """Share of what is seen in a direction that is the object which fills most of it."""
     witnesses: float = 24.0
     """Patches of a frame that speak independently of each other."""

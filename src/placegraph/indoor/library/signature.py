@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.scene_map import SceneMap
 
-PLACES = 16
-"""Panoramas of a scene at most."""
+PLACES = 40
+"""Panoramas of a scene at most,"""
+APART = 1.0
+"""and how far they are from each other at least [m]."""
 TURNS = 24
 """Bins of azimuth of a panorama: 15 degrees."""
 BANDS = 4
@@ -38,7 +40,7 @@ REACH = HIGHEST
 """Elevation at which panoramas end [rad]."""
 MOST = 20_000
 """Objects of a scene at most."""
-_SPACING = 0.8  # of the grid that places are chosen from [m]
+_SPACING = 0.6  # of the grid that places are chosen from [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +146,16 @@ def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap) -> 
 
 
 def far_apart(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """Rows of at most `most` of points (K, 2): the most central first, then ever the farthest."""
+    """Rows of at most `most` of points (K, 2): the most central first, then ever the farthest.
+
+    None nearer to another than `APART`.
+    """
     first = int(np.linalg.norm(points - np.median(points, axis=0), axis=1).argmin())
     rows = [first]
     away = np.linalg.norm(points - points[first], axis=1)
     while len(rows) < min(most, len(points)):
         row = int(away.argmax())
-        if away[row] <= 0:
+        if away[row] < APART:
             break
         rows.append(row)
         away = np.minimum(away, np.linalg.norm(points - points[row], axis=1))
