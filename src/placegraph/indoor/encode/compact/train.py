@@ -163,7 +163,7 @@ class State:
             betas=(0.9, 0.98),
         )
         self.mean = {n: t.detach().clone() for n, t in self.model.state_dict().items()}
-        self.step, self.best = 0, 0.0  # nats of guessing
+        self.step, self.best = 0, -1e9
 
     @classmethod
     def begun(
