@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from placegraph.formats.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
     from placegraph.indoor.build import build_scene
+    from placegraph.indoor.encode import encoder
+    from placegraph.indoor.library import SceneLibrary, SearchOptions
     from placegraph.indoor.matching import matcher
     from placegraph.indoor.merge import merge_scenes
     from placegraph.indoor.refine import RefineOptions
@@ -34,11 +36,14 @@ _HOME = {
     "RefineOptions": "placegraph.indoor.refine",
     "Refinement": "placegraph.estimate",
     "SceneGraph": "placegraph.graph",
+    "SceneLibrary": "placegraph.indoor.library",
     "SceneMap": "placegraph.indoor.scene_map",
+    "SearchOptions": "placegraph.indoor.library",
     "Status": "placegraph.estimate",
     "build_city": "placegraph.outdoor.build",
     "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.describe",
+    "encoder": "placegraph.indoor.encode",
     "matcher": "placegraph.indoor.matching",
     "merge_scenes": "placegraph.indoor.merge",
     "open_capture": "placegraph.formats.capture",
@@ -53,12 +58,15 @@ __all__ = [
     "RefineOptions",
     "Refinement",
     "SceneGraph",
+    "SceneLibrary",
     "SceneMap",
+    "SearchOptions",
     "Status",
     "__version__",
     "build_city",
     "build_scene",
     "describe",
+    "encoder",
     "errors",
     "matcher",
     "merge_scenes",

@@ -11,21 +11,26 @@ from placegraph.errors import MapError
 if TYPE_CHECKING:
     import os
 
+    from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
 
 
-def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap:
-    """Open a map file; what it holds is read from its header.
+def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
+    """Open a map file; what it holds is read from its header. A folder of scene maps is a library.
 
     Raises
     ------
     InputError
-        The file is missing, empty, a folder, or may not be read.
+        The file is missing, empty, or may not be read; a folder holds no scene map.
     MapError
         It is foreign, truncated, damaged, of a newer version, or of a kind not known here.
 
     """
+    if Path(path).is_dir():
+        from placegraph.indoor.library import SceneLibrary
+
+        return SceneLibrary.open(path)
     kind = store.read_header(path).kind
     if kind == "city":
         from placegraph.outdoor.city import CityMap
@@ -35,6 +40,10 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap:
         from placegraph.indoor.scene_map import SceneMap
 
         return SceneMap.open(Path(path))
+    if kind == "library":
+        from placegraph.indoor.library import SceneLibrary
+
+        return SceneLibrary.open(path)
     if kind == "vectors":
         raise MapError(
             f"{path} holds vectors of a city's cells and is no map; open the map, and give it this "

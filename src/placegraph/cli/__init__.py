@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from placegraph.cli import city, scene
+from placegraph.cli import city, library, scene
 from placegraph.errors import InputError, PlacegraphError
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ app = typer.Typer(
 )
 app.add_typer(city.app, name="city")
 app.add_typer(scene.app, name="scene")
+app.add_typer(library.app, name="library")
 
 
 def main() -> None:

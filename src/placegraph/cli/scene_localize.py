@@ -52,6 +52,17 @@ def localize(
         float | None,
         typer.Option(help="With --near: about where it looks, counter-clockwise from x."),
     ] = None,
+    description: Annotated[
+        str | None,
+        typer.Option(help="What is known of the place: 'next to the sofa, facing the window'."),
+    ] = None,
+    encoder: Annotated[
+        str | None,
+        typer.Option(
+            help="What says which objects a patch may show: labels, appearance, compact; "
+            "the capture's own labels if not given."
+        ),
+    ] = None,
     height: Annotated[
         list[float] | None,
         typer.Option(help="Height of the camera above the floor [m]; may be repeated."),
@@ -111,8 +122,8 @@ def localize(
     title = f"{capture.name} {frames}" if frames else capture.name
     with progress_of(hidden=quiet or as_json) as tell:
         estimate = scene.localize(
-            chosen, prior=prior, options=options, refine=refine, matcher=matching, seed=seed,
-            device=device, progress=tell,
+            chosen, prior=prior, description=description, encoder=encoder, options=options,
+            refine=refine, matcher=matching, seed=seed, device=device, progress=tell,
         )  # fmt: skip
         tell("drawing", 0, 1)
         Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
