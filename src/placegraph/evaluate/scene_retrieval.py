@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 LENGTHS = (1, 5, 10, 25, 50)
 """Frames of a query."""
-EVERY = {1: 10, 5: 10, 10: 10, 25: 25, 50: 50}
+EVERY = {1: 25, 5: 25, 10: 25, 25: 25, 50: 50}
 """Frames from one query of a walk to the next, by length."""
 POOLS = {"10": 10, "50": 50}
 """Scenes searched, the right one among them."""
