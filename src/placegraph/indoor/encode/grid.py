@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 GRID = (9, 16)
 """144 patches, as in the paper's Sec. 3.3."""
+_DIRECT = 1 << 16  # values below this are looked up in a table
 
 
 def checked(grid: tuple[int, int]) -> tuple[int, int]:
@@ -30,6 +31,13 @@ def cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
 
 def looked_up(image: NDArray[np.int32], row_of: dict[int, int]) -> NDArray[np.int32]:
     """Row (h, w) of each pixel's value, -1 for those that have none."""
+    top = max(row_of, default=0) + 1
+    if top < _DIRECT:  # a table is ten times as fast as sorting the pixels
+        table = np.full(top + 1, -1, np.int32)
+        for value, row in row_of.items():
+            if value >= 0:
+                table[value] = row
+        return table[np.where((image >= 0) & (image < top), image, top)]
     values = np.unique(image)
     rows = np.array([row_of.get(value, -1) for value in values.tolist()], np.int32)
     out: NDArray[np.int32] = rows[np.searchsorted(values, image)]

@@ -42,7 +42,11 @@ class InstancesEncoder:
         image = frame.labels() if frame.label_kind == "instances" else None
         if image is None:
             return None
-        known = {v: self.row_of.get(str(v), -1) for v in np.unique(image).tolist() if v >= 0}
+        known = {
+            int(id_): row
+            for id_, row in self.row_of.items()
+            if id_.isdecimal() and str(int(id_)) == id_
+        }
         rows = majority(looked_up(image, known), self.grid, len(self.table))
         return Patches(frame.label_camera or frame.camera, self.grid, rows, self.table)
 
