@@ -13,8 +13,7 @@ from placegraph.formats.capture import Capture, Frame, open_capture
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.sources import FromCapture
-from placegraph.synthetic.homes import home, record, scene_of
-from placegraph.synthetic.homes_record import visit
+from placegraph.synthetic.homes import home, record, scene_of, visit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

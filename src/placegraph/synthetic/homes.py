@@ -28,7 +28,8 @@ from placegraph.synthetic.homes_catalogue import STYLES
 from placegraph.synthetic.homes_change import changed
 from placegraph.synthetic.homes_furnish import Furnisher
 from placegraph.synthetic.homes_plan import CELL, plan, rooms_of
-from placegraph.synthetic.homes_record import CAMERA, record, visit
+from placegraph.synthetic.homes_record import CAMERA, record
+from placegraph.synthetic.homes_visit import visit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,12 +11,9 @@ from placegraph.errors import OptionError
 from placegraph.formats.capture import Capture
 from placegraph.formats.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.synthetic.flat_legend import DOOR, WINDOW
 from placegraph.synthetic.flat_render import Stage
 from placegraph.synthetic.flat_sensors import develop, measured
-from placegraph.synthetic.flats import HEADROOM, Flat
-from placegraph.synthetic.homes_change import SHELL, STANDS
-from placegraph.synthetic.walks import drifted, exposures, gravity, stroll
+from placegraph.synthetic.walks import drifted, exposures, gravity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,8 +26,6 @@ if TYPE_CHECKING:
 
 CAMERA = Camera(160, 120, 115.0, 115.0, 80.0, 60.0)
 """70 degrees wide."""
-FLAT = 0.1
-"""What hangs on a wall stands out less than this [m]."""
 
 
 def record(
@@ -107,46 +101,6 @@ def record(
         for i, noise in enumerate(sensor.spawn(len(walk)))
     ]
     return Capture.from_frames(frames)
-
-
-def visit(
-    flat: Flat, interior: Interior, rng: np.random.Generator, *, frames: int = 25, **how: float
-) -> Walk:
-    """Stroll through a flat around the furniture as it stands now.
-
-    `how`: options of `stroll`, which raises `OptionError` where nobody can stand anywhere.
-    """
-    boxes = [t.bounds for t in interior.things if t.label not in SHELL and _in_the_way(t.bounds)]
-    now = _Refurnished(**{f.name: getattr(flat, f.name) for f in fields(flat)}, boxes=tuple(boxes))
-    return stroll(now, rng, frames=frames, **how)  # type: ignore[arg-type]
-
-
-def _in_the_way(bounds: NDArray[np.float64]) -> bool:
-    """Whether who walks has to walk around: it is no rug, and hangs neither high nor on a wall."""
-    low, high = bounds
-    hung = low[2] > STANDS and (high - low)[:2].min() < FLAT
-    return bool(low[2] < HEADROOM and high[2] > STANDS and not hung)
-
-
-@dataclass(frozen=True)
-class _Refurnished(Flat):
-    """A drawn flat whose furniture stands elsewhere by now."""
-
-    boxes: tuple[NDArray[np.float64], ...] = ()
-    """(2, 3) of what is in the way."""
-
-    @cached_property
-    def blocked(self) -> NDArray[np.bool_]:
-        """Cells (R, C) that nobody walks through."""
-        mask = self.room_of < 0
-        for opening in self.openings:
-            for cell in opening.cells:
-                mask[cell] = opening.symbol.kind in {WINDOW, DOOR}
-        for low, high in self.boxes:
-            bottom, left = self.cell(low[0], low[1])
-            top, right = self.cell(high[0], high[1])
-            mask[max(top, 0) : bottom + 1, max(left, 0) : right + 1] = True
-        return mask
 
 
 class _Set:

@@ -62,8 +62,7 @@ def homes(
 
 
 def _home(seed: int, index: int, frames: int, camera: Camera | None, *, changes: bool) -> Material:
-    from placegraph.synthetic.homes import CAMERA, changed, home, record, scene_of
-    from placegraph.synthetic.homes_record import visit
+    from placegraph.synthetic.homes import CAMERA, changed, home, record, scene_of, visit
 
     rng = np.random.default_rng([seed, index])
     flat = home(rng)
