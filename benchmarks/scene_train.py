@@ -81,9 +81,9 @@ def main(
     count: Annotated[
         int, typer.Option("--homes", help="Procedural homes, those held out too.")
     ] = 60,
-    held: Annotated[int, typer.Option(help="Homes that are not learned.")] = 12,
+    held: Annotated[int, typer.Option(help="Homes that are not learned.")] = 8,
     frames: Annotated[int, typer.Option(help="Images of a walk through a home.")] = 10,
-    epochs: Annotated[int, typer.Option(help="Rounds over all images.")] = 16,
+    epochs: Annotated[int, typer.Option(help="Rounds over all images.")] = 20,
     batch: Annotated[int, typer.Option(help="Images a step.")] = 8,
     others: Annotated[int, typer.Option(help="Other homes a patch is told from.")] = 3,
     points: Annotated[int, typer.Option(help="Points of an object.")] = 64,
