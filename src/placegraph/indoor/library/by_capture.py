@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""
-HEAT = 4.0
+HEAT = 3.0
 """Nats of log-likelihood that count as one, for a single frame; T frames of one way see much the
 same, so that their sum is taken for worth sqrt(T) of them (benchmark: calibration)."""
 ELSEWHERE = 0.0

@@ -8,9 +8,11 @@ from numba import njit, prange
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another
 room."""
+NEAR = 1.2
+"""Places farther from each other than this are not beside each other [m]."""
 OFF = 1.5
 """Farther from all places than this is off the map [m]."""
-SLIP = 0.25
+SLIP = 1.0
 """What being at the next place, or turned by one bin more, costs [nat]."""
 
 
@@ -148,7 +150,7 @@ def _neighbours(places):
             away[q] = (places[q, 0] - places[p, 0]) ** 2 + (places[q, 1] - places[p, 1]) ** 2
         for k in range(min(NEIGHBOURS, count)):
             q = int(np.argmin(away))
-            if away[q] > 4.0 * OFF * OFF:
+            if away[q] > NEAR * NEAR:
                 break
             out[p, k] = q
             away[q] = 1e30

@@ -22,7 +22,7 @@ class SearchOptions:
     """Compare with panoramas: what is seen together, and in which direction."""
     odometry: bool = True
     """Frames lie on one way; without, each frame may lie anywhere in the scene."""
-    wrong: float = 0.3
+    wrong: float = 0.4
     """Share of patches taken to say something wrong."""
     focus: float = 0.75
     """Share of what is seen in a direction that is the object which fills most of it."""

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 PLACES = 40
 """Panoramas of a scene at most,"""
-APART = 1.0
+APART = 0.75
 """and how far they are from each other at least [m]."""
 TURNS = 24
 """Bins of azimuth of a panorama: 15 degrees."""
@@ -40,7 +40,7 @@ REACH = HIGHEST
 """Elevation at which panoramas end [rad]."""
 MOST = 20_000
 """Objects of a scene at most."""
-_SPACING = 0.6  # of the grid that places are chosen from [m]
+_SPACING = 0.5  # of the grid that places are chosen from [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,166 @@
+"""Libraries come and go, are saved and opened, and localize."""
+
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import placegraph as pg
+from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
+from placegraph.estimate import Status
+from placegraph.indoor.library import SceneLibrary, library_of
+from placegraph.indoor.merge import merge_scenes
+
+
+@pytest.fixture(scope="session")
+def folder(maps, tmp_path_factory):
+    """Folder with the three maps and the file of their library."""
+    folder = tmp_path_factory.mktemp("homes")
+    library = SceneLibrary("labels")
+    for name, scene in maps.items():
+        scene.save(folder / f"{name}.scene")
+        library.add(name, folder / f"{name}.scene")
+    library.save(folder / "homes.library")
+    return folder
+
+
+def test_scenes_come_and_go(maps):
+    library = SceneLibrary("labels")
+    assert len(library) == 0
+    for name, scene in maps.items():
+        library.add(name, scene)
+    assert library.names == tuple(maps) == tuple(library)
+    library.remove("study")
+    assert "study" not in library
+    assert library.index.starts[-1] == sum(len(maps[n]) for n in library)
+    with pytest.raises(OptionError, match="'study' is no scene"):
+        library.remove("study")
+    with pytest.raises(OptionError, match="'parlour' is taken"):
+        library.add("parlour", maps["parlour"])
+    for name in ("", "a/b"):
+        with pytest.raises(OptionError, match="without a slash"):
+            library.add(name, maps["study"])
+    assert repr(library) == "SceneLibrary(2 scenes by labels)"
+
+
+def test_a_file_holds_what_was_saved(folder, by_labels, rooms):
+    opened = pg.open_map(folder / "homes.library")
+    assert isinstance(opened, SceneLibrary)
+    assert opened.names == by_labels.names
+    film = rooms["study"].film(4)
+    for name in opened:
+        one, other = opened.entry(name).signature, by_labels.entry(name).signature
+        assert one.graph.ids == other.graph.ids
+        assert one.graph.relations == other.graph.relations
+        assert one.attributes == other.attributes
+        np.testing.assert_array_equal(one.panoramas, other.panoramas)
+        np.testing.assert_allclose(one.graph.positions, other.graph.positions, atol=0.0051)
+    told, wanted = (lib.search(film) for lib in (opened, by_labels))
+    assert [m.scene for m in told.modes] == [m.scene for m in wanted.modes]
+    assert told.best.probability == pytest.approx(wanted.best.probability, abs=0.02)
+
+
+def test_a_folder_is_a_library(folder):
+    assert set(pg.open_map(folder).names) == {"parlour", "study", "bedroom"}
+    with pytest.raises(InputError, match="holds no scene map"):
+        SceneLibrary.open(folder.parent)
+
+
+def test_library_and_maps_move_together(folder, tmp_path):
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(folder, moved)
+    library = SceneLibrary.open(moved / "homes.library")
+    assert len(library.scene("study"))
+    (moved / "study.scene").unlink()
+    library = SceneLibrary.open(moved / "homes.library")
+    with pytest.raises(InputError, match="'study' is not there"):
+        library.scene("study")
+    shutil.copy(moved / "bedroom.scene", moved / "study.scene")
+    with pytest.raises(MapError, match="another map than was added as 'study'"):
+        library.scene("study")
+
+
+def test_what_cannot_be_saved(maps, tmp_path):
+    with pytest.raises(OptionError, match="empty"):
+        SceneLibrary("labels").save(tmp_path / "a.library")
+    with pytest.raises(OptionError, match="map in memory"):
+        library_of({"study": maps["study"]}, encoders="labels").save(tmp_path / "a.library")
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_encoder_is_refused(folder):
+    with pytest.raises(MapError, match="was encoded by labels"):
+        SceneLibrary.open(folder / "homes.library", encoders="appearance")
+    same = SceneLibrary.open(folder / "homes.library", encoders=pg.encoder("labels"))
+    assert len(same) == 3
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data())
+def test_a_damaged_file_is_a_typed_error(folder, tmp_path_factory, data):
+    whole = (folder / "homes.library").read_bytes()
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    path = tmp_path_factory.mktemp("cut") / "homes.library"
+    path.write_bytes(whole[:cut])
+    with pytest.raises(PlacegraphError):
+        SceneLibrary.open(path)
+
+
+# ----------------------------------------------------------------------------------------- text
+
+
+def test_a_text_finds_its_room(by_labels):
+    estimate = by_labels.search("a room with a bed and a wardrobe")
+    assert estimate.best.scene == "bedroom"
+    assert {o.label for e in estimate.evidence for o in e.objects} >= {"bed", "wardrobe"}
+    assert by_labels.search("a place with two desks").best.scene == "study"
+    assert by_labels.search("a sofa").best.scene == "parlour"
+
+
+@pytest.mark.parametrize("text", ["", "   ", "hello there"])
+def test_a_text_that_says_nothing(by_labels, text):
+    with pytest.raises(
+        PlacegraphError, match=r"says nothing|empty|nothing was said|no description"
+    ):
+        by_labels.search(text)
+
+
+# ------------------------------------------------------------------------------------- localize
+
+
+def off(estimate, walk):
+    """How far the last pose is from the true one [m]."""
+    return np.linalg.norm((estimate.best.map_from_camera - walk.map_from_camera[-1])[:3, 3])
+
+
+@pytest.mark.parametrize("name", ["parlour", "study"])
+def test_scene_and_pose_of_a_capture(by_labels, rooms, name):
+    room = rooms[name]
+    walk = room.walk(21, 8)
+    film = room.film(21, 8, depth=True)
+    estimate = by_labels.localize(film, refine=False)
+    assert estimate.status is Status.OK
+    assert estimate.best.scene == name
+    assert off(estimate, walk) < 0.1
+    np.testing.assert_allclose(estimate.trajectory[-1], estimate.best.map_from_camera, atol=1e-9)
+    np.testing.assert_allclose(
+        estimate.best.scene_from_camera, estimate.best.map_from_camera, atol=1e-9
+    )
+    assert estimate.stats["retrieval"][name] > 0.5
+    assert estimate.to_dict()["modes"][0]["scene"] == name
+
+
+def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):
+    merged = merge_scenes({name: maps[name] for name in ("parlour", "study")})
+    library = library_of({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
+    estimate = library.localize(rooms["study"].film(21, 8, depth=True), refine=False)
+    assert estimate.best.scene == "house/study"
+    walk = rooms["study"].walk(21, 8)
+    assert off(estimate, walk) < 0.1
+
+
+def test_localizing_in_no_scene(by_labels, rooms):
+    with pytest.raises(OptionError, match="most"):
+        by_labels.localize(rooms["study"].film(4), most=0)

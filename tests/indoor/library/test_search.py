@@ -1,0 +1,175 @@
+"""Scenes are found by captures."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of
+from placegraph.indoor.library.index import distinct
+from placegraph.indoor.library.kernels import best_cosines, mixtures
+from placegraph.indoor.library.query import WORDS, encode, told_apart
+from placegraph.indoor.library.search import scores
+from placegraph.synthetic.homes import scene_of
+from placegraph.synthetic.homes_change import changed
+
+
+@pytest.mark.parametrize("name", ["parlour", "study", "bedroom"])
+@pytest.mark.parametrize("method", ["likelihood", "cosines"])
+def test_a_room_is_found_among_three(by_labels, rooms, name, method):
+    estimate = by_labels.search(rooms[name].film(3), options=SearchOptions(method=method))
+    assert estimate.best.scene == name
+    assert len(estimate.modes) == 3
+    total = sum(m.probability for m in estimate.modes) + estimate.elsewhere
+    assert total == pytest.approx(1.0)
+    if method == "likelihood":
+        assert estimate.best.probability > 0.6
+        assert estimate.elsewhere < 0.01
+
+
+def test_more_frames_make_sure(by_labels, rooms):
+    film = rooms["bedroom"].film(3, frames=16)
+    told = [by_labels.search(film, frames=slice(n)).best.probability for n in (1, 4, 16)]
+    assert told == sorted(told)
+    assert by_labels.search(film).status is Status.OK
+
+
+def test_a_room_is_found_when_things_have_moved(by_labels, rooms):
+    room = rooms["study"]
+    moved = replace(room, interior=changed(room.interior, np.random.default_rng(2)))
+    assert by_labels.search(moved.film(5, frames=8)).best.scene == "study"
+
+
+def test_two_of_the_same_room_are_ambiguous(maps, rooms):
+    twins = library_of({"here": maps["study"], "there": maps["study"]}, encoders="labels")
+    estimate = twins.search(rooms["study"].film(3))
+    assert estimate.status is Status.AMBIGUOUS
+    assert estimate.modes[0].probability == pytest.approx(estimate.modes[1].probability)
+    assert "there" in estimate.reason
+    assert "here" in estimate.reason
+
+
+def test_a_room_that_is_not_there_is_not_found(maps, rooms):
+    others = library_of({n: m for n, m in maps.items() if n != "bedroom"}, encoders="labels")
+    estimate = others.search(rooms["bedroom"].film(3, frames=8))
+    assert estimate.status is not Status.OK
+
+
+def test_evidence_names_what_was_seen(by_labels, rooms):
+    estimate = by_labels.search(rooms["bedroom"].film(3))
+    told = [o.label for e in estimate.evidence if e.verdict == "for" for o in e.objects]
+    assert {"bed", "wardrobe"} & set(told)
+    plain = estimate.to_dict()
+    assert plain["modes"][0]["scene"] == "bedroom"
+    assert plain["stats"]["frames"] == 6
+
+
+def test_the_same_question_has_the_same_answer(by_labels, rooms):
+    film = rooms["study"].film(4)
+    once, again = (by_labels.search(film).to_dict() for _ in range(2))
+    for told in (once, again):
+        del told["stats"]
+    assert once == again
+
+
+def test_frames_may_be_chosen(by_labels, rooms):
+    film = rooms["study"].film(4)
+    assert by_labels.search(film, frames=[2]).stats["frames"] == 1
+    with pytest.raises(OptionError, match="most"):
+        by_labels.search(film, most=0)
+
+
+def test_a_capture_without_labels_asks_by_appearance(maps, rooms):
+    film = rooms["study"].film(4, labels=None)
+    with pytest.raises(OptionError, match="nothing for labels"):
+        library_of(maps, encoders="labels").search(film)
+
+
+def test_an_empty_library_says_so(rooms):
+    with pytest.raises(OptionError, match="empty: add a scene"):
+        SceneLibrary("labels").search(rooms["study"].film(4))
+    with pytest.raises(OptionError, match="at least one"):
+        SceneLibrary(())
+    with pytest.raises(OptionError, match="each once"):
+        SceneLibrary(("labels", "labels"))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"method": "votes"}, {"wrong": 1.0}, {"looks": 0}, {"finalists": 0}, {"witnesses": 0}]
+)
+def test_options_out_of_range(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        SearchOptions(**wrong)
+
+
+# ------------------------------------------------------------------------------------- the parts
+
+
+def test_the_papers_sum_is_the_papers_sum(by_labels, rooms):
+    film = rooms["parlour"].film(6, frames=3)
+    encoder = by_labels.encoders[0]
+    wanted = np.zeros(3)
+    for s, name in enumerate(by_labels):
+        vectors = by_labels.entry(name).signature.vectors[encoder.key]
+        for frame in film:
+            patches = encoder.patches(frame).reshape(-1, encoder.dimension)
+            patches = patches[patches.any(axis=1)]
+            wanted[s] += (patches @ vectors.T).max(axis=1).mean()
+    query = encode(list(film), by_labels.encoders)
+    got = scores(by_labels.index, query, SearchOptions(method="cosines")).total
+    np.testing.assert_allclose(got, wanted, atol=1e-4)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_kernels_do_what_numpy_does(seed):
+    rng = np.random.default_rng(seed)
+    sizes = rng.integers(1, 5, 4)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    code = rng.integers(0, 6, starts[-1]).astype(np.int32)
+    table = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
+    weight, share = (rng.random(n).astype(np.float32) for n in (3, starts[-1]))
+    best = [table[:, code[a:b]].max(axis=1) @ weight for a, b in itertools.pairwise(starts)]
+    np.testing.assert_allclose(
+        best_cosines(table, code, starts, weight), best, rtol=1e-4, atol=1e-5
+    )
+    mean = [table[:, code[a:b]] @ share[a:b] for a, b in itertools.pairwise(starts)]
+    np.testing.assert_allclose(mixtures(table, code, share, starts), mean, rtol=1e-3, atol=1e-5)
+
+
+@given(st.integers(1, 400), st.integers(1, 300), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_words_stand_for_their_vectors(count, kinds, seed):
+    rng = np.random.default_rng(seed)
+    table = rng.normal(size=(kinds, 8)).astype(np.float32)
+    table /= np.linalg.norm(table, axis=1, keepdims=True)
+    row = rng.integers(0, kinds, count)
+    words, word = told_apart(table[row])
+    assert len(words) <= WORDS
+    if len(np.unique(row)) <= WORDS:
+        np.testing.assert_array_equal(words[word], table[row])
+    first, code = distinct(table[row])
+    np.testing.assert_array_equal(table[row][first][code], table[row])
+
+
+def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):
+    """The study, and the study seen in a mirror, hold the same; panoramas know which it is."""
+    study = rooms["study"]
+    flat = replace(study.flat, rows=tuple(row[::-1] for row in study.flat.rows))
+    interior = flat.furnish(np.random.default_rng(1))
+    mirror = replace(study, flat=flat, interior=interior, scene=scene_of(interior))
+    library = library_of({"study": study.scene, "mirror": mirror.scene}, encoders="labels")
+    for name, room in (("study", study), ("mirror", mirror)):
+        film = room.film(11, frames=10)
+        assert library.search(film).best.scene == name
+        query = encode(list(film), library.encoders)
+        gap = {
+            geometry: np.ptp(scores(library.index, query, SearchOptions(geometry=geometry)).total)
+            for geometry in (False, True)
+        }
+        assert gap[True] > 3.0 * gap[False]

@@ -1,0 +1,105 @@
+"""What a library keeps of a scene."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import MapError, OptionError
+from placegraph.indoor.encode import encoder
+from placegraph.indoor.library.signature import APART, BANDS, TURNS, coarse, far_apart, signature_of
+from placegraph.indoor.panoramas import AZIMUTHS, ELEVATIONS
+
+LABELS = encoder("labels")
+
+
+def test_a_signature_tells_what_is_seen_where(maps):
+    scene = maps["study"]
+    signature = signature_of(scene, [LABELS])
+    assert signature.panoramas.shape == (len(signature.places), BANDS, TURNS)
+    assert signature.share.sum() == pytest.approx(1.0, abs=1e-5)
+    labels = np.array([*scene.graph.labels, ""])
+    seen = set(labels[signature.panoramas.ravel()])
+    assert {"wall", "floor", "desk", "bookcase"} <= seen
+    # from the most central place the bookcase, in the east, is seen in the east
+    row = scene.graph.labels.index("bookcase")
+    here = signature.places[0]
+    away = scene.graph.positions[row, :2] - here
+    turn = round(np.arctan2(away[1], away[0]) / (2 * np.pi / TURNS)) % TURNS
+    assert row in signature.panoramas[0, :, turn]
+    assert signature.nbytes() < 6000
+    assert signature.rooms == () or all(signature.rooms)
+
+
+def test_places_are_apart(maps):
+    places = signature_of(maps["parlour"], [LABELS]).places
+    gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + 1e3 * np.eye(len(places))
+    assert gaps.min() >= APART - 0.01
+    assert len(places) > 3
+
+
+@given(st.integers(1, 60), st.integers(1, 12), st.integers(0, 2**32 - 1))
+def test_far_apart_rows_are_apart_and_cover(count, most, seed):
+    points = np.random.default_rng(seed).uniform(0, 6, (count, 2))
+    rows = far_apart(points, most)
+    assert len(set(rows.tolist())) == len(rows) <= most
+    away = np.linalg.norm(points[:, None] - points[rows][None], axis=2)
+    if len(rows) < min(most, count):
+        assert away.min(axis=1).max() < APART
+    between = np.linalg.norm(points[rows][:, None] - points[rows][None], axis=2)
+    assert (between + 9.0 * np.eye(len(rows)) >= APART - 1e-9).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 9))
+def test_a_coarse_bin_is_what_most_rays_hit(seed, count):
+    objects = np.random.default_rng(seed).integers(0, count + 1, (2, ELEVATIONS, AZIMUTHS))
+    bins = coarse(objects.astype(np.uint16), count)
+    wide, high = AZIMUTHS // TURNS, ELEVATIONS // BANDS
+    for turn, band in ((0, 0), (5, BANDS - 1), (TURNS - 1, 1)):
+        azimuths = (np.arange(wide) - wide // 2 + turn * wide) % AZIMUTHS
+        rays = objects[1, band * high : (band + 1) * high][:, azimuths]
+        counts = np.bincount(rays.ravel(), minlength=count + 1)
+        assert counts[bins[1, band, turn]] == counts.max()
+
+
+def test_scenes_that_say_nothing_are_refused(maps):
+    from dataclasses import replace
+
+    scene = maps["study"]
+    nameless = replace(scene, graph=replace(scene.graph, labels=("object",) * len(scene)))
+    with pytest.raises(OptionError, match=r"none of its .* says anything to labels"):
+        signature_of(nameless, [LABELS])
+
+
+def test_vectors_of_another_encoder_are_no_vectors(maps):
+    class Needy:
+        name, key, dimension, temperature = "needy", "needy 1", 4, 0.1
+
+        def patches(self, _image):
+            raise AssertionError
+
+        def camera(self, _image):
+            raise AssertionError
+
+        def objects(self, _scene, _captures=()):
+            raise OptionError("captures: there is none; needy needs some.")
+
+    scene = maps["study"]
+    with pytest.raises(OptionError, match="needy needs some"):
+        signature_of(scene, [Needy()])
+    other = scene.with_embeddings(np.eye(len(scene), 4), encoder="other 7")
+    with pytest.raises(MapError, match=r"other 7.*needy 1"):
+        signature_of(other, [Needy()])
+    own = scene.with_embeddings(np.eye(len(scene), 4), encoder="needy 1")
+    assert signature_of(own, [Needy()]).vectors["needy 1"].shape == (len(scene), 4)
+
+
+def test_vectors_of_a_wrong_shape_are_refused(maps):
+    class Wrong:
+        name, key, dimension, temperature = "wrong", "wrong", 4, 0.1
+
+        def objects(self, scene, _captures=()):
+            return np.full((len(scene), 4), np.nan)
+
+    with pytest.raises(OptionError, match="finite numbers belong"):
+        signature_of(maps["study"], [Wrong()])
