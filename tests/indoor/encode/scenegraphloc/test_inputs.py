@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -177,6 +177,7 @@ def test_a_barycentre_is_that_of_the_hulls_corners(rng):
     assert np.allclose(barycentre(box[:1]), box[0])
 
 
+@settings(max_examples=30)
 @given(arrays(np.int64, (9, 3), elements=st.integers(-5, 5)))
 def test_a_barycentre_lies_among_its_points(points):
     found = barycentre(points)
@@ -198,7 +199,7 @@ def test_distortion_is_smooth_and_of_its_size(rng):
     points = rng.uniform(0, (4, 3, 2.5), (3000, 3)).astype(np.float32)
     near = points + np.float32(0.004)
     both = np.concatenate([points, near])
-    moved = [distorted(both, np.random.default_rng(k)) - both for k in range(12)]
+    moved = [distorted(both, np.random.default_rng(k)) - both for k in range(5)]
     sizes = [float(np.abs(m).mean()) for m in moved]
     assert 0.02 < np.median(sizes) < 0.5
     pulls = np.array(moved)
@@ -207,8 +208,8 @@ def test_distortion_is_smooth_and_of_its_size(rng):
 
 
 def test_some_clouds_are_left_as_they_are_and_any_shape_is_taken():
-    points = np.random.default_rng(0).normal(size=(2, 7, 3)).astype(np.float32)
-    same = [np.array_equal(distorted(points, np.random.default_rng(k)), points) for k in range(30)]
+    points = np.random.default_rng(0).uniform(size=(2, 7, 3)).astype(np.float32)
+    same = [np.array_equal(distorted(points, np.random.default_rng(k)), points) for k in range(24)]
     assert 0 < sum(same) < 8
     flat = np.zeros((5, 3), np.float32)
     assert np.isfinite(distorted(flat, np.random.default_rng(0))).all()
