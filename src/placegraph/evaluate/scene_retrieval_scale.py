@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.evaluate.scene_retrieval import kilobytes, library_of
+from placegraph.geometry import rotation_z
 from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.signature import TURNS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.signature import Signature
 
 SCENES = 10_000
-VARIED = 0.3
+VARIED = 0.5
 """Share of a variation's objects that are exchanged."""
+MOVED = 0.2
+"""Standard deviation of where its objects are [m]."""
 LENGTHS = (1, 10, 25)
 
 
@@ -47,27 +51,58 @@ class Scale:
 def varied(
     signatures: Mapping[str, Signature], key: str, count: int, rng: np.random.Generator
 ) -> dict[str, Signature]:
-    """Further scenes by name: like those there are, a share of their objects exchanged."""
+    """Further scenes by name: like those there are, but turned, and a share of their objects others."""
     known = list(signatures.values())
-    donors = [s for s in known if s.vectors[key].any()]
-    stock = np.concatenate([s.vectors[key] for s in donors])
-    labels = [label for s in donors for label in s.graph.labels]
+    stock = np.concatenate([s.vectors[key] for s in known])
+    labels = [label for s in known for label in s.graph.labels]
     found = {}
     for i in range(count):
-        base = known[int(rng.integers(len(known)))]
-        vectors = base.vectors[key].copy()
+        base = turned(known[int(rng.integers(len(known)))], key, rng)
+        vectors, named = base.vectors[key].copy(), list(base.graph.labels)
         rows = np.flatnonzero(rng.random(len(base)) < VARIED)
         others = rng.integers(len(stock), size=len(rows))
         vectors[rows] = stock[others]
-        named = list(base.graph.labels)
         for row, other in zip(rows.tolist(), others.tolist(), strict=True):
             named[row] = labels[other]
         found[f"variation {i + 1}"] = replace(
-            base,
-            graph=replace(base.graph, labels=tuple(named)),
-            vectors={key: vectors},
+            base, graph=replace(base.graph, labels=tuple(named)), vectors={key: vectors}
         )
     return found
+
+
+def turned(signature: Signature, key: str, rng: np.random.Generator) -> Signature:
+    """Signature of the same scene turned by a quarter or more, its objects moved and in any order.
+
+    A library's file that holds both can then not save what they have in common.
+    """
+    quarters, count, graph = int(rng.integers(4)), len(signature), signature.graph
+    rotation = np.round(rotation_z(quarters * np.pi / 2))
+    order = rng.permutation(count)
+    rank = np.empty(count + 1, np.int64)
+    rank[order], rank[count] = np.arange(count), count
+    positions = graph.positions @ rotation.T + rng.normal(0.0, MOVED, (count, 3))
+    extents = None if graph.extents is None else np.abs(graph.extents @ rotation.T)[order]
+    places = signature.places @ rotation[:2, :2].T
+    return replace(
+        signature,
+        graph=replace(
+            graph,
+            ids=tuple(graph.ids[k] for k in order),
+            labels=tuple(graph.labels[k] for k in order),
+            names=tuple(graph.names[k] for k in order),
+            positions=positions[order],
+            extents=extents,
+            sources=rank[graph.sources],
+            targets=rank[graph.targets],
+        ),
+        attributes=tuple(signature.attributes[k] for k in order),
+        vectors={key: signature.vectors[key][order]},
+        share=signature.share[order],
+        places=places.astype(np.float32),
+        panoramas=np.roll(
+            rank[signature.panoramas].astype(np.uint16), quarters * TURNS // 4, axis=2
+        ),
+    )
 
 
 def measure(
