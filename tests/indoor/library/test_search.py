@@ -139,7 +139,9 @@ def test_kernels_do_what_numpy_does(seed):
         best_cosines(table, code, starts, weight), best, rtol=1e-4, atol=1e-5
     )
     mean = [table[:, code[a:b]] @ share[a:b] for a, b in itertools.pairwise(starts)]
-    np.testing.assert_allclose(mixtures(table, code, share, starts), mean, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(
+        mixtures(np.ascontiguousarray(table.T), code, share, starts), mean, rtol=1e-3, atol=1e-5
+    )
 
 
 @given(st.integers(1, 400), st.integers(1, 300), st.integers(0, 2**32 - 1))
@@ -173,3 +175,24 @@ def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):
             for geometry in (False, True)
         }
         assert gap[True] > 3.0 * gap[False]
+
+
+def test_a_large_library_is_shortlisted(by_labels, rooms):
+    """Scenes with vectors of their own are first looked for by their mean."""
+    index = by_labels.index
+    rows = np.array([2, 0])
+    part = index.subset(rows)
+    for new, old in enumerate(rows):
+        for key, v in part.vocabularies.items():
+            whole = index.vocabularies[key]
+            one, two = (
+                x.vectors[x.code[i.starts[r] : i.starts[r + 1]]]
+                for x, i, r in ((v, part, new), (whole, index, old))
+            )
+            np.testing.assert_array_equal(one, two)
+    query = encode(list(rooms["bedroom"].film(3)), by_labels.encoders)
+    means = {s.key: s.words[s.word].mean(axis=0) for s in query.said}
+    assert by_labels.names.index("bedroom") in index.nearest(means, 2)
+    full = scores(index, query, SearchOptions(geometry=False)).total
+    some = scores(part, query, SearchOptions(geometry=False)).total
+    np.testing.assert_allclose(np.diff(full[rows]), np.diff(some), rtol=0.2)

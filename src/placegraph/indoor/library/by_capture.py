@@ -115,7 +115,7 @@ def _explain(
     lost = 0.0
     for s in query.said:
         vocabulary = index.vocabularies[s.key]
-        r = ratio(s, vocabulary, len(index), options)[:, vocabulary.code[first:last]]
+        r = ratio(s, vocabulary, len(index), options)[vocabulary.code[first:last]].T
         parts = share * r
         mixture = np.log((1.0 - options.wrong) * parts.sum(axis=1) + options.wrong)
         weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))

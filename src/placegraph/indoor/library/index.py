@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.vectors import EmbeddedStore
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from placegraph.indoor.library.signature import Signature
+
+
+SAMPLE = 4096
+"""Vectors that stand for all of a library's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,14 +27,27 @@ class Vocabulary:
     """What the objects of a library look like to one encoder: each vector once."""
 
     vectors: NDArray[np.float32]
-    """(U, d) unit, or zero."""
+    """(U, d) unit, or zero: nothing is known."""
     code: NDArray[np.int32]
     """(M,) vector of each object."""
-    common: NDArray[np.float64]
-    """(U,) share of what is seen that looks like this, all scenes counting alike; adds up to 1."""
+    usual: NDArray[np.float32]
+    """(B, d) vectors of what is seen anywhere, `SAMPLE` at most."""
+    common: NDArray[np.float32]
+    """(B,) share of what is seen that looks like this, all scenes counting alike; adds up to 1."""
+
+    @classmethod
+    def of(cls, vectors: NDArray[np.float32], weight: NDArray[np.floating]) -> Vocabulary:
+        """Vocabulary of objects with vectors (M, d), seen with these weights (M,)."""
+        first, code = distinct(vectors)
+        own = np.ascontiguousarray(vectors[first])
+        share = np.bincount(code, weight, len(first))
+        known = np.flatnonzero(own.any(axis=1))
+        rows = known[np.unique(np.linspace(0, max(0, len(known) - 1), SAMPLE).astype(np.int64))]
+        common = share[rows] / max(1e-12, share[rows].sum())
+        return cls(own, code.astype(np.int32), own[rows], common.astype(np.float32))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Index:
     """S scenes of M objects and K panoramas in all; made anew when scenes come or go."""
 
@@ -54,9 +74,7 @@ class Index:
             starts=starts_of([len(s) for s in signatures]),
             share=np.concatenate([r / r.sum() for r in roots]),
             vocabularies={
-                key: vocabulary(
-                    np.concatenate([s.vectors[key] for s in signatures]), seen / len(signatures)
-                )
+                key: Vocabulary.of(np.concatenate([s.vectors[key] for s in signatures]), seen)
                 for key in keys
             },
             place_starts=starts_of([len(s.places) for s in signatures]),
@@ -67,12 +85,47 @@ class Index:
     def __len__(self) -> int:
         return len(self.starts) - 1
 
+    @cached_property
+    def store(self) -> EmbeddedStore:
+        """Vectors of whole scenes, for `nearest`; made on first use."""
+        rows = np.zeros((len(self), sum(v.vectors.shape[1] for v in self.vocabularies.values())))
+        first = 0
+        for v in self.vocabularies.values():
+            last = first + v.vectors.shape[1]
+            parts = (v.vectors - v.common @ v.usual)[v.code] * self.share[:, None]
+            rows[:, first:last] = np.add.reduceat(parts, self.starts[:-1], axis=0)
+            first = last
+        rows += 1e-9  # a scene that is like all others has no direction
+        return EmbeddedStore.of(np.arange(len(self)), rows, bits=32)
 
-def vocabulary(vectors: NDArray[np.float32], weight: NDArray[np.floating]) -> Vocabulary:
-    """Vocabulary of objects with vectors (M, d), seen with these weights (M,)."""
-    first, code = distinct(vectors)
-    common = np.bincount(code, weight, len(first))
-    return Vocabulary(vectors[first], code.astype(np.int32), common / common.sum())
+    def nearest(self, words: Mapping[str, NDArray[np.floating]], most: int) -> NDArray[np.int64]:
+        """Rows of the scenes most like what was said: the mean vector (d,) by encoder's key."""
+        parts = [
+            words[key] - v.common @ v.usual if key in words else np.zeros(v.vectors.shape[1])
+            for key, v in self.vocabularies.items()
+        ]
+        found = self.store.search(np.concatenate(parts)[None].astype(np.float32) + 1e-9, most)
+        return np.sort(found.ids[0])
+
+    def subset(self, rows: NDArray[np.int64]) -> Index:
+        """Index of some scenes, with the same notion of what is usual."""
+        objects = _runs(self.starts, rows)
+        places = _runs(self.place_starts, rows)
+        return Index(
+            starts=starts_of(np.diff(self.starts)[rows]),
+            share=self.share[objects],
+            vocabularies={
+                key: replace(
+                    v,
+                    vectors=v.vectors[v.code[objects]],
+                    code=np.arange(len(objects), dtype=np.int32),
+                )
+                for key, v in self.vocabularies.items()
+            },
+            place_starts=starts_of(np.diff(self.place_starts)[rows]),
+            places=self.places[places],
+            panoramas=self.panoramas[places],
+        )
 
 
 def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -91,3 +144,10 @@ def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.i
 def starts_of(counts: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
     """First row (S + 1,) of each of S runs of these lengths, and where the last ends."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """All numbers from starts[r] to starts[r + 1], for each of some rows."""
+    counts = np.diff(starts)[rows]
+    first = np.repeat(starts[rows] - starts_of(counts)[:-1], counts)
+    return np.asarray(first + np.arange(int(counts.sum())))

@@ -36,20 +36,40 @@ def best_cosines(cosines, code, starts, weight):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
-def mixtures(ratio, code, share, starts):
-    """How much likelier words (W,) are of each scene, a mixture of its objects, than of anything: (S, W).
+def held(ratio, code, share, starts, weight, wrong):
+    """Log-likelihood (S,) of words with weights (W,) in each scene, a mixture of its objects.
 
-    `ratio`: (W, U) how much likelier a word is of an object than of anything; `share`: (M,).
+    `ratio`: (U, W) how much likelier a word is of an object than of anything; `share`: (M,).
     """
-    scenes, words = len(starts) - 1, len(ratio)
-    out = np.empty((scenes, words), np.float32)
+    scenes, words = len(starts) - 1, ratio.shape[1]
+    out = np.empty(scenes, np.float64)
     for s in prange(scenes):
+        mean = _mixture(ratio, code, share, starts[s], starts[s + 1])
+        total = 0.0
         for w in range(words):
-            mean = np.float32(0.0)
-            for i in range(starts[s], starts[s + 1]):
-                mean += share[i] * ratio[w, code[i]]
-            out[s, w] = mean
+            total += weight[w] * np.log(np.float32(1.0 - wrong) * mean[w] + np.float32(wrong))
+        out[s] = total
     return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def mixtures(ratio, code, share, starts):
+    """How much likelier words are in each scene than anywhere (S, W); as of `held`."""
+    out = np.empty((len(starts) - 1, ratio.shape[1]), np.float32)
+    for s in range(len(out)):
+        out[s] = _mixture(ratio, code, share, starts[s], starts[s + 1])
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _mixture(ratio, code, share, first, last):
+    words = ratio.shape[1]
+    mean = np.zeros(words, np.float32)
+    for i in range(first, last):
+        row, part = ratio[code[i]], share[i]
+        for w in range(words):
+            mean[w] += part * row[w]
+    return mean
 
 
 @njit(cache=True, nogil=True, fastmath=True)

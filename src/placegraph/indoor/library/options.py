@@ -32,7 +32,7 @@ class SearchOptions:
     """Frames compared with panoramas, spread over the capture."""
     finalists: int = 24
     """Scenes compared with panoramas: the best by what they hold."""
-    shortlist: int = 2000
+    shortlist: int = 1000
     """Scenes looked at in a larger library: those whose vectors are nearest."""
 
     def __post_init__(self) -> None:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder
 
 WORDS = 192
-"""Vectors that the patches of one query are told apart by, where they are not fewer."""
+"""Vectors that the patches of one query are told apart by, where they are not fewer; of T frames
+48 + 16 T, if these are fewer."""
 _UNIT = 2.0 * np.pi / TURNS
 
 
@@ -111,7 +112,8 @@ def _said(frames: Sequence[Frame], encoder: Encoder) -> Said | None:
         bands.append(np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32))
     if not sum(len(v) for v in vectors):
         return None
-    words, word = told_apart(np.concatenate(vectors))
+    most = min(WORDS, 48 + 16 * len(vectors))
+    words, word = told_apart(np.concatenate(vectors), most)
     return Said(
         encoder.key,
         encoder.temperature,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.indoor.library.index import starts_of
-from placegraph.indoor.library.kernels import add_told, along_ways, best_cosines, mixtures
+from placegraph.indoor.library.kernels import add_told, along_ways, best_cosines, held, mixtures
 from placegraph.indoor.library.signature import BANDS, TURNS
 from placegraph.indoor.observe import spread
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query, Said
 
+_COMPARED = 50_000  # vectors that a word is compared with quickly
 IMAGINED = 2.0
 """Scenes of anything at all that stand beside the library's own as what is common: in a library of
 one scene, nothing of it would be rare."""
@@ -43,22 +44,40 @@ class Scores:
 
 
 def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
-    """Scores of all scenes of an index."""
+    """Scores of all scenes of an index; of a large one those not looked at are as the worst."""
     start = perf_counter()
     said = [s for s in query.said if s.key in index.vocabularies]
     if options.method == "cosines":
-        sums = np.stack([_cosines(index, s, len(query)) for s in said]).sum(
-            axis=0, dtype=np.float64
-        )
-        return Scores(sums, 0.0, {"cosines": perf_counter() - start})
-    ratios = [ratio(s, index.vocabularies[s.key], len(index), options) for s in said]
-    total, witnesses = _held(index, query, said, ratios, options)
+        sums = [_cosines(index, s, len(query)) for s in said]
+        total = np.stack(sums).sum(axis=0, dtype=np.float64)
+        return Scores(total, 0.0, {"cosines": perf_counter() - start})
+    rows, part = _shortlist(index, said, options)
+    ratios = [ratio(s, part.vocabularies[s.key], len(index), options) for s in said]
+    total, witnesses = _held(part, query, said, ratios, options)
     seconds = {"held": perf_counter() - start}
     if options.geometry:
         start = perf_counter()
-        total = _placed(index, query, said, ratios, total, options)
+        total = _placed(part, query, said, ratios, total, options)
         seconds["placed"] = perf_counter() - start
+    if part is not index:
+        whole = np.full(len(index), total.min())
+        whole[rows] = total
+        total = whole
     return Scores(total, witnesses, seconds)
+
+
+def _shortlist(
+    index: Index, said: list[Said], options: SearchOptions
+) -> tuple[NDArray[np.int64], Index]:
+    """Rows of the scenes looked at, and their index: all, where words are compared quickly."""
+    work = sum(len(index.vocabularies[s.key].vectors) for s in said)
+    if len(index) <= options.shortlist or work <= _COMPARED:
+        return np.arange(len(index)), index
+    means = {
+        s.key: np.bincount(s.word, minlength=len(s.words)) @ s.words / len(s.word) for s in said
+    }
+    rows = index.nearest(means, options.shortlist)
+    return rows, index.subset(rows)
 
 
 def ratio(
@@ -66,22 +85,20 @@ def ratio(
 ) -> NDArray[np.float32]:
     """How much likelier each word is of a thing that looks like each vector, than of anything.
 
-    (W, U): exp(cosine / temperature) over its mean, the library's own shares and a little of
-    anything (`IMAGINED`).
+    (U, W): exp(cosine / temperature) over its mean, the library's own shares and a little of
+    anything (`IMAGINED`). Of what nothing is known, nothing follows: 1.
     """
-    cosines = said.words @ vocabulary.vectors.T
-    belief = np.exp((cosines - 1.0) / np.float32(said.temperature))
-    known = vocabulary.vectors.any(axis=1)
-    belief[:, ~known] = 0.0
+    per_nat = np.float32(1.0 / said.temperature)
+    belief = np.exp((vocabulary.usual @ said.words.T - 1.0) * per_nat)
+    usual = belief.mean(axis=0)
     if options.rarity:
-        usual = belief @ vocabulary.common.astype(np.float32)
-        usual = (scenes * usual + IMAGINED * belief.mean(axis=1)) / (scenes + IMAGINED)
+        usual = (scenes * (vocabulary.common @ belief) + IMAGINED * usual) / (scenes + IMAGINED)
     else:
-        usual = np.full(len(belief), belief.mean(), np.float32)
-    belief /= np.maximum(usual, 1e-30)[:, None]
-    # of what nothing is known, nothing follows
-    belief[:, ~known] = 1.0
-    return np.ascontiguousarray(belief, np.float32)
+        usual = np.full(len(usual), usual.mean(), np.float32)
+    usual = np.maximum(usual, np.float32(1e-30))
+    out = np.exp((vocabulary.vectors @ said.words.T - 1.0) * per_nat - np.log(usual))
+    out[~vocabulary.vectors.any(axis=1)] = 1.0
+    return np.ascontiguousarray(out, np.float32)
 
 
 def _cosines(index: Index, said: Said, frames: int) -> NDArray[np.float32]:
@@ -114,8 +131,7 @@ def _held(
     for s, r in zip(said, ratios, strict=True):
         weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))
         code = index.vocabularies[s.key].code
-        mixture = mixtures(r, code, index.share, index.starts)
-        total += np.log((1.0 - options.wrong) * mixture + np.float32(options.wrong)) @ weight
+        total += held(r, code, index.share, index.starts, weight, options.wrong)
         witnesses += float(weight.sum())
     return total, witnesses
 
@@ -125,12 +141,12 @@ def _placed(
     query: Query,
     said: list[Said],
     ratios: list[NDArray[np.float32]],
-    held: NDArray[np.float64],
+    bound: NDArray[np.float64],
     options: SearchOptions,
 ) -> NDArray[np.float64]:
     """Scores (S,) of the finalists by what is seen where; no other is better than these."""
     count = min(options.finalists, len(index))
-    chosen = np.sort(np.argpartition(-held, count - 1)[:count])
+    chosen = np.sort(np.argpartition(-bound, count - 1)[:count])
     looked = spread(len(query), options.looks)
     objects = np.concatenate([np.arange(index.starts[s], index.starts[s + 1]) for s in chosen])
     code = np.zeros(int(index.starts[-1]), np.int32)
@@ -148,7 +164,7 @@ def _placed(
             index.place_starts, index.places, query.steps(looked[group]), unknown[group],
         )  # fmt: skip
     placed *= len(query) / len(looked)
-    total = np.minimum(held, placed.min())
+    total = np.minimum(bound, placed.min())
     total[chosen] = placed
     return total
 
@@ -184,8 +200,8 @@ def _told(
         code = index.vocabularies[s.key].code[objects]
         mixture = mixtures(r, code, index.share[objects], starts_of(sizes))
         # a bin of a panorama names the object that fills most of it; others are there too
-        there = options.focus * r[:, code] + (1.0 - options.focus) * np.repeat(mixture, sizes, 0).T
-        logs = np.log((1.0 - options.wrong) * there + np.float32(options.wrong))
+        there = options.focus * r[code] + (1.0 - options.focus) * np.repeat(mixture, sizes, 0)
+        logs = np.log((1.0 - options.wrong) * there.T + np.float32(options.wrong))
         weight = patch_weights(s, len(query), options)[use]
         add_told(told, bin_of.ravel()[end - int(use.sum()) : end], s.word[use], weight, logs)
         unknown += np.bincount(

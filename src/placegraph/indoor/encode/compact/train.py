@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 STATE, VERSION = "compact-training", 1
 EVERY = 25
 """Steps between rows of the curves."""
+CHECK = 1 << 20
+"""A number beyond all steps, in the seeds of what is held out."""
 PROBES = ("bed", "ceiling", "chair", "floor", "lamp", "sofa", "table", "wall")
 """Labels whose vectors are kept with the weights, which know no others."""
 HELD_OUT = 14
@@ -107,7 +109,11 @@ def train_on(
     """
     known, held = split(worlds)
     state = State.begun(folder, plan, known, shape or Shape())
-    checks = [batch_of([w], [i], None) for w in held for i in range(0, len(w.light), 2)]
+    asked = [(world, i) for world in held for i in range(0, len(world.light), 2)]
+    checks = [  # as varied as what is trained on: of the real world we know no more
+        batch_of([world], [i], np.random.default_rng([plan.seed, CHECK, k]))
+        for k, (world, i) in enumerate(asked)
+    ]
     began = time.perf_counter()
     while state.step < plan.steps:
         group = known[state.step % len(known)]
@@ -270,11 +276,9 @@ def pace(step: int, steps: int) -> float:
     return min(1.0, (step + 1) / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / steps)))
 
 
-def facts(world: World, factors: Floats, rng: np.random.Generator | None) -> Floats:
-    """Features (N, FEATURES) of a world's objects; without `rng` as they are, without labels."""
+def facts(world: World, factors: Floats, rng: np.random.Generator) -> Floats:
+    """Features (N, FEATURES) of a world's objects, as some map may tell them."""
     words = words_of(tuple(world.labels.tolist()))
-    if rng is None:
-        return features(world.things, np.zeros_like(words))
     return features(vary.mapped(world.things, factors, rng), vary.labelled(words, rng))
 
 
@@ -284,25 +288,18 @@ def words_of(labels: tuple[str, ...]) -> Floats:
     return np.stack([vector(label) for label in labels])
 
 
-def batch_of(
-    worlds: Sequence[World], pictures: Sequence[int], rng: np.random.Generator | None
-) -> Batch:
-    """Pictures of worlds of one grid; without `rng` as they are."""
+def batch_of(worlds: Sequence[World], pictures: Sequence[int], rng: np.random.Generator) -> Batch:
+    """Pictures of worlds of one grid, each as some camera may see it."""
     cells, told, true, scene, shares = [], [], [], [], []
     first = 0
     for b, (world, i) in enumerate(zip(worlds, pictures, strict=True)):
-        light = world.light[i].astype(np.float32)
         rise, patches = world.rises[i], world.patches[i].reshape(world.grid)
-        factors = np.ones((len(world.area), 3), np.float32)
-        if rng is None:
-            log = vary.clean(light)
-        else:
-            factors = vary.paint(len(world.area), rng)
-            light *= np.concatenate([factors, np.ones((1, 3), np.float32)])[world.objects[i]]
-            log = vary.photographed(light, rng)
-            patches = vary.strewn(log, patches, picture.PIXELS, rng)
-            if rng.random() < 0.5:  # in a mirror
-                log, rise, patches = log[:, ::-1], rise[:, ::-1], patches[:, ::-1]
+        factors = vary.paint(len(world.area), rng)
+        painted = np.concatenate([factors, np.ones((1, 3), np.float32)])[world.objects[i]]
+        log = vary.photographed(world.light[i].astype(np.float32) * painted, rng)
+        patches = vary.strewn(log, patches, picture.PIXELS, rng)
+        if rng.random() < 0.5:  # in a mirror
+            log, rise, patches = log[:, ::-1], rise[:, ::-1], patches[:, ::-1]
         cells.append(picture.inputs(log, rise, float(world.spans[i])))
         told.append(facts(world, factors, rng))
         true.append(np.where(patches >= 0, patches.astype(np.int64) + first, -1).reshape(-1))

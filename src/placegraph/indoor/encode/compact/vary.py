@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.encode.compact.picture import FAINT, log_light
+from placegraph.indoor.encode.compact.picture import log_light
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -134,10 +134,3 @@ def _blurred(light: Floats) -> Floats:
         before, after = (np.roll(light, step, axis) for step in (1, -1))
         light = (light + before + after) / np.float32(3.0)
     return light
-
-
-def clean(light: Floats) -> Floats:
-    """`picture.log_light` of light (H, W, 3) as a plain camera shows it, for validation."""
-    level = float(np.exp(np.log(light.mean(axis=2) + 1e-3).mean()))
-    out = 1.0 - np.exp(-light * np.float32(0.3 / max(level, FAINT / 20)))
-    return log_light(out)
