@@ -127,7 +127,7 @@ def test_textures_survive(tmp_path, rng):
     ("change", "says"),
     [
         ({"floor": np.nan}, "floor is nan"),
-        ({"ids": [], "labels": []}, "object_of: a row"),
+        ({"ids": [], "labels": []}, "ids: there is no object; .* name at least one"),
         ({"ids": ["a", "b"], "labels": ["x", "y"]}, "'b' has no triangle"),
         ({"ids": ["a"], "labels": ["x", "y"]}, "labels"),
         ({"attributes": [{}, {}]}, "attributes"),

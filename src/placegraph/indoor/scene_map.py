@@ -114,15 +114,22 @@ class SceneMap:
         """
         if not np.isfinite(floor):
             raise OptionError(f"floor is {floor}; it must be a height in metres.")
+        if not len(ids):
+            raise OptionError(
+                "ids: there is no object; a scene map is made of objects with triangles, so name at "
+                "least one and the triangles that are its own."
+            )
         from placegraph.indoor.mesh_order import ordered
 
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
         mesh = ordered(replace(mesh.snapped(), textures=textures.decode(blobs, source or scene)))
         boxes = mesh.object_bounds(len(ids))
         bare = np.flatnonzero(np.isnan(boxes[:, 0, 0]))
-        if bare.size or not len(ids):
-            what = f"{ids[bare[0]]!r} has no triangle" if bare.size else "there is none"
-            raise OptionError(f"objects: {what}; a scene map is made of objects with triangles.")
+        if bare.size:
+            raise OptionError(
+                f"objects: {ids[bare[0]]!r} has no triangle; a scene map is made of objects with "
+                "triangles."
+            )
         graph = SceneGraph(
             ids=tuple(ids),
             labels=tuple(labels),

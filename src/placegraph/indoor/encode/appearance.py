@@ -87,7 +87,8 @@ class AppearanceEncoder:
     def patches(self, image: Frame) -> NDArray[np.float32]:
         """Unit vectors (9, 16, d) of a frame's patches; (16, 9, d) of an upright image.
 
-        Raises `InputError` where the image is broken.
+        All are zero where the image shows one colour only, as behind a lid. Raises `InputError`
+        where the image is broken.
         """
         from PIL import Image
 
@@ -95,6 +96,8 @@ class AppearanceEncoder:
         upright = rgb.shape[0] > rgb.shape[1]
         size = (_CAMERA.height, _CAMERA.width) if upright else (_CAMERA.width, _CAMERA.height)
         rows, columns = GRID[::-1] if upright else GRID
+        if (rgb == rgb[0, 0]).all():
+            return np.zeros((rows, columns, DIMENSION), np.float32)
         small = Image.fromarray(rgb).resize(size, Image.Resampling.BOX)
         features = _features(_described(np.asarray(small)))
         h, w, d = features.shape
