@@ -152,7 +152,7 @@ class BoundEncoder:
 
     def encode(self, frame: Frame) -> Patches | None:
         """Cosines of a frame's patches with all objects; None where it has nothing to encode."""
-        image = self.encoder.patches(frame)
+        image = patches_of(self.encoder, frame)
         if image is None:
             return None
         flat = image.reshape(-1, image.shape[2])
@@ -189,9 +189,39 @@ def for_map(given: str | Encoder | MapEncoder, scene: SceneMap) -> MapEncoder:
 
     Raises as `encoder` and `bound` do.
     """
-    if isinstance(given, MapEncoder):
-        return given
-    return bound(encoder(given) if isinstance(given, str) else given, scene)
+    if isinstance(given, str):  # which has an `encode` too
+        given = encoder(given)
+    return bound(given, scene) if isinstance(given, Encoder) else given
+
+
+def checked(
+    vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap
+) -> NDArray[np.float32]:
+    """Vectors (N, d) of unit length, or zero; `OptionError` where they are no such thing."""
+    vectors = np.asarray(vectors, np.float32)
+    if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
+        raise OptionError(
+            f"encoder {encoder.key}: vectors {vectors.shape} of {scene.source or 'the map'}; "
+            f"{(len(scene), encoder.dimension)} finite numbers belong."
+        )
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
+
+
+def patches_of(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
+    """An encoder's vectors (rows, columns, d) of a frame; None where it has none.
+
+    Raises `OptionError` where they are no finite vectors of the encoder's own length.
+    """
+    image = encoder.patches(frame)
+    if image is None:
+        return None
+    if image.ndim != 3 or image.shape[2] != encoder.dimension or not np.isfinite(image).all():
+        raise OptionError(
+            f"encoder {encoder.key}: patches {image.shape} of frame {frame.index}; (rows, columns, "
+            f"{encoder.dimension}) finite numbers belong."
+        )
+    return image
 
 
 def vectors_of(
@@ -199,9 +229,9 @@ def vectors_of(
 ) -> NDArray[np.float32]:
     """An encoder's vectors (N, d) of a map's objects; raises as `bound` does."""
     if scene.graph.embeddings is not None and scene.encoder == encoder.key and not captures:
-        return scene.graph.embeddings
+        return checked(scene.graph.embeddings, encoder, scene)
     try:
-        return encoder.objects(scene, captures)
+        return checked(encoder.objects(scene, captures), encoder, scene)
     except OptionError as error:
         if scene.graph.embeddings is None or captures:
             raise

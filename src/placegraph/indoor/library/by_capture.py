@@ -24,16 +24,12 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query
     from placegraph.indoor.library.search import Scores
+    from placegraph.indoor.sentence import Sentence
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""
-HEAT = 3.0
-"""Nats of log-likelihood that count as one, for a single frame; T frames of one way see much the
-same, so that their sum is taken for worth sqrt(T) of them (benchmark: calibration)."""
-ELSEWHERE = 0.0
-"""Log-likelihood ratio a witness [nat] of a capture taken in no scene of the library."""
-UNKNOWN = 0.05
-"""Probability of that before anything is seen."""
+UNKNOWN = 0.3
+"""Probability that a capture was taken in no scene of the library, before anything is seen."""
 _EXPLAINED = 8  # objects named
 
 
@@ -43,17 +39,19 @@ def search_capture(
     frames: slice | Sequence[int] | None,
     options: SearchOptions,
     most: int,
+    text: Sentence | None = None,
 ) -> SceneEstimate:
     """Scenes of a library, likeliest first; `SceneLibrary.search` says more."""
-    index = library.index
+    index = library.index if options.method == "likelihood" else library.own_index
     chosen = chosen_frames(capture, frames)
     start = perf_counter()
     query = encode(chosen, library.encoders)
     encoding = perf_counter() - start
     found = scores(index, query, options)
-    probability, elsewhere = posterior(found, len(query), options)
-    order = np.argsort(-found.total, kind="stable")[:most]
     names = library.names
+    said = np.zeros(len(names)) if text is None else library.texts.scores(text)
+    probability, elsewhere = posterior(found, said)
+    order = np.argsort(-probability, kind="stable")[:most]
     modes = tuple(
         SceneMode(
             scene=names[row],
@@ -69,23 +67,20 @@ def search_capture(
     return SceneEstimate(status, modes, reason, elsewhere, stats)
 
 
-def posterior(
-    found: Scores, frames: int, options: SearchOptions
-) -> tuple[NDArray[np.float64], float]:
+def posterior(found: Scores, said: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Probability of each scene (S,), and of being in none of them.
 
-    Sums of cosines are no likelihoods: of them the share of the best is all that can be said.
+    `said`: (S,) what a text tells of each [nat]. Scores beyond the S scenes are those of decoys.
     """
-    if options.method == "cosines":
-        logs = (found.total - found.total.max()) / max(1e-9, 0.01 * frames)
-        share = np.exp(logs)
-        return share / share.sum(), 0.0
-    heat = HEAT * np.sqrt(frames)
-    none = ELSEWHERE * found.witnesses / heat + np.log(UNKNOWN / (1.0 - UNKNOWN) * len(found.total))
-    logs = np.append(found.total / heat, none)
+    count = len(said)
+    others = len(found.total) - count
+    logs = found.total / found.heat
+    logs[:count] += said + np.log((1.0 - UNKNOWN) / count)
+    if others:
+        logs[count:] += np.log(UNKNOWN / others)
     share = np.exp(logs - logs.max())
     share /= share.sum()
-    return share[:-1], float(share[-1])
+    return share[:count], float(share[count:].sum())
 
 
 def judge(modes: tuple[SceneMode, ...], elsewhere: float) -> tuple[Status, str]:
@@ -107,15 +102,16 @@ def _explain(
     library: SceneLibrary, name: str, query: Query, options: SearchOptions
 ) -> tuple[Evidence, ...]:
     """What each object of a scene said for it, and what was seen that it does not have."""
-    index, row = library.index, library.names.index(name)
-    first, last = int(index.starts[row]), int(index.starts[row + 1])
-    share = index.share[first:last]
+    index, place = library.index, library.names.index(name)
+    own = np.flatnonzero(index.owner == place)
+    first, last = int(index.starts[own[0]]), int(index.starts[own[-1] + 1])
+    share = index.share[first:last] / len(own)
     gained, seen = np.zeros(last - first), np.zeros(last - first)
     missed = 0.0
     lost = 0.0
     for s in query.said:
         vocabulary = index.vocabularies[s.key]
-        r = ratio(s, vocabulary, len(index), options)[vocabulary.code[first:last]].T
+        r = ratio(s, vocabulary, options)[vocabulary.code[first:last]].T
         parts = share * r
         mixture = np.log((1.0 - options.wrong) * parts.sum(axis=1) + options.wrong)
         weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))
@@ -126,15 +122,16 @@ def _explain(
         np.add.at(seen, owner, patches[fits])
         missed += float(patches[~fits].sum())
         lost += float((weight * mixture)[~fits].sum())
-    graph = library.entry(name).signature.graph
+    signature = library.entry(name).signature
+    graph, rows = signature.graph, np.argsort(signature.part, kind="stable")
     out = [
         Evidence(
-            statement=f"{graph.labels[i]} seen in {int(seen[i])} patches",
+            statement=f"{graph.labels[row]} seen in {int(seen[i])} patches",
             verdict="for",
             weight=float(gained[i]),
-            objects=(ObjectRef(graph.ids[i], graph.labels[i], graph.names[i]),),
+            objects=(ObjectRef(graph.ids[row], graph.labels[row], graph.names[row]),),
         )
-        for i in np.argsort(-gained, kind="stable")[:_EXPLAINED]
+        for i, row in ((i, rows[i]) for i in np.argsort(-gained, kind="stable")[:_EXPLAINED])
         if gained[i] > 0
     ]
     if missed:

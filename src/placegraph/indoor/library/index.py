@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.vectors import EmbeddedStore
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -47,19 +47,46 @@ class Vocabulary:
         return cls(own, code.astype(np.int32), own[rows], common.astype(np.float32))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Unit:
+    """What is compared with a capture: a scene, or one of those that a scene was merged of."""
+
+    scene: int
+    """Row of the signature."""
+    objects: NDArray[np.int64]
+    """(N,) rows in the signature."""
+    panoramas: NDArray[np.uint16]
+    """(P, bands, turns) rows of `objects`, N where the unit ends."""
+    places: NDArray[np.float32]
+    """(P, 2) [m]"""
+
+
+def units(signatures: Sequence[Signature]) -> Iterator[Unit]:
+    """Units of scenes, in their order."""
+    for row, s in enumerate(signatures):
+        for part in np.unique(s.part):
+            objects = np.flatnonzero(s.part == part)
+            number = np.full(len(s) + 1, len(objects), np.uint16)
+            number[objects] = np.arange(len(objects))
+            own = s.place_part == part
+            yield Unit(row, objects, number[s.panoramas[own]], s.places[own])
+
+
 @dataclass(frozen=True, eq=False)
 class Index:
-    """S scenes of M objects and K panoramas in all; made anew when scenes come or go."""
+    """S units of M objects and K panoramas in all; made anew when scenes come or go."""
 
+    owner: NDArray[np.int64]
+    """(S,) scene of each unit, ascending."""
     starts: NDArray[np.int64]
-    """(S + 1,) first object of each scene."""
+    """(S + 1,) first object of each unit."""
     share: NDArray[np.float32]
-    """(M,) of what is seen in its scene, by the square root: who stands before a thing sees more
-    of it than who looks around, and no scene is the less likely for being large."""
+    """(M,) of what is seen in its unit, by the square root: who stands before a thing sees more of
+    it than who looks around."""
     vocabularies: dict[str, Vocabulary]
     """By the key of the encoder."""
     place_starts: NDArray[np.int64]
-    """(S + 1,) first panorama of each scene."""
+    """(S + 1,) first panorama of each unit."""
     places: NDArray[np.float32]
     """(K, 2) [m]"""
     panoramas: NDArray[np.uint16]
@@ -68,18 +95,23 @@ class Index:
     @classmethod
     def of(cls, signatures: Sequence[Signature], keys: Sequence[str]) -> Index:
         """Index of scenes that all have vectors under these keys."""
-        seen = np.concatenate([s.share for s in signatures])
-        roots = [np.sqrt(s.share) for s in signatures]
+        parts = list(units(signatures))
+        seen = [signatures[u.scene].share[u.objects] for u in parts]
+        roots = [np.sqrt(share) for share in seen]
         return cls(
-            starts=starts_of([len(s) for s in signatures]),
-            share=np.concatenate([r / r.sum() for r in roots]),
+            owner=np.array([u.scene for u in parts]),
+            starts=starts_of([len(u.objects) for u in parts]),
+            share=np.concatenate([r / r.sum() for r in roots]).astype(np.float32),
             vocabularies={
-                key: Vocabulary.of(np.concatenate([s.vectors[key] for s in signatures]), seen)
+                key: Vocabulary.of(
+                    np.concatenate([signatures[u.scene].vectors[key][u.objects] for u in parts]),
+                    np.concatenate([share / share.sum() for share in seen]),
+                )
                 for key in keys
             },
-            place_starts=starts_of([len(s.places) for s in signatures]),
-            places=np.concatenate([s.places for s in signatures]),
-            panoramas=np.concatenate([s.panoramas for s in signatures]),
+            place_starts=starts_of([len(u.places) for u in parts]),
+            places=np.concatenate([u.places for u in parts]),
+            panoramas=np.concatenate([u.panoramas for u in parts]),
         )
 
     def __len__(self) -> int:
@@ -112,6 +144,7 @@ class Index:
         objects = _runs(self.starts, rows)
         places = _runs(self.place_starts, rows)
         return Index(
+            owner=self.owner[rows],
             starts=starts_of(np.diff(self.starts)[rows]),
             share=self.share[objects],
             vocabularies={

@@ -53,11 +53,11 @@ def held(ratio, code, share, starts, weight, wrong):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def mixtures(ratio, code, share, starts):
-    """How much likelier words are in each scene than anywhere (S, W); as of `held`."""
-    out = np.empty((len(starts) - 1, ratio.shape[1]), np.float32)
-    for s in range(len(out)):
-        out[s] = _mixture(ratio, code, share, starts[s], starts[s + 1])
+def mixtures(ratio, code, share, starts, chosen):
+    """How much likelier words are in chosen units (C,) than anywhere (C, W); as of `held`."""
+    out = np.empty((len(chosen), ratio.shape[1]), np.float32)
+    for c, s in enumerate(chosen):
+        out[c] = _mixture(ratio, code, share, starts[s], starts[s + 1])
     return out
 
 

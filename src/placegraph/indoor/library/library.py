@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
+from placegraph.indoor.library.decoys import decoys
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import Signature, signature_of
@@ -193,13 +196,19 @@ class SceneLibrary:
 
     @property
     def index(self) -> Index:
-        """All signatures side by side; `OptionError` where the library is empty."""
+        """All signatures side by side, and those of `decoys`; `OptionError` where the library is empty."""
         if not self._entries:
             raise OptionError("The library is empty: add a scene before you search it.")
         if self._index is None:
-            signatures = [e.signature for e in self._entries.values()]
+            signatures = [e.signature for e in self._entries.values()] + decoys(self.encoders)
             self._index = Index.of(signatures, [e.key for e in self.encoders])
         return self._index
+
+    @property
+    def own_index(self) -> Index:
+        """The scenes alone, without the homes beside them."""
+        scenes = self.index.owner < len(self)
+        return self.index.subset(np.flatnonzero(scenes))
 
     @property
     def texts(self) -> TextIndex:

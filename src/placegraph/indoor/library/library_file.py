@@ -74,6 +74,12 @@ def load(
     return library
 
 
+def signatures_of(path: str | os.PathLike[str]) -> tuple[Signature, ...]:
+    """Signatures of a library's file, whatever encoders it is of; raises as `load` does."""
+    file = read_map(path, KIND, VERSION)
+    return tuple(_signatures(file, [str(e["key"]) for e in file.meta["encoders"]]))
+
+
 def _encoders(
     file: MapFile, given: str | Encoder | Sequence[str | Encoder] | None
 ) -> list[Encoder]:
@@ -126,6 +132,8 @@ def _graphs(signatures: list[Signature]) -> dict[str, NDArray[Any]]:
 def _panoramas(signatures: list[Signature]) -> dict[str, NDArray[Any]]:
     return {
         "share": np.concatenate([s.share for s in signatures]).astype(np.float16),
+        "part": np.concatenate([s.part for s in signatures]).astype(np.int32),
+        "place_part": np.concatenate([s.place_part for s in signatures]).astype(np.int32),
         "place_counts": np.array([len(s.places) for s in signatures], np.int32),
         "places": _in_steps(np.concatenate([s.places for s in signatures])),
         "panoramas": np.concatenate([s.panoramas for s in signatures]).reshape(-1, TURNS),
@@ -161,11 +169,17 @@ def _signatures(file: MapFile, keys: list[str]) -> list[Signature]:
     share = file.array("share", "<f2").astype(np.float32)
     points = (file.array("places", "<i4", 2) * grain).astype(np.float32)
     panoramas = file.array("panoramas", "<u2", 2).reshape(-1, BANDS, TURNS)
+    part, place_part = file.array("part", "<i4"), file.array("place_part", "<i4")
     vectors = {key: _unpacked(file, i, int(objects[-1])) for i, key in enumerate(keys)}
-    lengths = {len(x) for x in (ids, names, attributes, positions, extents, label_of, share)}
-    if lengths != {int(objects[-1])} or len(points) != places[-1] or len(panoramas) != places[-1]:
+    lengths = {len(x) for x in (ids, names, attributes, positions, extents, label_of, share, part)}
+    of_places = {len(x) for x in (points, panoramas, place_part)}
+    if lengths != {int(objects[-1])} or of_places != {int(places[-1])}:
         raise ValueError("columns are of different lengths")
-    if not (np.isfinite(share).all() and (share >= 0).all()) or (np.diff(places) < 1).any():
+    if (
+        not (np.isfinite(share).all() and (share >= 0).all())
+        or (np.diff(places) < 1).any()
+        or (np.diff(objects) < 1).any()
+    ):
         raise ValueError("share, place_counts")
     out = []
     for s in range(len(objects) - 1):
@@ -193,6 +207,8 @@ def _signatures(file: MapFile, keys: list[str]) -> list[Signature]:
                 share=share[own],
                 places=points[place],
                 panoramas=panoramas[place],
+                part=part[own],
+                place_part=place_part[place],
             )
         )
     return out

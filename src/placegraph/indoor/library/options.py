@@ -28,6 +28,9 @@ class SearchOptions:
     """Share of what is seen in a direction that is the object which fills most of it."""
     witnesses: float = 24.0
     """Patches of a frame that speak independently of each other."""
+    heat: float = 3.0
+    """Nats of log-likelihood that count as one, for a single frame; T frames of one way see much
+    the same, so that their sum is taken for worth sqrt(T) of them."""
     looks: int = 12
     """Frames compared with panoramas, spread over the capture."""
     finalists: int = 24
@@ -41,5 +44,5 @@ class SearchOptions:
         if not 0 < self.wrong < 1:
             raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
         check_numbers(self)
-        check_positive(self, "witnesses")
+        check_positive(self, "witnesses", "heat")
         check_whole(self, "looks", "finalists", "shortlist")

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import MapError, OptionError
+from placegraph.errors import OptionError
 from placegraph.geometry import between, level_from_camera
+from placegraph.indoor.encode import patches_of
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS
 from placegraph.indoor.sequence import leveled
@@ -91,14 +92,9 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder]) -> Query:
 def _said(frames: Sequence[Frame], encoder: Encoder) -> Said | None:
     vectors, owners, turns, bands = [], [], [], []
     for t, frame in enumerate(frames):
-        patches = encoder.patches(frame)
+        patches = patches_of(encoder, frame)
         if patches is None:
             continue
-        if patches.ndim != 3 or patches.shape[2] != encoder.dimension:
-            raise MapError(
-                f"encoder {encoder.key}: patches {patches.shape}; vectors of {encoder.dimension} "
-                "belong."
-            )
         flat = patches.reshape(-1, patches.shape[2])
         telling = flat.any(axis=1)
         rays = centres(encoder.camera(frame), patches.shape[:2])

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.library.index import starts_of
 from placegraph.indoor.library.kernels import add_told, along_ways, best_cosines, held, mixtures
 from placegraph.indoor.library.signature import BANDS, TURNS
 from placegraph.indoor.observe import spread
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.query import Query, Said
 
 _COMPARED = 50_000  # vectors that a word is compared with quickly
-IMAGINED = 2.0
-"""Scenes of anything at all that stand beside the library's own as what is common: in a library of
-one scene, nothing of it would be rare."""
+ANYTHING = 4e-4
+"""Belief that what is said is of anything, at least: what is like nothing in the library, and
+nothing in the homes beside it, is no evidence for what it is least unlike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +37,8 @@ class Scores:
 
     total: NDArray[np.float64]
     """(S,) [nat], or sums of cosines; the larger the better."""
-    witnesses: float
-    """Patches of a frame that spoke, times frames; how much there was to say."""
+    heat: float
+    """Nats that count as one."""
     seconds: dict[str, float]
 
 
@@ -50,20 +49,30 @@ def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
     if options.method == "cosines":
         sums = [_cosines(index, s, len(query)) for s in said]
         total = np.stack(sums).sum(axis=0, dtype=np.float64)
-        return Scores(total, 0.0, {"cosines": perf_counter() - start})
+        # sums are no likelihoods: a hundredth of the cosine counts as one
+        return Scores(total, 0.01 * len(query), {"cosines": perf_counter() - start})
     rows, part = _shortlist(index, said, options)
-    ratios = [ratio(s, part.vocabularies[s.key], len(index), options) for s in said]
-    total, witnesses = _held(part, query, said, ratios, options)
+    ratios = [ratio(s, part.vocabularies[s.key], options) for s in said]
+    total = _held(part, query, said, ratios, options)
     seconds = {"held": perf_counter() - start}
     if options.geometry:
         start = perf_counter()
         total = _placed(part, query, said, ratios, total, options)
         seconds["placed"] = perf_counter() - start
-    if part is not index:
-        whole = np.full(len(index), total.min())
-        whole[rows] = total
-        total = whole
-    return Scores(total, witnesses, seconds)
+    whole = np.full(len(index), total.min())
+    whole[rows] = total
+    heat = float(options.heat * np.sqrt(len(query)))
+    return Scores(_of_scenes(whole, index.owner, heat), heat, seconds)
+
+
+def _of_scenes(
+    total: NDArray[np.float64], owner: NDArray[np.int64], heat: float
+) -> NDArray[np.float64]:
+    """Scores of scenes from those (S,) of their units, any of which the camera may be in."""
+    first = np.searchsorted(owner, np.arange(int(owner[-1]) + 1))
+    top = np.maximum.reduceat(total, first)
+    shares = np.add.reduceat(np.exp((total - top[owner]) / heat), first)
+    return np.asarray(top + heat * np.log(shares / np.bincount(owner)))
 
 
 def _shortlist(
@@ -80,22 +89,18 @@ def _shortlist(
     return rows, index.subset(rows)
 
 
-def ratio(
-    said: Said, vocabulary: Vocabulary, scenes: int, options: SearchOptions
-) -> NDArray[np.float32]:
+def ratio(said: Said, vocabulary: Vocabulary, options: SearchOptions) -> NDArray[np.float32]:
     """How much likelier each word is of a thing that looks like each vector, than of anything.
 
-    (U, W): exp(cosine / temperature) over its mean, the library's own shares and a little of
-    anything (`IMAGINED`). Of what nothing is known, nothing follows: 1.
+    (U, W): exp(cosine / temperature) over its mean over what is usually seen. Of what nothing is
+    known, nothing follows: 1.
     """
     per_nat = np.float32(1.0 / said.temperature)
     belief = np.exp((vocabulary.usual @ said.words.T - 1.0) * per_nat)
-    usual = belief.mean(axis=0)
-    if options.rarity:
-        usual = (scenes * (vocabulary.common @ belief) + IMAGINED * usual) / (scenes + IMAGINED)
-    else:
-        usual = np.full(len(usual), usual.mean(), np.float32)
-    usual = np.maximum(usual, np.float32(1e-30))
+    usual = (
+        vocabulary.common @ belief if options.rarity else np.full(belief.shape[1], belief.mean())
+    )
+    usual = np.maximum(usual, ANYTHING).astype(np.float32)
     out = np.exp((vocabulary.vectors @ said.words.T - 1.0) * per_nat - np.log(usual))
     out[~vocabulary.vectors.any(axis=1)] = 1.0
     return np.ascontiguousarray(out, np.float32)
@@ -107,8 +112,9 @@ def _cosines(index: Index, said: Said, frames: int) -> NDArray[np.float32]:
     per_frame = np.bincount(said.frame, minlength=frames)
     weight = np.bincount(said.word, 1.0 / per_frame[said.frame], len(said.words))
     cosines = np.ascontiguousarray(said.words @ vocabulary.vectors.T)
+    first = np.searchsorted(index.owner, np.arange(int(index.owner[-1]) + 2))
     return np.asarray(
-        best_cosines(cosines, vocabulary.code, index.starts, weight.astype(np.float32))
+        best_cosines(cosines, vocabulary.code, index.starts[first], weight.astype(np.float32))
     )
 
 
@@ -125,15 +131,14 @@ def _held(
     said: list[Said],
     ratios: list[NDArray[np.float32]],
     options: SearchOptions,
-) -> tuple[NDArray[np.float64], float]:
-    """What the patches say of what each scene holds (S,), wherever in it."""
-    total, witnesses = np.zeros(len(index)), 0.0
+) -> NDArray[np.float64]:
+    """What the patches say of what each unit holds (S,), wherever in it."""
+    total = np.zeros(len(index))
     for s, r in zip(said, ratios, strict=True):
         weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))
         code = index.vocabularies[s.key].code
         total += held(r, code, index.share, index.starts, weight, options.wrong)
-        witnesses += float(weight.sum())
-    return total, witnesses
+    return total
 
 
 def _placed(
@@ -145,10 +150,13 @@ def _placed(
     options: SearchOptions,
 ) -> NDArray[np.float64]:
     """Scores (S,) of the finalists by what is seen where; no other is better than these."""
-    count = min(options.finalists, len(index))
-    chosen = np.sort(np.argpartition(-bound, count - 1)[:count])
+    able = np.flatnonzero(np.diff(index.place_starts))
+    count = min(options.finalists, len(able))
+    if not count:
+        return bound
+    chosen = np.sort(able[np.argpartition(-bound[able], count - 1)[:count]])
     looked = spread(len(query), options.looks)
-    objects = np.concatenate([np.arange(index.starts[s], index.starts[s + 1]) for s in chosen])
+    objects = _in_sight(index, chosen)
     code = np.zeros(int(index.starts[-1]), np.int32)
     code[objects] = np.arange(len(objects))
     told, turns, bands, starts, unknown = _told(
@@ -167,6 +175,16 @@ def _placed(
     total = np.minimum(bound, placed.min())
     total[chosen] = placed
     return total
+
+
+def _in_sight(index: Index, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Objects (O,) that any panorama of some units shows, ascending."""
+    rows = []
+    for s in chosen:
+        shown = np.unique(index.panoramas[index.place_starts[s] : index.place_starts[s + 1]])
+        first, last = index.starts[s], index.starts[s + 1]
+        rows.append(first + shown[shown < last - first].astype(np.int64))
+    return np.concatenate(rows)
 
 
 def _told(
@@ -194,13 +212,14 @@ def _told(
     bins, bin_of = np.unique(np.concatenate(where), return_inverse=True)
     told = np.zeros((len(bins), len(objects)), np.float32)
     unknown = np.zeros(len(looked), np.float32)
-    sizes = np.diff(index.starts)[chosen]
+    # of each object its place among the chosen
+    unit = np.searchsorted(chosen, np.searchsorted(index.starts, objects, "right") - 1)
     ends = np.cumsum([len(w) for w in where])
     for s, r, use, end in zip(said, ratios, uses, ends.tolist(), strict=True):
         code = index.vocabularies[s.key].code[objects]
-        mixture = mixtures(r, code, index.share[objects], starts_of(sizes))
+        mixture = mixtures(r, index.vocabularies[s.key].code, index.share, index.starts, chosen)
         # a bin of a panorama names the object that fills most of it; others are there too
-        there = options.focus * r[code] + (1.0 - options.focus) * np.repeat(mixture, sizes, 0)
+        there = options.focus * r[code] + (1.0 - options.focus) * mixture[unit]
         logs = np.log((1.0 - options.wrong) * there.T + np.float32(options.wrong))
         weight = patch_weights(s, len(query), options)[use]
         add_told(told, bin_of.ravel()[end - int(use.sum()) : end], s.word[use], weight, logs)

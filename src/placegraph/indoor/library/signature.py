@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.scene_map import SceneMap
 
-PLACES = 40
-"""Panoramas of a scene at most,"""
+PLACES = 160
+"""Panoramas of a scene, or of a merged map's part, at most,"""
 APART = 0.75
 """and how far they are from each other at least [m]."""
 TURNS = 24
@@ -60,6 +60,10 @@ class Signature:
     panoramas: NDArray[np.uint16]
     """(P, BANDS, TURNS) row of the object, N where the map ends; azimuth bins are centred on
     multiples of 2 pi / TURNS."""
+    part: NDArray[np.int32]
+    """(N,) merged scene of each object, from 0 on: a camera is in one of them."""
+    place_part: NDArray[np.int32]
+    """(P,) merged scene of each place."""
 
     def __len__(self) -> int:
         return len(self.graph)
@@ -106,7 +110,7 @@ def signature_of(
             f"{scene.source or 'The map'} has {len(scene):,} objects; a scene of a library has up to "
             f"{MOST:,}. Split it by rooms."
         )
-    vectors = {e.key: checked(vectors_of(e, scene, captures), e, scene) for e in encoders}
+    vectors = {e.key: vectors_of(e, scene, captures) for e in encoders}
     if not any(v.any() for v in vectors.values()):
         raise OptionError(
             f"{scene.source or 'The map'}: none of its {len(scene)} objects says anything to "
@@ -119,7 +123,9 @@ def signature_of(
             f"{scene.source or 'The map'} has no free place {np.mean(heights):.1f} m above its floor "
             "to look around from; give the camera's height."
         )
-    chosen = far_apart(table.positions[:, :2], PLACES)
+    at = np.array([scene.scene_at(p[:2]) for p in table.positions], np.int32)
+    parts = [np.flatnonzero(at == part) for part in np.unique(at)]
+    chosen = np.concatenate([r[far_apart(table.positions[r, :2], PLACES)] for r in parts])
     panoramas = coarse(table.panoramas.objects[chosen], len(scene))
     seen = table.panoramas.objects.ravel()
     counts = np.bincount(seen, minlength=len(scene) + 1)[: len(scene)] + 0.5
@@ -130,19 +136,9 @@ def signature_of(
         share=(counts / counts.sum()).astype(np.float32),
         places=table.positions[chosen, :2].astype(np.float32),
         panoramas=panoramas,
+        part=scene.scene_of,
+        place_part=at[chosen],
     )
-
-
-def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap) -> NDArray[np.float32]:
-    """Vectors (N, d) of unit length, or zero; `OptionError` where they are no such thing."""
-    vectors = np.asarray(vectors, np.float32)
-    if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
-        raise OptionError(
-            f"encoder {encoder.key}: vectors {vectors.shape} of {scene.source or 'the map'}; "
-            f"{(len(scene), encoder.dimension)} finite numbers belong."
-        )
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
 
 
 def far_apart(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
