@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.indoor.encode.compact import picture, things
 from placegraph.indoor.encode.compact.network import Network
 from placegraph.indoor.encode.compact.weights import Weights, read_weights, shipped
-from placegraph.indoor.encode.words import vector
+from placegraph.indoor.encode.words import digest, vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,7 +50,7 @@ class CompactEncoder:
     def __init__(self, weights: str | PathLike[str] | None = None) -> None:
         held = _shipped() if weights is None else read_weights(weights)
         self.network = Network(held.shape, held.arrays)
-        self.key = f"compact {held.fingerprint}"
+        self.key = f"compact {held.fingerprint} {digest()}"
         self.dimension = held.shape.dimension
         self.temperature = held.temperature
 
