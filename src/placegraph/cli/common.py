@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import json
+from math import isfinite
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -11,6 +13,11 @@ from rich.table import Table
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")]
+
+
+def echo_json(told: object) -> None:
+    """Print as JSON, which has no NaN and no infinity: they become null."""
+    typer.echo(json.dumps(_finite(told), ensure_ascii=False, allow_nan=False))
 
 
 def progress_bar(*, hidden: bool) -> Progress:
@@ -27,6 +34,14 @@ def show_facts(told: dict[str, object]) -> None:
     for key, value in told.items():
         table.add_row(key.replace("_", " "), _said(value))
     Console(soft_wrap=True, highlight=False, markup=False, emoji=False).print(table)
+
+
+def _finite(told: object) -> Any:  # noqa: ANN401  # any JSON
+    if isinstance(told, dict):
+        return {key: _finite(value) for key, value in told.items()}
+    if isinstance(told, list | tuple):
+        return [_finite(value) for value in told]
+    return None if isinstance(told, float) and not isfinite(told) else told
 
 
 def _said(value: object) -> str:

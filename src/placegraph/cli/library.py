@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from placegraph.cli.common import AsJson, show_facts
+from placegraph.cli.common import AsJson, echo_json, show_facts
+from placegraph.cli.encoders import WeightsFile, encoders_of
 from placegraph.cli.scene_answer import MOST_OBJECTS, progress_of, show
 from placegraph.cli.scene_query import (
     CaptureFolder,
@@ -20,10 +21,13 @@ from placegraph.cli.scene_query import (
     Seed,
     chosen_frames,
 )
-from placegraph.errors import OptionError
+from placegraph.errors import InputError, MapError, OptionError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from placegraph.estimate import SceneEstimate
+    from placegraph.indoor.encode import Encoder
     from placegraph.indoor.library import SceneLibrary
 
 app = typer.Typer(
@@ -42,10 +46,20 @@ Encoders = Annotated[
     list[str] | None,
     typer.Option(
         "--encoder",
-        help="What scenes are compared by; may be repeated: labels, appearance, compact. "
-        "[default: labels and appearance]",
+        help="What scenes are compared by; may be repeated: labels, appearance, compact; features or "
+        "scenegraphloc, of maps that `scene encode` gave their vectors. [default: labels and "
+        "appearance]",
     ),
 ]
+ItsEncoders = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--encoder",
+        help="Encoders of the library, all of them, where one has --weights of its own; of a folder "
+        "of maps, what they are compared by. [default: those that the file names]",
+    ),
+]
+_FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,9}$")
 
 
 @app.command()
@@ -53,6 +67,7 @@ def build(
     maps: Annotated[list[Path], typer.Argument(help="Scene maps (.scene), or folders of them.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Library file to write.")],
     encoder: Encoders = None,
+    weights: WeightsFile = None,
     height: Annotated[
         float | None, typer.Option(help="Height of the cameras above the floor [m].")
     ] = None,
@@ -62,20 +77,29 @@ def build(
     """Make a library of scene maps: a few kilobytes a scene, searched in milliseconds.
 
     The maps stay where they are; the library knows them by their place relative to itself, and by
-    the names of their files.
+    the names of their files. A map that cannot be added is named on stderr and left out.
 
     Example: placegraph library build maps/ -o homes.library
+
+    Example: placegraph library build encoded/ -o homes.library --encoder scenegraphloc
+    --weights mine.safetensors
     """
     from placegraph.indoor.library import SceneLibrary
+    from placegraph.store import writing
 
-    library = SceneLibrary(encoder, height=height) if encoder else SceneLibrary(height=height)
-    paths = [path for given in maps for path in _maps(given)]
+    paths = _named([path for given in maps for path in _maps(given)])
+    with writing(out):
+        pass  # a place that cannot be written to is refused now, not when all is read
+    made = _encoders(encoder, weights)
+    library = SceneLibrary(made, height=height) if made else SceneLibrary(height=height)
     with progress_of(hidden=quiet or as_json) as tell:
-        for i, path in enumerate(paths):
-            tell(f"reading {path.name}", i, len(paths))
-            library.add(path.stem, path)
+        failed = _add_all(library, paths, tell)
+    for path, error in failed.items():
+        typer.echo(f"{path} is left out: {error}", err=True)
+    if not len(library):
+        raise next(iter(failed.values()))
     library.save(out)
-    _say(library, out, as_json=as_json)
+    _say(library, out, as_json=as_json, skipped=len(failed))
 
 
 @app.command()
@@ -85,13 +109,15 @@ def add(
     name: Annotated[
         str | None, typer.Option(help="Its name; that of the file if not given.")
     ] = None,
+    encoder: ItsEncoders = None,
+    weights: WeightsFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Add a scene map to a library's file.
 
     Example: placegraph library add homes.library attic.scene --name attic
     """
-    known = _file(library)
+    known = _file(library, _encoders(encoder, weights))
     known.add(name or scene.stem, scene)
     known.save(library)
     _say(known, library, as_json=as_json)
@@ -101,35 +127,51 @@ def add(
 def remove(
     library: Library,
     name: Annotated[str, typer.Argument(help="Name of the scene.")],
+    encoder: ItsEncoders = None,
+    weights: WeightsFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Take a scene out of a library's file; its map stays.
 
     Example: placegraph library remove homes.library attic
     """
-    known = _file(library)
+    known = _file(library, _encoders(encoder, weights))
     known.remove(name)
     known.save(library)
     _say(known, library, as_json=as_json)
 
 
 @app.command()
-def info(library: Library, as_json: AsJson = False) -> None:
+def info(
+    library: Library,
+    encoder: ItsEncoders = None,
+    weights: WeightsFile = None,
+    as_json: AsJson = False,
+) -> None:
     """Say what a library holds.
 
     Example: placegraph library info homes.library
     """
-    _say(_open(library), library, as_json=as_json)
+    _say(_open(library, _encoders(encoder, weights)), library, as_json=as_json)
 
 
 @app.command()
 def search(
     library: Library,
     query: Annotated[
-        str, typer.Argument(help="Folder of a capture, or a text: 'a kitchen with two sinks'.")
-    ],
+        str | None,
+        typer.Argument(
+            help="Capture: its folder, or a recorder's file; or a text: 'a kitchen with two sinks'. "
+            "What has a slash, or ends like a file, is a capture."
+        ),
+    ] = None,
+    text: Annotated[
+        str | None, typer.Option(help="A text, whatever it looks like, instead of QUERY.")
+    ] = None,
     frames: Frames = None,
     most: Most = 5,
+    encoder: ItsEncoders = None,
+    weights: WeightsFile = None,
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
@@ -138,20 +180,24 @@ def search(
     OK is to be trusted; AMBIGUOUS names several scenes that fit, LOST says that none does.
 
     Examples: placegraph library search homes.library walk/ --frames :10;
-    placegraph library search homes.library "a kitchen with two sinks"
+    placegraph library search homes.library "a kitchen with two sinks";
+    placegraph library search homes.library --text "a sofa and/or a bed"
     """
     from placegraph.formats.capture import open_capture
 
-    is_capture = Path(query).exists()
-    if frames is not None and not is_capture:
-        raise OptionError(f"--frames belongs to a capture, and {query!r} is no file or folder.")
+    asked = _asked(query, text)
+    if isinstance(asked, str) and frames is not None:
+        raise OptionError(f"--frames belongs to a capture, and {asked!r} is no file or folder.")
     with progress_of(hidden=quiet or as_json) as tell:
-        known = _open(library, tell)
+        # the capture first: a library of a folder takes its time
+        capture = None if isinstance(asked, str) else chosen_frames(open_capture(asked), frames)
+        known = _open(library, _encoders(encoder, weights), tell)
         tell("searching", 0, 1)
-        asked = chosen_frames(open_capture(Path(query)), frames) if is_capture else query
-        estimate = known.search(asked, most=most)
+        estimate = known.search(str(asked) if capture is None else capture, most=most)
+    if query is not None and capture is None and len(query.split()) == 1:
+        typer.echo(f"No file or folder is called {query!r}: it was taken for a text.", err=True)
     if as_json:
-        typer.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
+        echo_json(estimate.to_dict())
     else:
         show_scenes(estimate)
 
@@ -169,6 +215,8 @@ def localize(
     refine: Annotated[
         bool, typer.Option("--refine/--no-refine", help="Fit the pose to depth and images.")
     ] = True,
+    encoder: ItsEncoders = None,
+    weights: WeightsFile = None,
     seed: Seed = 0,
     device: Device = "auto",
     as_json: AsJson = False,
@@ -184,12 +232,12 @@ def localize(
 
     chosen = chosen_frames(open_capture(capture), frames)
     with progress_of(hidden=quiet or as_json) as tell:
-        estimate = _open(library, tell).localize(
+        estimate = _open(library, _encoders(encoder, weights), tell).localize(
             chosen, most=most, description=description, refine=refine, seed=seed, device=device,
             progress=tell,
         )  # fmt: skip
     if as_json:
-        typer.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
+        echo_json(estimate.to_dict())
     else:
         show(estimate)
 
@@ -221,20 +269,84 @@ def facts(library: SceneLibrary) -> dict[str, object]:
     }
 
 
-def _say(library: SceneLibrary, path: Path, *, as_json: bool) -> None:
+def _say(library: SceneLibrary, path: Path, *, as_json: bool, skipped: int = 0) -> None:
     told = facts(library)
     if path.is_file():
         size = path.stat().st_size
         told |= {"bytes": size, "bytes_a_scene": round(size / max(1, len(library)))}
+    if skipped or as_json:
+        told["skipped"] = skipped
     if as_json:
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        echo_json(told)
     else:
         show_facts(told)
 
 
+def _asked(query: str | None, text: str | None) -> Path | str:
+    """Capture that QUERY names, or the text of either.
+
+    Raises
+    ------
+    OptionError
+        Not one of both is given, or there is nothing in it.
+    InputError
+        QUERY is no text, and no file or folder either.
+
+    """
+    if (query is None) == (text is None):
+        raise OptionError("Give a capture or a text as QUERY, or a text by --text; one of them.")
+    given = query if text is None else text
+    if given is None or not given.strip():
+        raise OptionError("The query is empty; name a capture, or describe a place in words.")
+    if text is not None:
+        return text
+    try:
+        there = Path(given).exists()
+    except (OSError, ValueError):  # too long for a name, or of characters that none has
+        there = False
+    if there:
+        return Path(given)
+    if "/" in given or _FILE.search(given):
+        raise InputError(
+            f"{given} does not exist; if it is no capture but words, put a text in --text."
+        )
+    return given
+
+
+def _add_all(
+    library: SceneLibrary, paths: dict[str, Path], tell: Callable[[str, int, int], None]
+) -> dict[Path, InputError | MapError | OptionError]:
+    """Add maps by name; returns why some could not be."""
+    failed: dict[Path, InputError | MapError | OptionError] = {}
+    for i, (name, path) in enumerate(paths.items()):
+        tell(f"reading {path.name}", i, len(paths))
+        try:
+            library.add(name, path)
+        except (InputError, MapError, OptionError) as error:
+            failed[path] = error
+    return failed
+
+
+def _named(paths: list[Path]) -> dict[str, Path]:
+    """Maps by the names of their files; the same file given twice counts once.
+
+    Raises `OptionError` where two files have one name, `InputError` where one is not there.
+    """
+    named: dict[str, Path] = {}
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path} does not exist; build it with `placegraph scene build`.")
+        other = named.setdefault(path.stem, path)
+        if other.resolve() != path.resolve():
+            raise OptionError(
+                f"{other} and {path} are both called {path.stem!r}; rename one, or add it later by "
+                "`library add --name`."
+            )
+    return named
+
+
 def _maps(given: Path) -> list[Path]:
     """Scene maps of a folder, or the file itself."""
-    from placegraph.errors import InputError
     from placegraph.indoor.library.library import SUFFIX
 
     if not given.is_dir():
@@ -245,14 +357,20 @@ def _maps(given: Path) -> list[Path]:
     return found
 
 
-def _open(path: Path, tell: object = None) -> SceneLibrary:
+def _encoders(names: list[str] | None, weights: Path | None) -> list[Encoder]:
+    """Encoders that were asked for; none: the default."""
+    return encoders_of(names or [], weights)
+
+
+def _open(path: Path, encoders: list[Encoder], tell: object = None) -> SceneLibrary:
     from placegraph.indoor.library import SceneLibrary
 
-    return SceneLibrary.open(path, progress=tell if callable(tell) else None)
+    progress = tell if callable(tell) else None
+    return SceneLibrary.open(path, encoders=encoders or None, progress=progress)
 
 
-def _file(path: Path) -> SceneLibrary:
+def _file(path: Path, encoders: list[Encoder]) -> SceneLibrary:
     """Library of a file; of a folder there is none to write to."""
     if path.is_dir():
         raise OptionError(f"{path} is a folder: put maps into it, or make a file of it by `build`.")
-    return _open(path)
+    return _open(path, encoders)

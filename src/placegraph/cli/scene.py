@@ -7,6 +7,7 @@ import typer
 from placegraph.cli.scene_build import build
 from placegraph.cli.scene_check import check
 from placegraph.cli.scene_diff import diff, update
+from placegraph.cli.scene_encode import encode
 from placegraph.cli.scene_export import export
 from placegraph.cli.scene_facts import info
 from placegraph.cli.scene_localize import localize
@@ -19,5 +20,7 @@ app = typer.Typer(
     help="Indoor: make maps of rooms, and find the pose of a few frames in them.",
     no_args_is_help=True,
 )
-for command in (build, info, check, diff, update, export, view, localize, refine, render, train):
+for command in (
+    build, info, check, diff, update, encode, export, view, localize, refine, render, train,
+):  # fmt: skip
     app.command()(command)

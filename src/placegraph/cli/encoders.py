@@ -1,0 +1,54 @@
+"""Encoders as command lines name them: --encoder NAME, and --weights FILE for one that has some."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.indoor.encode import Encoder
+
+WITH_WEIGHTS = ("compact", "features", "scenegraphloc")
+"""Encoders that read a file of weights; `compact` brings its own."""
+WITH_CAPTURES = ("features", "scenegraphloc")
+"""Encoders that know objects by images of the map."""
+
+WeightsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--weights",
+        help="File with the weights of the encoder: needed by scenegraphloc (`scene train` writes "
+        "some), fetched by features if not given, brought along by compact.",
+    ),
+]
+
+
+def encoders_of(names: Sequence[str], weights: Path | None) -> list[Encoder]:
+    """Encoders by name, the one that has weights with those of a file.
+
+    Raises
+    ------
+    OptionError
+        There is none of a name, or weights belong to none of them or to several.
+    InputError, MapError, MissingExtraError, ServiceError
+        As the encoders themselves.
+
+    """
+    from placegraph.indoor.encode import encoder
+
+    own = [name for name in names if name in WITH_WEIGHTS]
+    if weights is not None and len(own) != 1:
+        raise OptionError(
+            f"--weights belongs to one encoder that has some ({', '.join(WITH_WEIGHTS)}), and "
+            f"{', '.join(names) or 'none'} was named; name it by --encoder, and no second one."
+        )
+    return [
+        encoder(name, weights=weights) if weights is not None and name in own else encoder(name)
+        for name in names
+    ]
