@@ -49,7 +49,7 @@ def usual(places: Iterator[Interior]) -> NDArray[np.float64]:
         vectors, cells = appearance.surfaces(scene_of(interior))
         if cells.any():
             means.append(vectors[cells > 0].mean(axis=0, dtype=np.float64))
-    return np.mean(means, axis=0)
+    return np.asarray(np.mean(means, axis=0), np.float64)
 
 
 def lines(numbers: NDArray[np.float64]) -> str:
