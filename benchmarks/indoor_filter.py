@@ -10,7 +10,7 @@ again and it goes on where it was cut. `docs/benchmarks.md` explains the protoco
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -39,6 +39,9 @@ from placegraph.evaluate.indoor_windows import (
 from placegraph.evaluate.journal import Journal, fingerprint
 from placegraph.evaluate.machine import machine
 
+if TYPE_CHECKING:
+    from placegraph.evaluate.indoor_windows import Window
+
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data"
 OUT = ROOT / "benchmarks/results/indoor_filter.json"
@@ -59,17 +62,20 @@ def run(
     """Ask a job about all windows of a length that nobody asked about yet."""
     windows = bench.windows(job.table, length)
     keys = [f"{job.key(w, seed, code)} {device}" for w in windows]
-    open_ = [(k, w) for k, w in zip(keys, windows, strict=True) if k not in journal]
-    task = tick.add_task(f"{job.name}, {length} frames", total=len(open_))
-    if open_:
+
+    def once(window: Window, seed: int) -> dict[str, Any]:
         scene = bench.scene(job.map)
-        ask(job, scene, windows[0], seed=seed + 1, device=device)  # compiled and warm
-        for key, window in open_:
-            answer = ask(job, scene, window, seed=seed, device=device)
-            journal.put(key, answer.to_dict())
-            tick.advance(task)
+        return ask(job, scene, window, seed=seed, device=device).to_dict()
+
+    task = tick.add_task(f"{job.name}, {length} frames", total=len(journal.missing(keys)))
+    rows = journal.filled(
+        keys,
+        lambda i: once(windows[i], seed),
+        warm=lambda: once(windows[0], seed + 1),
+        tick=lambda: tick.advance(task),
+    )
     tick.remove_task(task)
-    return Row(job, length, tuple(Answer.from_dict(journal[k]) for k in keys))
+    return Row(job, length, tuple(map(Answer.from_dict, rows)))
 
 
 def main(

@@ -11,7 +11,7 @@ again and it goes on where it was cut. `docs/benchmarks.md` explains the protoco
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -36,6 +36,7 @@ from placegraph.evaluate.journal import Journal, fingerprint
 from placegraph.evaluate.machine import machine
 
 if TYPE_CHECKING:
+    from placegraph.evaluate.indoor_windows import Window
     from placegraph.indoor.matching import Matcher
 
 ROOT = Path(__file__).parents[1]
@@ -78,17 +79,22 @@ def run(
     """Ask a job about all windows of a length that nobody asked about yet."""
     windows = bench.windows(job.place, length)
     keys = [f"{job.key(w, seed, code)} {device}" for w in windows]
-    open_ = [(k, w) for k, w in zip(keys, windows, strict=True) if k not in journal]
-    task = tick.add_task(f"{job.name}, {length} frames", total=len(open_))
-    if open_:
-        scene, by = bench.scene(job.place), matchers[job.matcher]
-        ask(job, scene, windows[0], matcher=by, seed=seed + 1, device=device)  # compiled and warm
-        for key, window in open_:
-            result = ask(job, scene, window, matcher=by, seed=seed, device=device)
-            journal.put(key, result.to_dict())
-            tick.advance(task)
+
+    def once(window: Window, seed: int) -> dict[str, Any]:
+        scene = bench.scene(job.place)
+        return ask(
+            job, scene, window, matcher=matchers[job.matcher], seed=seed, device=device
+        ).to_dict()
+
+    task = tick.add_task(f"{job.name}, {length} frames", total=len(journal.missing(keys)))
+    rows = journal.filled(
+        keys,
+        lambda i: once(windows[i], seed),
+        warm=lambda: once(windows[0], seed + 1),
+        tick=lambda: tick.advance(task),
+    )
     tick.remove_task(task)
-    return RefineRow(job, length, tuple(Refined.from_dict(journal[k]) for k in keys))
+    return RefineRow(job, length, tuple(map(Refined.from_dict, rows)))
 
 
 def main(

@@ -10,7 +10,7 @@ refined. Every answer is written down at once: run it again and it goes on where
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -23,6 +23,9 @@ from placegraph.evaluate.indoor_semantics_report import Row, report
 from placegraph.evaluate.indoor_windows import EVERY, OFFICE_EVERY
 from placegraph.evaluate.journal import Journal, fingerprint
 from placegraph.evaluate.machine import machine
+
+if TYPE_CHECKING:
+    from placegraph.evaluate.indoor_windows import Window
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data"
@@ -43,16 +46,20 @@ def run(
     """Ask a case about all windows of a length that nobody asked about yet."""
     windows = bench.windows(case.place, length)
     keys = [f"{case.key(w, seed, code)} {device}" for w in windows]
-    open_ = [(k, w) for k, w in zip(keys, windows, strict=True) if k not in journal]
-    task = tick.add_task(f"{case.name}, {length} frames", total=len(open_))
-    if open_:
+
+    def once(window: Window, seed: int) -> dict[str, Any]:
         scene = bench.scene(case.place)
-        ask(case, scene, windows[0], seed=seed + 1, device=device)  # compiled and warm
-        for key, window in open_:
-            journal.put(key, ask(case, scene, window, seed=seed, device=device).to_dict())
-            tick.advance(task)
+        return ask(case, scene, window, seed=seed, device=device).to_dict()
+
+    task = tick.add_task(f"{case.name}, {length} frames", total=len(journal.missing(keys)))
+    rows = journal.filled(
+        keys,
+        lambda i: once(windows[i], seed),
+        warm=lambda: once(windows[0], seed + 1),
+        tick=lambda: tick.advance(task),
+    )
     tick.remove_task(task)
-    return Row(case, length, tuple(Answer.from_dict(journal[k]) for k in keys))
+    return Row(case, length, tuple(map(Answer.from_dict, rows)))
 
 
 def main(

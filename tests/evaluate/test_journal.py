@@ -28,6 +28,28 @@ def test_a_line_cut_short_is_passed_over(tmp_path):
     assert Journal(path)["x"] == 1
 
 
+def test_what_is_missing_is_asked_and_written_down_at_once(tmp_path):
+    kept = Journal(tmp_path / "a.jsonl")
+    kept.put("b", 20)
+    told = []
+
+    def ask(i):
+        told.append(i)
+        if i == 3:
+            raise KeyboardInterrupt
+        return 10 * (i + 1)
+
+    keys = ["a", "b", "c", "d"]
+    assert kept.missing(keys) == [0, 2, 3]
+    with pytest.raises(KeyboardInterrupt):
+        kept.filled(keys, ask, warm=lambda: told.append("warm"), tick=lambda: told.append("tick"))
+    assert told == ["warm", 0, "tick", 2, "tick", 3]
+    again = Journal(tmp_path / "a.jsonl")
+    assert again.missing(keys) == [3]
+    assert again.filled(keys, lambda i: 10 * (i + 1)) == [10, 20, 30, 40]
+    assert again.filled(keys, pytest.fail, warm=pytest.fail) == [10, 20, 30, 40]
+
+
 def test_nan_is_refused(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         Journal(tmp_path / "a.jsonl").put("x", float("nan"))

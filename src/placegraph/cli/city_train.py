@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.training_shown import TrainingDevice, WorkFolder, training
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -27,10 +28,7 @@ def train(
         list[Path], typer.Argument(help="City maps (.city) to train on, one or several.")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: mine.weights.")],
-    work: Annotated[
-        Path,
-        typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
-    ],
+    work: WorkFolder,
     epochs: Annotated[int, typer.Option(min=1, help="Rounds; each brings new descriptions.")] = 5,
     examples: Annotated[
         int, typer.Option(min=1, help="New descriptions of a city in each epoch.")
@@ -44,7 +42,7 @@ def train(
     seed: Annotated[
         int, typer.Option(min=0, help="The same seed, the same descriptions and weights.")
     ] = 0,
-    device: Annotated[str, typer.Option(help="cpu, cuda, or auto.")] = "auto",
+    device: TrainingDevice = "auto",
     pools: Annotated[
         Path | None, typer.Option(help="Folder of descriptions that several trainings share.")
     ] = None,
@@ -60,7 +58,6 @@ def train(
     from time import perf_counter
 
     from placegraph.cli.city_train_shown import Shown, draw
-    from placegraph.cli.training_shown import INTERRUPTED, go_on, progress_bars
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.learn.train import TrainOptions
     from placegraph.outdoor.learn.train import train as learn
@@ -80,22 +77,17 @@ def train(
         pass  # a folder that cannot be written to is refused now, not after hours
     cities = {name: CityMap.open(path) for name, path in zip(names, maps, strict=True)}
     start = perf_counter()
-    with progress_bars(hidden=quiet or as_json) as bars:
+    with training(work, hidden=quiet or as_json) as bars:
         shown = Shown(bars, work, options, table=not (quiet or as_json))
-        try:
-            weights = learn(
-                cities,
-                out,
-                folder=work,
-                pools=pools,
-                options=options,
-                device=device,
-                progress=shown,
-            )
-        except KeyboardInterrupt:
-            bars.stop()
-            typer.echo(go_on(work), err=True)
-            raise typer.Exit(INTERRUPTED) from None
+        weights = learn(
+            cities,
+            out,
+            folder=work,
+            pools=pools,
+            options=options,
+            device=device,
+            progress=shown,
+        )
     curves = draw(work)
     seconds = perf_counter() - start
     if as_json:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.training_shown import TrainingDevice, WorkFolder, training
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -19,10 +20,7 @@ if TYPE_CHECKING:
 
 def train(
     out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: mine.safetensors.")],
-    work: Annotated[
-        Path,
-        typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
-    ],
+    work: WorkFolder,
     maps: Annotated[
         Path | None,
         typer.Argument(
@@ -75,7 +73,7 @@ def train(
     seed: Annotated[
         int, typer.Option(min=0, help="The same seed, the same homes and weights.")
     ] = 0,
-    device: Annotated[str, typer.Option(help="cpu, cuda, or auto.")] = "auto",
+    device: TrainingDevice = "auto",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -92,7 +90,6 @@ def train(
     from time import perf_counter
 
     from placegraph.cli.scene_train_shown import Shown, draw
-    from placegraph.cli.training_shown import INTERRUPTED, go_on, progress_bars
     from placegraph.indoor.encode.scenegraphloc.train import TrainOptions
     from placegraph.indoor.encode.scenegraphloc.train import train as learn
 
@@ -102,24 +99,19 @@ def train(
     worlds = _worlds(maps, synthetic, frames, seed)
     teacher, widths = _teacher(features, feature_weights, attributes, width, rotate, device)
     start = perf_counter()
-    with progress_bars(hidden=quiet or as_json) as bars:
+    with training(work, hidden=quiet or as_json) as bars:
         shown = Shown(bars, work, epochs, table=not (quiet or as_json))
-        try:
-            weights = learn(
-                worlds,
-                out,
-                folder=work,
-                held=held if held is not None else max(1, len(worlds) // 5),
-                teacher=teacher,
-                widths=widths,
-                options=options,
-                device=device,
-                progress=shown,
-            )
-        except KeyboardInterrupt:
-            bars.stop()
-            typer.echo(go_on(work), err=True)
-            raise typer.Exit(INTERRUPTED) from None
+        weights = learn(
+            worlds,
+            out,
+            folder=work,
+            held=held if held is not None else max(1, len(worlds) // 5),
+            teacher=teacher,
+            widths=widths,
+            options=options,
+            device=device,
+            progress=shown,
+        )
     picture = draw(work)
     facts = _facts(weights, out, work, picture, perf_counter() - start)
     if as_json:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shlex
 import sys
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -13,11 +15,28 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from placegraph.training import rows_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping
 
 INTERRUPTED = 130
 """Exit code of shells for what Ctrl-C ended."""
+
+WorkFolder = Annotated[
+    Path,
+    typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
+]
+TrainingDevice = Annotated[str, typer.Option(help="cpu, cuda, or auto.")]
+
+
+@contextmanager
+def training(work: Path, *, hidden: bool) -> Iterator[Progress]:
+    """Bars of a training; one that Ctrl-C ends says how it goes on, and exits as shells do."""
+    with progress_bars(hidden=hidden) as bars:
+        try:
+            yield bars
+        except KeyboardInterrupt:
+            bars.stop()
+            typer.echo(go_on(work), err=True)
+            raise typer.Exit(INTERRUPTED) from None
 
 
 def progress_bars(*, hidden: bool) -> Progress:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -59,6 +59,30 @@ class Journal:
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    def missing(self, keys: Iterable[str]) -> list[int]:
+        """Places of the keys of which there is no row yet."""
+        return [i for i, key in enumerate(keys) if key not in self]
+
+    def filled(
+        self,
+        keys: Sequence[str],
+        ask: Callable[[int], Any],
+        *,
+        warm: Callable[[], object] = lambda: None,
+        tick: Callable[[], object] = lambda: None,
+    ) -> list[Any]:
+        """Rows of all keys; those that are missing are asked for by their place in `keys`.
+
+        Each is written down at once, and `tick` called. `warm` is called before the first, so that
+        what is timed is compiled.
+        """
+        for n, i in enumerate(self.missing(keys)):
+            if not n:
+                warm()
+            self.put(keys[i], ask(i))
+            tick()
+        return [self[key] for key in keys]
 
     def put(self, key: str, row: Any) -> None:  # noqa: ANN401  # anything JSON holds
         """Write a row down, now."""

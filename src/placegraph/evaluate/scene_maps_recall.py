@@ -172,13 +172,14 @@ class Asking:
         journal = self.maps.journal
         digest = self.maps.made(row.place, size).digest
         keys = [f"{digest} {key} {self.device}" for key in keys]
-        open_ = [(k, w) for k, w in zip(keys, windows, strict=True) if k not in journal]
-        if open_:
-            self.maps.tell(f"{size.name}: {row.name}, {len(open_)} windows")
-            once(windows[0], self.seed + 1)  # compiled and warm
-        for key, window in open_:
-            journal.put(key, once(window, self.seed))
-        return [journal[k] for k in keys]
+        asked = len(journal.missing(keys))
+        if asked:
+            self.maps.tell(f"{size.name}: {row.name}, {asked} windows")
+        return journal.filled(
+            keys,
+            lambda i: once(windows[i], self.seed),
+            warm=lambda: once(windows[0], self.seed + 1),
+        )
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from placegraph.errors import InputError, MapError
 from placegraph.outdoor.learn.graphs import MOST_THINGS, REACH
@@ -16,11 +13,13 @@ from placegraph.outdoor.learn.labels import BUCKETS, LONGEST, SHORTEST
 from placegraph.outdoor.learn.relations import CHANNELS
 from placegraph.outdoor.learn.shape import Shape
 from placegraph.store import read_header, read_map, write_map
+from placegraph.weights import arrays_of, digest, halves, rounded
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from placegraph.store import MapFile
@@ -45,10 +44,7 @@ class Weights:
     @property
     def fingerprint(self) -> str:
         """Of shape and weights: sixteen hexadecimal digits."""
-        digest = hashlib.sha256(repr(self.shape).encode())
-        for name in sorted(self.arrays):
-            digest.update(name.encode() + _stored(self.arrays[name]).tobytes())
-        return digest.hexdigest()[:16]
+        return digest(self.shape, self.arrays)[:16]
 
 
 def write_weights(path: str | PathLike[str], weights: Weights) -> None:
@@ -59,7 +55,7 @@ def write_weights(path: str | PathLike[str], weights: Weights) -> None:
         "graphs": GRAPHS,
         "training": weights.training,
     }
-    write_map(path, KIND, VERSION, meta, {n: _stored(a) for n, a in weights.arrays.items()})
+    write_map(path, KIND, VERSION, meta, halves(weights.arrays))
 
 
 def read_weights(path: str | PathLike[str]) -> Weights:
@@ -82,10 +78,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
             )
     try:
         shape = Shape.from_dict(file.meta["shape"])
-        arrays = {
-            name: file.array(name, "<f2", len(size)).astype(np.float32)
-            for name, size in shape.arrays().items()
-        }
+        arrays = arrays_of(file, shape.arrays())
         return Weights(shape, arrays, dict(file.meta["training"]))
     except MapError as error:
         why = str(error).removeprefix(f"{path}: ").partition("; ")[0]
@@ -126,11 +119,6 @@ def shipped() -> Path:
         return Path(path)
 
 
-def _stored(array: NDArray[Any]) -> NDArray[np.float16]:
-    return np.ascontiguousarray(array, np.float16)
-
-
 def trained(shape: Shape, state: Mapping[str, NDArray[Any]], training: dict[str, Any]) -> Weights:
     """Weights as they will be read again: rounded to 16 bits."""
-    arrays = {n: _stored(state[n]).astype(np.float32) for n in shape.arrays()}
-    return Weights(shape, arrays, training)
+    return Weights(shape, rounded(shape.arrays(), state), training)

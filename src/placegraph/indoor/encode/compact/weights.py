@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from placegraph.errors import InputError, MapError
 from placegraph.indoor.encode.compact.shape import Shape
 from placegraph.store import read_map, write_map
+from placegraph.weights import arrays_of, digest, halves, rounded
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -48,10 +48,7 @@ class Weights:
     @property
     def fingerprint(self) -> str:
         """Of shape and weights: twelve hexadecimal digits."""
-        digest = hashlib.sha256(repr(self.shape).encode())
-        for name in sorted(self.arrays):
-            digest.update(name.encode() + _stored(self.arrays[name]).tobytes())
-        return digest.hexdigest()[:12]
+        return digest(self.shape, self.arrays)[:12]
 
 
 def write_weights(path: str | PathLike[str], weights: Weights) -> None:
@@ -61,7 +58,7 @@ def write_weights(path: str | PathLike[str], weights: Weights) -> None:
         "temperature": weights.temperature,
         "training": weights.training,
     }
-    write_map(path, KIND, VERSION, meta, {n: _stored(a) for n, a in weights.arrays.items()})
+    write_map(path, KIND, VERSION, meta, halves(weights.arrays))
 
 
 def read_weights(path: str | PathLike[str]) -> Weights:
@@ -84,10 +81,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
         raise MapError(f"{path}, as a weights file, {why}; {_MEND}") from error
     try:
         shape = Shape.from_dict(file.meta["shape"])
-        arrays = {
-            name: file.array(name, "<f2", len(size)).astype(np.float32)
-            for name, size in shape.arrays().items()
-        }
+        arrays = arrays_of(file, shape.arrays())
         weights = Weights(
             shape, arrays, float(file.meta["temperature"]), dict(file.meta["training"])
         )
@@ -110,9 +104,4 @@ def trained(
     training: dict[str, Any],
 ) -> Weights:
     """Weights as they will be read again: rounded to 16 bits."""
-    arrays = {n: _stored(state[n]).astype(np.float32) for n in shape.arrays()}
-    return Weights(shape, arrays, temperature, training)
-
-
-def _stored(array: NDArray[Any]) -> NDArray[np.float16]:
-    return np.ascontiguousarray(array, np.float16)
+    return Weights(shape, rounded(shape.arrays(), state), temperature, training)

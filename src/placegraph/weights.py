@@ -1,0 +1,44 @@
+"""What files of weights share that NumPy computes with: 16-bit numbers, a digest, arrays by name."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from placegraph.store import MapFile
+
+
+def halves(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
+    """Arrays as the file holds them."""
+    return {name: np.ascontiguousarray(array, np.float16) for name, array in arrays.items()}
+
+
+def rounded(
+    names: Iterable[str], state: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[np.float32]]:
+    """Arrays of these names as they will be read again."""
+    return {n: a.astype(np.float32) for n, a in halves({n: state[n] for n in names}).items()}
+
+
+def arrays_of(
+    file: MapFile, sizes: Mapping[str, tuple[int, ...]]
+) -> dict[str, NDArray[np.float32]]:
+    """Arrays of a file by name, with as many axes as their sizes; raises as `MapFile.array` does."""
+    return {
+        name: file.array(name, "<f2", len(size)).astype(np.float32) for name, size in sizes.items()
+    }
+
+
+def digest(shape: object, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of a network's shape, by what it prints as, and of its weights as the file has them."""
+    told = hashlib.sha256(repr(shape).encode())
+    for name, array in sorted(halves(arrays).items()):
+        told.update(name.encode() + array.tobytes())
+    return told.hexdigest()
