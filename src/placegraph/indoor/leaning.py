@@ -67,6 +67,13 @@ class Leaning:
             return ()
         return self.sentence.evidence(self.scene, self.table, pose)
 
+    def against(self, pose: NDArray[np.float64]) -> str:
+        """What of the description is not so at a pose (4,), if that outweighs what is."""
+        told = self.evidence(pose)
+        if sum(e.weight for e in told) >= 0:
+            return ""
+        return ", ".join(repr(e.statement) for e in told if e.verdict == "against")
+
 
 def _read(description: str | Sentence | None, scene: SceneMap) -> Sentence | None:
     if description is None:

@@ -29,6 +29,7 @@ LOOKS = 5
 SEEDS = 48
 """Places kept of them."""
 _POOL = 6000  # best cells among which distinct seeds are looked for
+_UNTOLD = 0.3  # share of seeds that do not listen to a description
 _FEWEST = 3  # seeds of a merged scene, however small its share
 
 
@@ -72,11 +73,14 @@ def table_seeds(
     ranks = table.ranks([views[i] for i in looked], steps, noise)
     if leaning is None:
         return _best(table, ranks, np.arange(len(table)), most)
-    ranks += leaning.logs
+    directed = ranks + leaning.logs
     parts = [
-        _best(table, ranks, rows, max(_FEWEST, round(share * most)))
+        _best(table, directed, rows, max(_FEWEST, round(share * most)))
         for rows, share in leaning.parts
     ]
+    if leaning.sentence is not None:  # who speaks may err
+        rows = np.concatenate([rows for rows, _ in leaning.parts])
+        parts.append(_best(table, ranks, rows, round(_UNTOLD * most)))
     seeds, values = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(-values, kind="stable")
     return seeds[order], values[order]

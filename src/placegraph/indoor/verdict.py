@@ -90,6 +90,10 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
         against = disagreement(newest, _PATCHES_TELL, _LENIENT)
         if against:
             status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
+    if status is Status.OK and sequence.leaning is not None:
+        against = sequence.leaning.against(fits[0].pose)
+        if against:
+            status, reason = Status.AMBIGUOUS, f"{reason} But that is not what was said: {against}."
     if status is not Status.OK:
         reason = f"{reason} {_unit(sequence)}".rstrip()
     return PoseEstimate(

@@ -34,7 +34,7 @@ def test_scenes_come_and_go(maps):
     assert library.names == tuple(maps) == tuple(library)
     library.remove("study")
     assert "study" not in library
-    assert library.index.starts[-1] == sum(len(maps[n]) for n in library)
+    assert library.own_index.starts[-1] == sum(len(maps[n]) for n in library)
     with pytest.raises(OptionError, match="'study' is no scene"):
         library.remove("study")
     with pytest.raises(OptionError, match="'parlour' is taken"):
@@ -159,6 +159,39 @@ def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):
     assert estimate.best.scene == "house/study"
     walk = rooms["study"].walk(21, 8)
     assert off(estimate, walk) < 0.1
+
+
+def test_a_building_is_searched_by_its_parts(maps, rooms):
+    """A scene is no less likely for having others beside it."""
+    merged = merge_scenes({name: maps[name] for name in ("parlour", "study")})
+    library = library_of({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
+    single = library_of(maps, encoders="labels")
+    film = rooms["study"].film(21, 12)
+    assert library.search(film).best.scene == "house"
+    whole, alone = library.search(film).best, single.search(film).best
+    assert whole.score > 0.8 * alone.score
+    told = {o.label for e in library.search(film).evidence for o in e.objects}
+    assert told <= set(merged.graph.labels)
+
+
+def test_a_description_helps_to_find_the_scene(maps, rooms):
+    twins = library_of({"study": maps["study"], "parlour": maps["parlour"]}, encoders="labels")
+    film = rooms["study"].film(4, frames=2)
+    plain = twins.search(film).best.probability
+    told = twins.search(film, description="a room with two desks and a chair").best.probability
+    assert told > plain
+
+
+def test_where_no_scene_fits_no_pose_is_sure(maps, rooms):
+    library = library_of({"bedroom": maps["bedroom"]}, encoders="labels")
+    film = rooms["study"].film(21, 8)
+    assert library.search(film).status is Status.LOST
+    assert library.localize(film, refine=False).status is not Status.OK
+
+
+def test_what_a_library_decides_itself(by_labels, rooms):
+    with pytest.raises(OptionError, match="finds these itself"):
+        by_labels.localize(rooms["study"].film(4), shares=[1.0])
 
 
 def test_localizing_in_no_scene(by_labels, rooms):

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""
-UNKNOWN = 0.3
-"""Probability that a capture was taken in no scene of the library, before anything is seen."""
 _EXPLAINED = 8  # objects named
 
 
@@ -70,14 +68,12 @@ def search_capture(
 def posterior(found: Scores, said: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Probability of each scene (S,), and of being in none of them.
 
-    `said`: (S,) what a text tells of each [nat]. Scores beyond the S scenes are those of decoys.
+    Scores beyond the S scenes are those of `decoys`, which are as likely as any scene: what cannot
+    be told from a few dozen homes is not known. `said`: (S,) what a text tells of each scene [nat].
     """
     count = len(said)
-    others = len(found.total) - count
     logs = found.total / found.heat
-    logs[:count] += said + np.log((1.0 - UNKNOWN) / count)
-    if others:
-        logs[count:] += np.log(UNKNOWN / others)
+    logs[:count] += said
     share = np.exp(logs - logs.max())
     share /= share.sum()
     return share[:count], float(share[count:].sum())

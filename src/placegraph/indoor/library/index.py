@@ -144,7 +144,7 @@ class Index:
         objects = _runs(self.starts, rows)
         places = _runs(self.place_starts, rows)
         return Index(
-            owner=self.owner[rows],
+            owner=np.unique(self.owner[rows], return_inverse=True)[1].ravel(),
             starts=starts_of(np.diff(self.starts)[rows]),
             share=self.share[objects],
             vocabularies={

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import Signature, signature_of
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.sentence import TextIndex
+from placegraph.indoor.sentence import TextIndex, read
 
 if TYPE_CHECKING:
     import os
@@ -40,6 +41,8 @@ class Entry:
     signature: Signature
     path: Path | None
     """Map file; None where the map is only in memory."""
+    digest: str = ""
+    """SHA-256 of the file."""
 
 
 class SceneLibrary:
@@ -64,7 +67,7 @@ class SceneLibrary:
 
     def __init__(
         self,
-        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "appearance"),
+        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "compact"),
         *,
         height: float | None = None,
     ) -> None:
@@ -115,7 +118,7 @@ class SceneLibrary:
         path = None if isinstance(scene, SceneMap) else Path(scene)
         opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
         signature = signature_of(opened, self.encoders, captures, self.height)
-        self.insert(name, Entry(signature, path))
+        self.insert(name, Entry(signature, path, "" if path is None else digest_of(path)))
         if path is None:
             self._open[name] = opened
 
@@ -162,7 +165,7 @@ class SceneLibrary:
                 f"{entry.path}: the map of {name!r} is not there; bring it back, or remove the scene."
             )
         opened = SceneMap.open(entry.path)
-        if opened.graph.ids != entry.signature.graph.ids:
+        if digest_of(entry.path) != entry.digest:
             raise MapError(
                 f"{entry.path} is another map than was added as {name!r}; remove the scene and add "
                 "it again."
@@ -229,6 +232,7 @@ class SceneLibrary:
         query: str | Capture | Sequence[Frame],
         *,
         frames: slice | Sequence[int] | None = None,
+        description: str | None = None,
         options: SearchOptions | None = None,
         most: int = 10,
     ) -> SceneEstimate:
@@ -240,6 +244,8 @@ class SceneLibrary:
             A capture or frames in order of time; or a text: "a kitchen with two sinks".
         frames
             Which frames; all if not given.
+        description
+            What somebody says of the place where a capture was taken.
         options
             `SearchOptions`; what measured best if not given. Of captures only.
         most
@@ -261,7 +267,8 @@ class SceneLibrary:
             return search_text(self, query, most)
         from placegraph.indoor.library.by_capture import search_capture
 
-        return search_capture(self, query, frames, options or SearchOptions(), most)
+        text = None if description is None else read(description)
+        return search_capture(self, query, frames, options or SearchOptions(), most, text)
 
     def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
         """Scene and pose of a capture: retrieval, then the filter in the best scenes together.
@@ -335,6 +342,11 @@ class SceneLibrary:
         if progress:
             progress("reading maps", len(paths), len(paths))
         return library
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def library_of(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  # noqa: ANN401

@@ -45,6 +45,7 @@ def save(library: SceneLibrary, path: str | os.PathLike[str]) -> None:
     signatures = [e.signature for e in entries]
     meta = {
         "encoders": [{"name": e.name, "key": e.key} for e in library.encoders],
+        "digests": [e.digest for e in entries],
         "height": library.height,
         "grain": _GRAIN,
     }
@@ -63,10 +64,11 @@ def load(
     try:
         library = SceneLibrary(_encoders(file, encoders), height=file.meta["height"])
         names, places = file.strings("names"), file.strings("paths")
+        digests = [str(digest) for digest in file.meta["digests"]]
         signatures = _signatures(file, [e.key for e in library.encoders])
         folder = Path(path).resolve().parent
-        for name, place, signature in zip(names, places, signatures, strict=True):
-            library.insert(name, Entry(signature, Path(os.path.normpath(folder / place))))
+        for name, place, signature, digest in zip(names, places, signatures, digests, strict=True):
+            library.insert(name, Entry(signature, Path(os.path.normpath(folder / place)), digest))
     except (OptionError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise MapError(
             f"{path}: its columns contradict each other ({error}). Make the library again."

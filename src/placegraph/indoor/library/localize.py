@@ -15,9 +15,11 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.geometry import split_pose
+from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.frames import chosen_frames
 from placegraph.indoor.localize import localize as localize_in
 from placegraph.indoor.merge import merge_scenes
+from placegraph.indoor.sentence import read
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,9 +27,11 @@ if TYPE_CHECKING:
     from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode
     from placegraph.formats.capture import Capture
     from placegraph.formats.frame import Frame
+    from placegraph.indoor.encode import Encoder
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.sentence import Sentence
 
 SCENES = 4
 """Scenes localized in at most."""
@@ -43,13 +47,16 @@ def localize(
     frames: slice | Sequence[int] | None = None,
     most: int = SCENES,
     search: SearchOptions | None = None,
+    description: str | None = None,
+    encoder: str | Encoder | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     **options: Any,  # noqa: ANN401  # of `indoor.localize`
 ) -> PoseEstimate:
     """In which scene of a library a capture was taken, and where in it.
 
     Each mode names its scene, and its pose is in that scene's own map; so is the trajectory, in the
-    best mode's. `stats["retrieval"]` holds what the search said. Maps are only read.
+    best mode's. `stats["retrieval"]` holds what the search said. Maps are only read. Where the
+    search finds that no scene fits, no pose is `OK`.
 
     Parameters
     ----------
@@ -61,10 +68,15 @@ def localize(
         Scenes localized in at most: those that hold 99 % of the probability, if these are fewer.
     search
         How scenes are searched.
+    description
+        What somebody says of the place: helps to find the scene, and the pose in it.
+    encoder
+        Says what patches show, by name or one of the library's own; if not given, the library's
+        encoder of labels for captures that have some.
     progress
         Called with what is done, how far, and of how much.
     **options
-        Of `placegraph.indoor.localize.localize`: description, encoder, options, refine, ...
+        Of `placegraph.indoor.localize.localize`: options, refine, matcher, seed, device.
 
     Raises
     ------
@@ -78,16 +90,49 @@ def localize(
     """
     if most < 1:
         raise OptionError(f"most is {most}; localize in at least one scene.")
+    if {"shares", "prior"} & options.keys():
+        raise OptionError("shares, prior: a library finds these itself; leave them out.")
     chosen = chosen_frames(capture, frames)
-    found = library.search(chosen, options=search, most=most)
+    found = library.search(chosen, description=description, options=search, most=most)
     candidates = _candidates(found)
     start = perf_counter()
-    scene = merge_scenes({m.scene: _bare(library.scene(m.scene)) for m in candidates})
+    reader = _reader(library, chosen, encoder)
+    scene = merge_scenes({m.scene: _with(library, m.scene, reader) for m in candidates})
     merging = perf_counter() - start
     estimate = localize_in(
-        scene, chosen, shares=_shares(scene, candidates), progress=progress, **options
-    )
+        scene, chosen, shares=_shares(scene, candidates), description=_useful(description, scene),
+        encoder=reader, progress=progress, **options,
+    )  # fmt: skip
     return _in_their_own(estimate, scene, found, candidates, merging)
+
+
+def _reader(
+    library: SceneLibrary, frames: Sequence[Frame], given: str | Encoder | None
+) -> Encoder | None:
+    """Encoder that the filter reads the frames by; None: the frames' own instances, or none."""
+    if given is None and frames[0].label_kind == "labels":
+        return next((e for e in library.encoders if e.name == "labels"), None)
+    if not isinstance(given, str):
+        return given
+    return next((e for e in library.encoders if e.name == given), None) or encoder_named(given)
+
+
+def _with(library: SceneLibrary, name: str, reader: Encoder | None) -> SceneMap:
+    """Map of a scene with the vectors that the library has of it; without, if it has none."""
+    scene = library.scene(name)
+    vectors = library.entry(name).signature.vectors
+    if reader is None or reader.key not in vectors:
+        return replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
+    return scene.with_embeddings(vectors[reader.key], encoder=reader.key)
+
+
+def _useful(description: str | None, scene: SceneMap) -> Sentence | None:
+    """What was said, if it is of anything in these scenes: the search has heard it already."""
+    if description is None:
+        return None
+    sentence = read(description)
+    useful = len(sentence.unused(scene)) < len(sentence.statements)
+    return sentence if useful else None
 
 
 def _candidates(found: SceneEstimate) -> list[SceneMode]:
@@ -100,11 +145,6 @@ def _candidates(found: SceneEstimate) -> list[SceneMode]:
         if held >= COVERED * inside:
             break
     return out
-
-
-def _bare(scene: SceneMap) -> SceneMap:
-    """Map without embeddings: those of different encoders cannot be merged, nor are they needed."""
-    return replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
 
 
 def _shares(scene: SceneMap, candidates: list[SceneMode]) -> list[float]:
@@ -126,7 +166,13 @@ def _in_their_own(
     into = {name: scene.scene_from_map[i] for i, name in enumerate(scene.scenes)}
     left_out = 1.0 - found.elsewhere - sum(m.probability for m in candidates)
     status, reason = estimate.status, estimate.reason
-    if status is Status.OK and left_out > 0.1:
+    if status is Status.OK and found.status is Status.LOST:
+        status = Status.AMBIGUOUS
+        reason = (
+            f"{reason} But it may be in no scene of the library ({found.elsewhere:.0%}): homes that "
+            "are not in it fit the capture as well."
+        )
+    elif status is Status.OK and left_out > 0.1:
         status = Status.AMBIGUOUS
         reason = (
             f"{reason} But it may be another scene ({left_out:.0%}) than the {len(candidates)} "

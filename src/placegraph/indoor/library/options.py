@@ -28,9 +28,9 @@ class SearchOptions:
     """Share of what is seen in a direction that is the object which fills most of it."""
     witnesses: float = 24.0
     """Patches of a frame that speak independently of each other."""
-    heat: float = 3.0
+    heat: float = 2.5
     """Nats of log-likelihood that count as one, for a single frame; T frames of one way see much
-    the same, so that their sum is taken for worth sqrt(T) of them."""
+    the same, and T^0.65 times as many count as one; of two encoders, twice as many."""
     looks: int = 12
     """Frames compared with panoramas, spread over the capture."""
     finalists: int = 24

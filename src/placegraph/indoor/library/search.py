@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.query import Query, Said
 
 _COMPARED = 50_000  # vectors that a word is compared with quickly
+_TOGETHER = 0.65  # exponent of the frames of one way in what counts as one
 ANYTHING = 4e-4
 """Belief that what is said is of anything, at least: what is like nothing in the library, and
 nothing in the homes beside it, is no evidence for what it is least unlike."""
@@ -61,7 +62,7 @@ def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
         seconds["placed"] = perf_counter() - start
     whole = np.full(len(index), total.min())
     whole[rows] = total
-    heat = float(options.heat * np.sqrt(len(query)))
+    heat = float(options.heat * len(said) * len(query) ** _TOGETHER)
     return Scores(_of_scenes(whole, index.owner, heat), heat, seconds)
 
 

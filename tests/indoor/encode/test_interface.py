@@ -1,0 +1,93 @@
+"""What all encoders have in common: names, binding, and vectors that are checked."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import MapError, OptionError
+from placegraph.indoor.encode import (
+    Encoder,
+    MapEncoder,
+    bound,
+    encoder,
+    for_map,
+    patches_of,
+    vectors_of,
+)
+
+
+@pytest.mark.parametrize("name", ["labels", "appearance", "compact"])
+def test_encoders_by_name_read_a_map(name, room):
+    made = encoder(name)
+    assert isinstance(made, Encoder)
+    assert made.name == name
+    assert made.key.startswith(name)
+    reader = for_map(name, room)
+    assert isinstance(reader, MapEncoder)
+    assert for_map(reader, room) is reader
+    vectors = vectors_of(made, room)
+    assert vectors.shape == (len(room), made.dimension)
+    lengths = np.linalg.norm(vectors, axis=1)
+    np.testing.assert_allclose(lengths[lengths > 0], 1.0, atol=1e-5)
+
+
+def test_what_is_no_encoder():
+    with pytest.raises(OptionError, match="one of labels, appearance"):
+        encoder("votes")
+    with pytest.raises(OptionError, match="'labels'"):
+        encoder("labels", colour=1)
+
+
+class Fixed:
+    """Encoder whose answers are given."""
+
+    name, key, dimension, temperature = "fixed", "fixed 1", 3, 0.1
+
+    def __init__(self, image=None, vectors=None):
+        self.image, self.vectors = image, vectors
+
+    def patches(self, _image):
+        return self.image
+
+    def camera(self, image):
+        return image.camera
+
+    def objects(self, _scene, _captures=()):
+        if self.vectors is None:
+            raise OptionError("captures: there is none.")
+        return self.vectors
+
+
+def test_a_bound_encoder_compares_all_patches_with_all_objects(room, walk):
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(len(room), 3))
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    image = np.zeros((2, 3, 3), np.float32)
+    image[0, 0], image[1, 2] = vectors[0], vectors[1]
+    said = bound(Fixed(image, vectors), room).encode(walk[0])
+    assert said.grid == (2, 3)
+    assert said.rows[[1, 2, 3, 4]].tolist() == [-1] * 4
+    assert said.temperature == 0.1
+    np.testing.assert_allclose(said.table[said.rows[0]], vectors @ vectors[0], atol=1e-5)
+    np.testing.assert_allclose(said.table[said.rows[5]], vectors @ vectors[1], atol=1e-5)
+    assert bound(Fixed(None, vectors), room).encode(walk[0]) is None
+
+
+@pytest.mark.parametrize(
+    "image", [np.full((2, 2, 3), np.nan), np.zeros((2, 2, 4)), np.zeros((4, 3))]
+)
+def test_patches_that_are_none(image, walk):
+    with pytest.raises(OptionError, match="finite numbers belong"):
+        patches_of(Fixed(image.astype(np.float32)), walk[0])
+
+
+def test_vectors_of_the_map_come_first_and_those_of_others_are_refused(room):
+    own = np.eye(len(room), 3)
+    held = room.with_embeddings(own, encoder="fixed 1")
+    np.testing.assert_allclose(vectors_of(Fixed(), held), own, atol=0.01)
+    other = room.with_embeddings(own, encoder="fixed 2")
+    with pytest.raises(MapError, match=r"fixed 2.*fixed 1"):
+        vectors_of(Fixed(), other)
+    with pytest.raises(OptionError, match="captures"):
+        vectors_of(Fixed(), room)
+    with pytest.raises(OptionError, match="finite numbers belong"):
+        vectors_of(Fixed(vectors=np.full((len(room), 3), np.inf)), room)
