@@ -30,11 +30,14 @@ clean: ## remove what the targets above left behind, .venv included
 	rm -rf $(VENV) demo-out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmark-cache
 	find src tests benchmarks scripts -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# PyTorch is pinned here and nowhere else; kornia, which would bring another one, comes with it.
-# Without them, training and the matcher XFeat are left out, and their tests.
+# PyTorch is pinned here and nowhere else; kornia and timm, which would bring another one, come with
+# it. Without them, training, the matcher XFeat and timm's backbones are left out, and their tests.
 $(STAMP): pyproject.toml $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 'kornia>=0.9' \
 	  || echo "PyTorch 2.13.0 cannot be had: tests of training and of XFeat will be skipped" >&2
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 \
+	  torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
+	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
