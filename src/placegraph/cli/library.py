@@ -48,7 +48,7 @@ Encoders = Annotated[
         "--encoder",
         help="What scenes are compared by; may be repeated: labels, appearance, compact; features or "
         "scenegraphloc, of maps that `scene encode` gave their vectors. [default: labels and "
-        "appearance]",
+        "compact]",
     ),
 ]
 ItsEncoders = Annotated[
@@ -246,8 +246,9 @@ def show_scenes(estimate: SceneEstimate) -> None:
     """Print which scenes fit, and why the best does."""
     console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
     console.print(f"{estimate.status.name}: {estimate.reason}")
+    width = max((len(mode.scene) for mode in estimate.modes), default=0)
     for rank, mode in enumerate(estimate.modes, 1):
-        console.print(f"{rank}. {mode.scene}  {mode.probability:6.1%}")
+        console.print(f"{rank}. {mode.scene:{width}}  {mode.probability:6.1%}")
     if estimate.evidence:
         table = Table("", "evidence", "nat", box=None, pad_edge=False)
         for e in estimate.evidence[: MOST_OBJECTS + 2]:
