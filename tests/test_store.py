@@ -328,9 +328,11 @@ def test_an_empty_file(path):
 
 def test_things_that_are_not_files(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    for name in (tmp_path, tmp_path / "pipe", "/dev/zero"):
+    for name in (tmp_path / "pipe", "/dev/zero"):
         with pytest.raises(InputError, match="not a plain file"):
             open_map(name)
+    with pytest.raises(InputError, match="holds no scene map"):
+        open_map(tmp_path)
     with pytest.raises(InputError, match="cannot be read"):
         open_map("a\0b")
 

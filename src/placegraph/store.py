@@ -347,7 +347,8 @@ def _open(path: Path_) -> BinaryIO:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
         builders = {
-            ".scene": "scene build", ".run": "scene localize --record", ".vectors": "city embed",
+            ".scene": "scene build", ".library": "library build", ".vectors": "city embed",
+            ".run": "scene localize --record",
         }  # fmt: skip
         builder = builders.get(Path(path).suffix, "city build")
         raise InputError(f"{path} does not exist; build it with `placegraph {builder}`.") from error

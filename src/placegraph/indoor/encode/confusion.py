@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 STEP = 8
 """Pixels between those whose labels are compared with the map."""
-SMOOTHING = 20.0
+SMOOTHING = 2.0
 """Pixels of a label that count as much as how often labels are said at all."""
 _LEAST = 0.02  # truths less likely than this are none
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MapError, OptionError
+from placegraph.errors import MapError, MissingExtraError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.index import distinct
@@ -61,8 +61,9 @@ def load(
 ) -> SceneLibrary:
     """Open a library's file; raises as `SceneLibrary.open` does."""
     file = read_map(path, KIND, VERSION)
+    made = _encoders(file, encoders)
     try:
-        library = SceneLibrary(_encoders(file, encoders), height=file.meta["height"])
+        library = SceneLibrary(made, height=file.meta["height"])
         names, places = file.strings("names"), file.strings("paths")
         digests = [str(digest) for digest in file.meta["digests"]]
         signatures = _signatures(file, [e.key for e in library.encoders])
@@ -88,21 +89,29 @@ def _encoders(
     """Encoders of a file, made by name or given; `MapError` where these are others."""
     known = [] if given is None else [given] if isinstance(given, str | Encoder) else list(given)
     made = {e.key: e for e in (encoder(g) if isinstance(g, str) else g for g in known)}
-    out = []
-    for entry in file.meta["encoders"]:
-        name, key = str(entry["name"]), str(entry["key"])
-        if key in made:
-            out.append(made[key])
-            continue
-        own = encoder(name) if name in ENCODERS and not made else None
-        if own is None or own.key != key:
-            here = ", ".join(made) or (own.key if own else "no encoder of that name")
+    try:
+        wanted = [(str(e["name"]), str(e["key"])) for e in file.meta["encoders"]]
+    except (KeyError, TypeError) as error:
+        raise MapError(f"{file.header.path}: names no encoders. Make the library again.") from error
+    out = [made.get(key) or _by_name(name, key) for name, key in wanted]
+    for found, (_, key) in zip(out, wanted, strict=True):
+        if found is None or (made and not made.keys() & {k for _, k in wanted}):
+            here = ", ".join(made) or (found.key if found else "nothing that makes such vectors")
             raise MapError(
                 f"{file.header.path} was encoded by {key}, and here is {here}: open it with the "
-                "encoder that it was made with (encoders=...), or make the library again."
+                "encoder that it was made with (encoders=..., or --encoder and --weights), or make "
+                "the library again."
             )
-        out.append(own)
-    return out
+    return [e for e in out if e is not None]
+
+
+def _by_name(name: str, key: str) -> Encoder | None:
+    """Encoder that can be made by its name alone, and has this key; None where there is none."""
+    try:
+        made = encoder(name) if name in ENCODERS else None
+    except (OptionError, MissingExtraError):  # it needs weights, or what is not installed
+        return None
+    return made if made is not None and made.key == key else None
 
 
 def _graphs(signatures: list[Signature]) -> dict[str, NDArray[Any]]:

@@ -14,7 +14,7 @@ class SearchOptions:
     """How a capture is compared with the scenes of a library."""
 
     method: Literal["likelihood", "cosines"] = "likelihood"
-    """``likelihood``: a log-likelihood ratio against the library as a whole; ``cosines``: the
+    """``likelihood``: a log-likelihood ratio against the library and the homes beside it; ``cosines``: the
     paper's sum over frames of the mean over patches of the best cosine (Sec. 4)."""
     rarity: bool = True
     """Weigh what is said against how common it is in the library."""
