@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.estimate import Estimate, PoseEstimate
+    from placegraph.formats.capture import Capture
     from placegraph.outdoor.city import CityMap
 
 TOWN = "hafenstadt"
@@ -37,6 +38,9 @@ FLAT = "altbau"
 WAY = "41"
 """Rooms that the camera comes through."""
 FRAMES = 18
+HOMES = 4
+"""Drawn homes that stand beside the flat in a library."""
+ROOMS = ("a kitchen with two sinks", "a bedroom with a bookcase, and a plant next to the sofa")
 
 
 def run_demo(out: Path, say: Callable[[str], None]) -> None:
@@ -125,6 +129,29 @@ def _flat(out: Path, say: Callable[[str], None]) -> None:
     say(
         f"{out / f'{FLAT}_now.scene'} has taken it over: {len(newer)} objects instead of {len(scene)}."
     )
+    _library(capture, out, say)
+
+
+def _library(capture: Capture, out: Path, say: Callable[[str], None]) -> None:
+    """Find the flat among others, by the film and by a sentence."""
+    from placegraph.indoor.library import SceneLibrary
+    from placegraph.synthetic.homes import home, scene_of
+
+    library = SceneLibrary()
+    library.add(FLAT, out / f"{FLAT}.scene")
+    for i in range(HOMES):
+        rng = np.random.default_rng(i)
+        path = out / f"home{i + 1}.scene"
+        scene_of(home(rng).furnish(rng)).save(path)
+        library.add(path.stem, path)
+    library.save(out / "homes.library")
+    size = (out / "homes.library").stat().st_size
+    say(f"\n{library} in {size / 1000:.0f} kB: which of them was the film taken in?")
+    found = library.search(capture)
+    say(f"  {found.status.name}: {found.reason}")
+    for text in ROOMS:
+        told = library.search(text)
+        say(f"  “{text}”: {told.status.name}: {told.reason}")
 
 
 def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:

@@ -194,9 +194,7 @@ def for_map(given: str | Encoder | MapEncoder, scene: SceneMap) -> MapEncoder:
     return bound(given, scene) if isinstance(given, Encoder) else given
 
 
-def checked(
-    vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap
-) -> NDArray[np.float32]:
+def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap) -> NDArray[np.float32]:
     """Vectors (N, d) of unit length, or zero; `OptionError` where they are no such thing."""
     vectors = np.asarray(vectors, np.float32)
     if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
