@@ -50,6 +50,9 @@ def main(
     development: Annotated[
         bool, typer.Option(help="Homes to tune with; the tables are of others.")
     ] = False,
+    thin: Annotated[
+        bool, typer.Option(help="One walk a home: as it was, of every second months later.")
+    ] = False,
     fresh: Annotated[bool, typer.Option(help="Ask everything anew.")] = False,
     data: Annotated[Path, typer.Option(help="Folder with house and office.")] = SHARED / "data",
     cache: Annotated[Path, typer.Option(help="Folder for walks, vectors and answers.")] = (
@@ -68,7 +71,7 @@ def main(
     path = cache / "scene_retrieval.jsonl"
     if fresh:
         path.unlink(missing_ok=True)
-    places, walks = asked(data, cache, 0 if development else FIRST)
+    places, walks = asked(data, cache, 0 if development else FIRST, thin=thin)
     study = Study(places, walks, cache, Journal(path), lambda text: typer.echo(text, err=True))
     measured, large = [], []
     for name in rows:
@@ -85,6 +88,7 @@ def main(
             "machine": machine(),
             "scenes": [p.name for p in places],
             "walks": [w.name for w in walks],
+            "walks_of_a_home": 1 if thin else 2,
             "paper": {str(n): row for n, row in PAPER.items()},
             "rows": figures(measured),
             "scale": [asdict(s) for s in large],
@@ -93,8 +97,8 @@ def main(
         target.write_text(dumps(record), encoding="utf-8")
 
 
-def asked(data: Path, cache: Path, first: int) -> tuple[list[Place], list[Walk]]:
-    """All scenes, and all walks through them."""
+def asked(data: Path, cache: Path, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:
+    """All scenes, and all walks through them, or of homes one each."""
     places, walks = house_rooms(data, cache)
     office, half = office_half(data, cache)
     places.append(office)
@@ -102,8 +106,8 @@ def asked(data: Path, cache: Path, first: int) -> tuple[list[Place], list[Walk]]
     seeds = range(first, first + HOMES)
     console = Console(stderr=True)
     for place, own in track(homes(seeds, cache), "homes", total=len(seeds), console=console):
+        walks += [own[len(places) % 2]] if thin else own
         places.append(place)
-        walks += own
     return places, walks
 
 

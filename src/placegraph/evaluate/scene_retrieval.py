@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from zlib import crc32
@@ -17,16 +17,17 @@ from zlib import crc32
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
+from placegraph.indoor.encode import vectors_of
 from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.library import Entry
 from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.query import encode
+from placegraph.indoor.library.search import scores
 from placegraph.indoor.library.signature import signature_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from placegraph.evaluate.scene_retrieval_places import Place, Walk
     from placegraph.formats.capture import Capture
@@ -41,8 +42,7 @@ POOLS = {"10": 10, "50": 50}
 """Scenes searched, the right one among them."""
 ABSENT = "absent"
 """A pool of 50 scenes without the right one."""
-MOST = 10
-"""Ranks that are looked at."""
+_EQUAL = 1e-6  # relative: sums in other orders differ by less
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,9 @@ class Answer:
     changed: bool
     frames: int
     rank: int
-    """Of the right scene, from 1 on; 0: not among the first `MOST`."""
+    """Of the right scene, from 1 on, where no other is as good; 0: it is not there."""
+    tied: int
+    """Scenes as good as the right one, itself among them."""
     right: float
     """Probability of the right scene."""
     probability: float
@@ -75,9 +77,11 @@ class Found:
     """Scenes, likeliest first."""
 
     names: tuple[str, ...]
+    scores: tuple[float, ...]
     probabilities: tuple[float, ...]
     elsewhere: float
     status: str
+    """Empty of a method that does not judge itself."""
 
 
 class Searcher(Protocol):
@@ -87,41 +91,29 @@ class Searcher(Protocol):
         """Scenes that a capture may have been taken in."""
 
 
-class PaperSum:
-    """The paper's score (Sec. 4) as it stands there, in NumPy.
+class Cosines:
+    """The paper's score (Sec. 4), compiled as in `SearchOptions(method="cosines")`.
 
     Sum over frames of the mean over patches of the best cosine over the scene's nodes. It makes no
-    probabilities: the best scene gets all, and nothing is ever ambiguous.
+    probabilities.
     """
 
-    def __init__(self, encoder: Encoder, vectors: Mapping[str, NDArray[np.float32]]) -> None:
-        self._encoder = encoder
-        self._names = tuple(vectors)
-        self._nodes = np.concatenate(list(vectors.values()))
-        self._starts = np.cumsum([0, *(len(v) for v in vectors.values())])[:-1]
-
-    def scores(self, capture: Capture) -> NDArray[np.float64]:
-        """Score (S,) of each scene."""
-        total = np.zeros(len(self._names))
-        for frame in capture:
-            image = self._encoder.patches(frame)
-            if image is None:
-                continue
-            flat = image.reshape(-1, image.shape[2])
-            said = flat[flat.any(axis=1)]
-            if len(said):
-                cosines = said @ self._nodes.T
-                total += np.maximum.reduceat(cosines, self._starts, axis=1).mean(axis=0)
-        return total
+    def __init__(self, library: SceneLibrary) -> None:
+        self._names, self._encoders = library.names, library.encoders
+        signatures = [library.entry(name).signature for name in library]
+        self._index = Index.of(signatures, [e.key for e in self._encoders])
 
     def search(self, capture: Capture) -> Found:
         """Scenes by their score."""
-        order = np.argsort(-self.scores(capture), kind="stable")[:MOST]
+        query = encode(list(capture), self._encoders)
+        total = scores(self._index, query, SearchOptions(method="cosines")).total
+        order = np.argsort(-total, kind="stable")
         return Found(
             tuple(self._names[i] for i in order),
-            (1.0, *(0.0 for _ in order[1:])),
+            tuple(total[order].tolist()),
+            tuple(0.0 for _ in order),
             0.0,
-            Status.OK.name,
+            "",
         )
 
 
@@ -133,58 +125,67 @@ class Ours:
 
     def search(self, capture: Capture) -> Found:
         """Scenes by their posterior."""
-        estimate = self._library.search(capture, options=self._options, most=MOST)
+        estimate = self._library.search(capture, options=self._options, most=len(self._library))
         return Found(
             tuple(mode.scene for mode in estimate.modes),
+            tuple(mode.score for mode in estimate.modes),
             tuple(mode.probability for mode in estimate.modes),
             estimate.elsewhere,
             estimate.status.name,
         )
 
 
-METHODS: dict[str, SearchOptions | None] = {
-    "paper": None,
+METHODS: dict[str, SearchOptions] = {
+    "paper": SearchOptions(method="cosines"),
     "ours": SearchOptions(),
     "without rarity": SearchOptions(rarity=False),
     "without geometry": SearchOptions(geometry=False),
     "without odometry": SearchOptions(odometry=False),
 }
-"""Options of the library; None: the paper's sum, by itself."""
+"""Options of the library."""
+
+
+def searcher(library: SceneLibrary, method: str) -> Searcher:
+    """Method that searches a library, warm: its columns are made."""
+    if METHODS[method].method == "cosines":
+        return Cosines(library)
+    _ = library.index
+    return Ours(library, METHODS[method])
 
 
 class Scenes:
-    """Signatures of all places, and the searchers made of some of them."""
+    """Signatures of all places, by as many encoders as were asked for."""
 
-    def __init__(self, places: Iterable[Place], encoders: Sequence[Encoder]) -> None:
-        self.signatures: dict[str, Signature] = {
-            place.name: signature_of(place.scene, encoders) for place in places
-        }
+    def __init__(self, places: Iterable[Place]) -> None:
+        self._places = tuple(places)
+        self.signatures: dict[str, Signature] = {}
 
     @property
     def names(self) -> list[str]:
         """Names of all places."""
-        return list(self.signatures)
+        return [place.name for place in self._places]
 
-    def library(self, names: Iterable[str], encoder: Encoder) -> SceneLibrary:
+    def know(self, encoder: Encoder) -> None:
+        """Vectors of an encoder beside those there are."""
+        for place in self._places:
+            known = self.signatures.get(place.name)
+            if known is None:
+                self.signatures[place.name] = signature_of(place.scene, [encoder])
+            elif encoder.key not in known.vectors:
+                vectors = {**known.vectors, encoder.key: vectors_of(encoder, place.scene, ())}
+                self.signatures[place.name] = replace(known, vectors=vectors)
+
+    def library(self, names: Iterable[str], encoders: Sequence[Encoder]) -> SceneLibrary:
         """Library of some scenes."""
-        return library_of({name: self.signatures[name] for name in names}, encoder)
-
-    def searcher(self, names: Sequence[str], encoder: Encoder, method: str) -> Searcher:
-        """Method that searches some scenes, warm: its columns are made."""
-        options = METHODS[method]
-        if options is None:
-            vectors = {name: self.signatures[name].vectors[encoder.key] for name in names}
-            return PaperSum(encoder, vectors)
-        library = self.library(names, encoder)
-        _ = library.index
-        return Ours(library, options)
+        return library_of({name: self.signatures[name] for name in names}, encoders)
 
 
-def library_of(signatures: Mapping[str, Signature], encoder: Encoder) -> SceneLibrary:
+def library_of(signatures: Mapping[str, Signature], encoders: Sequence[Encoder]) -> SceneLibrary:
     """Library of scenes whose maps are not there: it can be searched and saved."""
-    made = SceneLibrary([encoder])
+    made = SceneLibrary(encoders)
     for name, signature in signatures.items():
-        made.insert(name, Entry(signature, Path(f"{name}.scene")))
+        vectors = {e.key: signature.vectors[e.key] for e in encoders}
+        made.insert(name, Entry(replace(signature, vectors=vectors), Path(f"{name}.scene")))
     return made
 
 
@@ -222,22 +223,34 @@ def ask(searcher: Searcher, walk: Walk, query: str, capture: Capture) -> Answer:
     start = time.perf_counter()
     found = searcher.search(capture)
     seconds = time.perf_counter() - start
-    rank = found.names.index(walk.place) + 1 if walk.place in found.names else 0
+    rank, tied, right = 0, 0, 0.0
+    if walk.place in found.names:
+        row, all_ = found.names.index(walk.place), np.array(found.scores)
+        equal = np.isclose(all_, all_[row], rtol=_EQUAL, atol=0.0)
+        rank, tied = 1 + int((~equal & (all_ > all_[row])).sum()), int(equal.sum())
+        right = found.probabilities[row]
     return Answer(
         query=query,
         place=walk.place,
         changed=walk.changed,
         frames=len(capture),
         rank=rank,
-        right=found.probabilities[rank - 1] if rank else 0.0,
-        probability=found.probabilities[0] if found.names else 0.0,
+        tied=tied,
+        right=right,
+        probability=found.probabilities[0],
         elsewhere=found.elsewhere,
         status=found.status,
         milliseconds=1e3 * seconds,
     )
 
 
+def hit(answer: Answer, k: int) -> float:
+    """Chance that the right scene is among the first k, those as good as it being in any order."""
+    if not answer.rank:
+        return 0.0
+    return min(1.0, max(0.0, (k - answer.rank + 1) / answer.tied))
+
+
 def recall(answers: Sequence[Answer], k: int) -> float:
     """Share of answers that have the right scene among the first k; NaN of none."""
-    hits = [1 <= a.rank <= k for a in answers]
-    return float(np.mean(hits)) if hits else float("nan")
+    return float(np.mean([hit(a, k) for a in answers])) if answers else float("nan")

@@ -1,7 +1,8 @@
 """A library of thousands of scenes: what searching it takes, and whether the right one is found.
 
 There are not so many homes on the disk: further scenes are variations of those there are. In each a
-share of the objects look like, or are called as, objects of other homes.
+share of the objects look like, or are called as, objects of other homes; no two of them look
+exactly alike (`APART`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.evaluate.scene_retrieval import kilobytes, library_of
+from placegraph.evaluate.scene_retrieval import library_of
 from placegraph.geometry import rotation_z
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import TURNS
@@ -20,7 +21,10 @@ from placegraph.indoor.library.signature import TURNS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from placegraph.evaluate.scene_retrieval_vectors import Encoded, Replay
+    from numpy.typing import NDArray
+
+    from placegraph.evaluate.scene_retrieval_vectors import Encoded
+    from placegraph.indoor.encode import Encoder
     from placegraph.indoor.library.signature import Signature
 
 SCENES = 10_000
@@ -28,6 +32,9 @@ VARIED = 0.5
 """Share of a variation's objects that are exchanged."""
 MOVED = 0.2
 """Standard deviation of where its objects are [m]."""
+APART = 0.2
+"""Length of what is added to each vector of what things look like; the vectors of labels are few by
+nature, and stay."""
 LENGTHS = (1, 10, 25)
 
 
@@ -44,33 +51,44 @@ class Scale:
     """Of searching with the frames encoded; the median."""
     recall: float
     """At 1, of scenes beside which there are many like them."""
-    kilobytes: float
-    """Of a scene in the library's file."""
+    vectors: tuple[int, ...]
+    """Distinct ones of the library, by encoder."""
 
 
 def varied(
-    signatures: Mapping[str, Signature], key: str, count: int, rng: np.random.Generator
+    signatures: Mapping[str, Signature], count: int, rng: np.random.Generator
 ) -> dict[str, Signature]:
     """Further scenes by name: like those there are, but turned, and a share of their objects others."""
     known = list(signatures.values())
-    stock = np.concatenate([s.vectors[key] for s in known])
+    stock = {key: np.concatenate([s.vectors[key] for s in known]) for key in known[0].vectors}
     labels = [label for s in known for label in s.graph.labels]
     found = {}
     for i in range(count):
-        base = turned(known[int(rng.integers(len(known)))], key, rng)
-        vectors, named = base.vectors[key].copy(), list(base.graph.labels)
+        base = turned(known[int(rng.integers(len(known)))], rng)
+        named = list(base.graph.labels)
         rows = np.flatnonzero(rng.random(len(base)) < VARIED)
-        others = rng.integers(len(stock), size=len(rows))
-        vectors[rows] = stock[others]
+        others = rng.integers(len(labels), size=len(rows))
+        vectors = {}
+        for key, own in base.vectors.items():
+            own[rows] = stock[key][others]
+            vectors[key] = own if key.startswith("labels") else _astray(own, rng)
         for row, other in zip(rows.tolist(), others.tolist(), strict=True):
             named[row] = labels[other]
         found[f"variation {i + 1}"] = replace(
-            base, graph=replace(base.graph, labels=tuple(named)), vectors={key: vectors}
+            base, graph=replace(base.graph, labels=tuple(named)), vectors=vectors
         )
     return found
 
 
-def turned(signature: Signature, key: str, rng: np.random.Generator) -> Signature:
+def _astray(vectors: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Unit vectors (N, d) near these; what is zero stays."""
+    size = APART / np.sqrt(vectors.shape[1])
+    moved = vectors + rng.normal(0.0, size, vectors.shape) * vectors.any(axis=1, keepdims=True)
+    lengths = np.linalg.norm(moved, axis=1, keepdims=True)
+    return (moved / np.maximum(lengths, 1e-9)).astype(np.float32)
+
+
+def turned(signature: Signature, rng: np.random.Generator) -> Signature:
     """Signature of the same scene turned by a quarter or more, its objects moved and in any order.
 
     A library's file that holds both can then not save what they have in common.
@@ -96,7 +114,8 @@ def turned(signature: Signature, key: str, rng: np.random.Generator) -> Signatur
             targets=rank[graph.targets],
         ),
         attributes=tuple(signature.attributes[k] for k in order),
-        vectors={key: signature.vectors[key][order]},
+        vectors={key: v[order] for key, v in signature.vectors.items()},
+        part=signature.part[order],
         share=signature.share[order],
         places=places.astype(np.float32),
         panoramas=np.roll(
@@ -108,7 +127,7 @@ def turned(signature: Signature, key: str, rng: np.random.Generator) -> Signatur
 def measure(
     row: str,
     signatures: Mapping[str, Signature],
-    replay: Replay,
+    encoders: Sequence[Encoder],
     walks: Sequence[Encoded],
     rng: np.random.Generator,
     *,
@@ -116,10 +135,14 @@ def measure(
     queries: int = 20,
 ) -> list[Scale]:
     """Search a library of so many scenes with the first frames of some walks."""
-    more = varied(signatures, replay.key, scenes - len(signatures), rng)
-    library = library_of({**signatures, **more}, replay)
+    keys = [e.key for e in encoders]
+    own = {
+        name: replace(s, vectors={key: s.vectors[key] for key in keys})
+        for name, s in signatures.items()
+    }
+    library = library_of({**own, **varied(own, scenes - len(own), rng)}, encoders)
     objects = float(np.mean([len(library.entry(name).signature) for name in library]))
-    size = kilobytes(library)
+    distinct = tuple(len(library.index.vocabularies[key].vectors) for key in keys)
     found = []
     chosen = [walks[i].walk for i in rng.permutation(len(walks))[:queries]]
     for length in LENGTHS:
@@ -136,7 +159,7 @@ def measure(
         found.append(
             Scale(
                 row, len(library), objects, length, float(np.median(spent)),
-                float(np.mean(right)), size,
+                float(np.mean(right)), distinct,
             )
         )  # fmt: skip
     return found

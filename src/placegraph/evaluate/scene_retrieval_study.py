@@ -19,9 +19,17 @@ from placegraph.evaluate.scene_retrieval import (
     kilobytes,
     pool,
     queries,
+    searcher,
 )
 from placegraph.evaluate.scene_retrieval_scale import Scale, measure
-from placegraph.evaluate.scene_retrieval_vectors import Replay, code_of, encoded, encoder_of
+from placegraph.evaluate.scene_retrieval_vectors import (
+    NOISY,
+    ROWS,
+    all_encoded,
+    code_of,
+    encoder_of,
+    replay,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -30,15 +38,19 @@ if TYPE_CHECKING:
     from placegraph.evaluate.journal import Journal
     from placegraph.evaluate.scene_retrieval_places import Place, Walk
     from placegraph.evaluate.scene_retrieval_vectors import Encoded
+    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.library import SceneLibrary
 
 SEARCHING = (
-    "indoor/library/*.py", "indoor/relations.py", "indoor/rooms*.py",
+    "indoor/library/*.py", "indoor/library/data/*", "indoor/relations.py", "indoor/rooms*.py",
     "indoor/panoramas.py", "indoor/visibility.py", "indoor/sequence.py",
     "evaluate/scene_retrieval.py",
 )  # fmt: skip
 """Code that decides what answers are."""
 WHOLE = ("paper", "ours")
-"""Methods that are asked in every pool; the ablations are asked among 50."""
+"""Methods that are asked in every pool; the others, ablations, are asked among 50."""
+ABLATED = (NOISY,)
+"""Rows that are asked without parts of the method, too."""
 
 
 @dataclass(frozen=True)
@@ -85,82 +97,71 @@ class Study:
         names = {name for walk in walks for name in walk.capture.label_names.values()}
         self.vocabulary = sorted(names)
         """All that label images of any walk say."""
-        self._rows: dict[str, tuple[Replay, Scenes, list[Encoded]]] = {}  # the last one
+        self._scenes = Scenes(places)
 
     def row(self, name: str) -> Row:
         """Ask about every walk with one encoder; raises as `encoder_of` does."""
-        replay, scenes, walks = self._known(name)
+        encoders, walks = self._known(name)
+        code = fingerprint((*SEARCHING, *(glob for part in ROWS[name] for glob in code_of(part))))
+        base = f"{code} {' '.join(e.key for e in encoders)} {name} {len(self.places)}"
         answers: dict[tuple[str, str, int], list[Answer]] = {}
         by_place: dict[str, list[Encoded]] = {}
         for known in walks:
             by_place.setdefault(known.walk.place, []).append(known)
         for place, own in by_place.items():
             self.tell(f"{name}: {place}")
-            for method, kind in _asked():
-                for answer in self._of(place, own, name, replay, scenes, method, kind):
-                    answers.setdefault((method, kind, answer.frames), []).append(answer)
+            for kind, methods in _asked(name).items():
+                names = pool(place, self._scenes.names, kind)
+                library = self._scenes.library(names, encoders)
+                for method in methods:
+                    for answer in self._of(own, library, f"{base} {method} {kind}", method):
+                        answers.setdefault((method, kind, answer.frames), []).append(answer)
         return Row(
             name,
             answers,
             encoding=1e3 * float(np.median([known.seconds for known in walks])),
-            kilobytes=kilobytes(scenes.library(scenes.names, replay)),
+            kilobytes=kilobytes(self._scenes.library(self._scenes.names, encoders)),
             objects=float(np.mean([len(p.scene) for p in self.places])),
         )
 
     def scale(self, name: str, rng: np.random.Generator, scenes: int) -> list[Scale]:
         """Search a library of so many scenes with one encoder."""
-        replay, known, walks = self._known(name)
+        encoders, walks = self._known(name)
         self.tell(f"{name}: {scenes:,} scenes")
-        return measure(name, known.signatures, replay, walks, rng, scenes=scenes)
+        return measure(name, self._scenes.signatures, encoders, walks, rng, scenes=scenes)
 
-    def _known(self, name: str) -> tuple[Replay, Scenes, list[Encoded]]:
-        """Encoder of a row, signatures by it, and what it says of the walks that it can encode."""
-        if name not in self._rows:
-            encoder = encoder_of(name)
-            self.tell(f"{name}: {len(self.places)} scenes, {len(self.walks)} walks")
-            walks = [
-                known
-                for walk in self.walks
-                if (known := encoded(walk, name, encoder, self.vocabulary, self.cache)) is not None
-            ]
-            self._rows = {name: (Replay(encoder), Scenes(self.places, [encoder]), walks)}
-        return self._rows[name]
+    def _known(self, name: str) -> tuple[list[Encoder], list[Encoded]]:
+        """Encoders of a row, known to all scenes, and what they say of the walks."""
+        encoders = [encoder_of(part) for part in ROWS[name]]
+        self.tell(f"{name}: {len(self.places)} scenes, {len(self.walks)} walks")
+        for encoder in encoders:
+            self._scenes.know(encoder)
+        found = (
+            all_encoded(walk, ROWS[name], encoders, self.vocabulary, self.cache)
+            for walk in self.walks
+        )
+        return [replay(e) for e in encoders], [known for known in found if known is not None]
 
     def _of(
-        self,
-        place: str,
-        walks: Sequence[Encoded],
-        row: str,
-        replay: Replay,
-        scenes: Scenes,
-        method: str,
-        kind: str,
+        self, walks: Sequence[Encoded], library: SceneLibrary, base: str, method: str
     ) -> Iterable[Answer]:
         """Answers to all queries of one place."""
-        wanted = [
-            (known.walk, name, capture)
-            for known in walks
-            for length in LENGTHS
-            for name, capture in queries(known.walk, length)
-        ]
-        names = pool(place, scenes.names, kind)
-        code = fingerprint((*SEARCHING, *code_of(row)))
-        base = f"{code} {replay.key} {row} {method} {kind} {len(scenes.names)}"
-        searcher = None
-        for walk, name, capture in wanted:
-            key = f"{base} {name}"
-            if key not in self.journal:
-                if searcher is None:
-                    searcher = scenes.searcher(names, replay, method)
-                    searcher.search(capture)  # compiled code is loaded
-                self.journal.put(key, ask(searcher, walk, name, capture).to_dict())
-            yield Answer(**self.journal[key])
+        asked = None
+        for walk in (known.walk for known in walks):
+            for length in LENGTHS:
+                for name, capture in queries(walk, length):
+                    key = f"{base} {name}"
+                    if key not in self.journal:
+                        if asked is None:
+                            asked = searcher(library, method)
+                            asked.search(capture)  # compiled code is loaded
+                        self.journal.put(key, ask(asked, walk, name, capture).to_dict())
+                    yield Answer(**self.journal[key])
 
 
-def _asked() -> list[tuple[str, str]]:
-    """Methods and the pools that they are asked in."""
-    return [
-        *((method, kind) for method in WHOLE for kind in POOLS),
-        *((method, "50") for method in METHODS if method not in WHOLE),
-        ("ours", ABSENT),
-    ]
+def _asked(row: str) -> dict[str, tuple[str, ...]]:
+    """Pools, and the methods that are asked in each."""
+    found: dict[str, tuple[str, ...]] = dict.fromkeys(POOLS, WHOLE)
+    if row in ABLATED:
+        found["50"] = tuple(METHODS)
+    return {**found, ABSENT: ("ours",)}

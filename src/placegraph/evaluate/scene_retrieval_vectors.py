@@ -16,6 +16,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.evaluate.journal import fingerprint
 from placegraph.evaluate.label_noise import NoisyLabels
+from placegraph.evaluate.scene_retrieval_noise import NoisyThings
 from placegraph.evaluate.scene_retrieval_walks import RENDERING
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
@@ -34,9 +35,18 @@ if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
 
 NOISY = "labels, 30 % wrong"
-ROWS = ("labels", NOISY, "appearance", "compact")
-"""Rows of the tables: encoders, and labels of which 30 % are wrong."""
-SHARE = 0.3
+THINGS = "labels, 30 % of the things wrong"
+ROWS: dict[str, tuple[str, ...]] = {
+    "labels": ("labels",),
+    NOISY: (NOISY,),
+    THINGS: (THINGS,),
+    "compact": ("compact",),
+    f"{NOISY}, and compact": (NOISY, "compact"),
+    f"{THINGS}, and compact": (THINGS, "compact"),
+    "appearance": ("appearance",),
+}
+"""Rows of the tables: what is said of frames, by one encoder or by two."""
+_ENCODER = {NOISY: "labels", THINGS: "labels"}
 _CODE = {
     "labels": ("labels.py", "grid.py", "word*.py", "confusion.py", "data/*.*"),
     "appearance": ("appearance*.py", "grid.py"),
@@ -44,24 +54,25 @@ _CODE = {
 }
 
 
-def code_of(row: str) -> tuple[str, ...]:
+def code_of(part: str) -> tuple[str, ...]:
     """Globs of the code and data that decide what patches say."""
-    own = _CODE["labels" if row == NOISY else row]
-    return (*(f"indoor/encode/{name}" for name in own), "evaluate/label_noise.py", *RENDERING)
+    own = tuple(f"indoor/encode/{name}" for name in _CODE[_ENCODER.get(part, part)])
+    return (*own, "evaluate/label_noise.py", "evaluate/scene_retrieval_noise.py", *RENDERING)
 
 
-def encoder_of(row: str) -> Encoder:
-    """Encoder of a row, without noise; raises as `placegraph.indoor.encode.encoder` does."""
-    return encoder_named("labels" if row == NOISY else row)
+def encoder_of(part: str) -> Encoder:
+    """Encoder of a part of a row, without noise; raises as `placegraph.indoor.encode.encoder`."""
+    return encoder_named(_ENCODER.get(part, part))
 
 
-def noisy(encoder: Encoder, row: str, vocabulary: Sequence[str], walk: Walk) -> Encoder:
-    """Encoder as it errs on one walk: of labels with noise, each patch's independently."""
-    if row != NOISY:
+def noisy(encoder: Encoder, part: str, vocabulary: Sequence[str], walk: Walk) -> Encoder:
+    """Encoder as it errs on one walk; that of `THINGS` is to be asked frame by frame, in order."""
+    if part not in _ENCODER:
         return encoder
     if not isinstance(encoder, LabelsEncoder):
-        raise OptionError(f"{row}: noise is of labels, not of the encoder {encoder.name}.")
-    return NoisyLabels(encoder, vocabulary, SHARE, name=walk.name)
+        raise OptionError(f"{part}: noise is of labels, not of the encoder {encoder.name}.")
+    kind = NoisyLabels if part == NOISY else NoisyThings
+    return kind(encoder, vocabulary, name=walk.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +97,7 @@ class Replay:
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         """Vectors (rows, columns, d) that a frame of `encoded` brings."""
-        if not isinstance(image.images, _Said):
-            raise OptionError(f"frame {image.index} has not been encoded; see `encoded`.")
-        return image.images.vectors
+        return _said_of(image, self.key)
 
     def camera(self, image: Frame) -> Camera:
         """Camera whose image the grid divides."""
@@ -99,12 +108,32 @@ class Replay:
         return self.encoder.objects(scene, captures)
 
 
+class ReplayLabels(LabelsEncoder):
+    """As `Replay`, and still an encoder of labels to who asks it for the vector of a label."""
+
+    def patches(self, image: Frame) -> NDArray[np.float32] | None:
+        """Vectors (rows, columns, d) that a frame of `encoded` brings."""
+        return _said_of(image, self.key)
+
+
+def replay(encoder: Encoder) -> Encoder:
+    """Encoder that says what this one said before."""
+    return ReplayLabels() if isinstance(encoder, LabelsEncoder) else Replay(encoder)
+
+
+def _said_of(image: Frame, key: str) -> NDArray[np.float32] | None:
+    if not isinstance(image.images, _Said):
+        raise OptionError(f"frame {image.index} has not been encoded; see `encoded`.")
+    return image.images.vectors.get(key)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Said:
     """Images of a frame, and what was said of it."""
 
     images: Images
-    vectors: NDArray[np.float32] | None
+    vectors: dict[str, NDArray[np.float32]]
+    """By the key of the encoder."""
 
     def rgb(self) -> NDArray[np.uint8]:
         """As `Frame.rgb`."""
@@ -117,6 +146,22 @@ class _Said:
     def labels(self) -> NDArray[np.int32] | None:
         """As `Frame.labels`."""
         return self.images.labels()
+
+
+def all_encoded(
+    walk: Walk,
+    parts: Sequence[str],
+    encoders: Sequence[Encoder],
+    vocabulary: Sequence[str],
+    cache: Path,
+) -> Encoded | None:
+    """What all encoders of a row say of a walk; None where none has anything for its frames."""
+    seconds, known = 0.0, False
+    for part, encoder in zip(parts, encoders, strict=True):
+        found = encoded(walk, part, encoder, vocabulary, cache)
+        if found is not None:
+            walk, seconds, known = found.walk, seconds + found.seconds, True
+    return Encoded(walk, seconds) if known else None
 
 
 def encoded(
@@ -137,10 +182,16 @@ def encoded(
     if not rows.size:
         return None
     frames = [
-        replace(frame, images=_Said(frame.images, table[of].astype(np.float32)))
+        replace(frame, images=_added(frame.images, encoder.key, table[of].astype(np.float32)))
         for frame, of in zip(walk.capture, rows, strict=True)
     ]
     return Encoded(replace(walk, capture=replace(walk.capture, frames=tuple(frames))), seconds)
+
+
+def _added(images: Images, key: str, vectors: NDArray[np.float32]) -> _Said:
+    if isinstance(images, _Said):
+        return replace(images, vectors={**images.vectors, key: vectors})
+    return _Said(images, {key: vectors})
 
 
 def _write(path: Path, encoder: Encoder, walk: Walk) -> None:
