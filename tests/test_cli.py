@@ -374,6 +374,7 @@ def test_demo(run, tmp_path):
     }
     assert off["refined"] < off["coarse"], "centimetres, median of all frames"
     assert off["refined"] < 1.0
+    assert "OK: altbau fits" in result.out, "the film's flat among five homes"
     made = {p.name for p in (tmp_path / "new" / "demo").iterdir()}
     assert made >= {
         f"{n}.{e}" for n in ("clear", "ambiguous", "impossible") for e in ("html", "png")
