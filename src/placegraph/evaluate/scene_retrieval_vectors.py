@@ -36,12 +36,13 @@ if TYPE_CHECKING:
 
 NOISY = "labels, 30 % wrong"
 THINGS = "labels, 30 % of the things wrong"
+BOTH = f"{NOISY}, and compact"
 ROWS: dict[str, tuple[str, ...]] = {
     "labels": ("labels",),
     NOISY: (NOISY,),
     THINGS: (THINGS,),
     "compact": ("compact",),
-    f"{NOISY}, and compact": (NOISY, "compact"),
+    BOTH: (NOISY, "compact"),
     f"{THINGS}, and compact": (THINGS, "compact"),
     "appearance": ("appearance",),
 }
