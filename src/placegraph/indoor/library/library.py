@@ -81,6 +81,7 @@ class SceneLibrary:
         self.height = height
         self._entries: dict[str, Entry] = {}
         self._index: Index | None = None
+        self._own: Index | None = None
         self._texts: TextIndex | None = None
         self._open: OrderedDict[str, SceneMap] = OrderedDict()
 
@@ -125,14 +126,14 @@ class SceneLibrary:
     def insert(self, name: str, entry: Entry) -> None:
         """Add a scene whose signature is known already."""
         self._entries[name] = entry
-        self._index = self._texts = None
+        self._index = self._own = self._texts = None
 
     def remove(self, name: str) -> None:
         """Take a scene out; its file stays. Raises `OptionError` where there is none."""
         self.entry(name)
         del self._entries[name]
         self._open.pop(name, None)
-        self._index = self._texts = None
+        self._index = self._own = self._texts = None
 
     def entry(self, name: str) -> Entry:
         """Signature and file of a scene; `OptionError` where there is none of this name."""
@@ -210,8 +211,10 @@ class SceneLibrary:
     @property
     def own_index(self) -> Index:
         """The scenes alone, without the homes beside them."""
-        scenes = self.index.owner < len(self)
-        return self.index.subset(np.flatnonzero(scenes))
+        if self._own is None:
+            scenes = self.index.owner < len(self)
+            self._own = self.index.subset(np.flatnonzero(scenes))
+        return self._own
 
     @property
     def texts(self) -> TextIndex:
