@@ -67,3 +67,10 @@ def test_a_description_is_evidence(room, walk):
     plain = room.localize(walk, refine=False)
     assert "study" in estimate.evidence[0].statement
     np.testing.assert_allclose(estimate.best.map_from_camera, plain.best.map_from_camera, atol=0.05)
+
+
+def test_looks_alone_make_no_pose_sure(room, walk):
+    """An encoder of looks may find the pose; without depth or colours it is not `OK`."""
+    options = FilterOptions(depth=False, colour=False)
+    estimate = room.localize(walk, encoder="appearance", options=options, refine=False)
+    assert estimate.status is not Status.OK

@@ -90,6 +90,10 @@ def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
         against = disagreement(newest, _PATCHES_TELL, _LENIENT)
         if against:
             status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
+    looks = any(s.patches is not None and not s.patches.named for s in sequence.sightings)
+    if status is Status.OK and looks and not _seen_otherwise(agreed[0]):
+        status = Status.AMBIGUOUS
+        reason = "One place fits best, but what patches look like says too little of it alone."
     if status is Status.OK and sequence.leaning is not None:
         against = sequence.leaning.against(fits[0].pose)
         if against:
@@ -201,6 +205,11 @@ def _doubt(agreed: Agreement) -> str:
     if agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
         return "the colours do not agree"
     return ""
+
+
+def _seen_otherwise(agreed: Agreement) -> bool:
+    """Whether depth, or colours by themselves, would make sure of a pose."""
+    return not np.isnan(agreed.depth) or agreed.colour > _COLOURS_ALONE
 
 
 def _doubt_without_depth(agreed: Agreement) -> str:

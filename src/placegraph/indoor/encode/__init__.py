@@ -111,6 +111,8 @@ class Patches:
     """(L, N) float32, cosine similarity in [-1, 1] of each row with each object."""
     temperature: float = TEMPERATURE
     """Cosine that counts one nat."""
+    named: bool = True
+    """Whether patches say what a thing is, not what it looks like: looks alone make no pose `OK`."""
 
 
 @runtime_checkable
@@ -167,6 +169,7 @@ class BoundEncoder:
             rows=rows,
             table=said @ self.vectors.T,
             temperature=self.encoder.temperature,
+            named=self.encoder.name == "labels",
         )
 
 
