@@ -27,7 +27,6 @@ def test_a_signature_tells_what_is_seen_where(maps):
     away = scene.graph.positions[row, :2] - here
     turn = round(np.arctan2(away[1], away[0]) / (2 * np.pi / TURNS)) % TURNS
     assert row in signature.panoramas[0, :, turn]
-    assert signature.nbytes() < 6000
     assert signature.rooms == () or all(signature.rooms)
 
 

@@ -1,9 +1,9 @@
 """In which scene of a library a capture was taken (Sec. 4), by what it shows and where.
 
 The paper sums the best cosines. Here every patch is a witness that may err: what it says of a
-scene is how much likelier it is there than in the library at large, so that a wall says little and
-a piano much. Scenes that hold what was seen are then asked whether it is seen there *together*:
-frames are laid along their way through a scene's panoramas.
+scene is how much likelier it is there than in the library and the homes beside it (`decoys`), so
+that a wall says little and a piano much. Scenes that hold what was seen are then asked whether it
+is seen there *together*: frames are laid along their way through a scene's panoramas.
 """
 
 from __future__ import annotations

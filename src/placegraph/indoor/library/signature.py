@@ -74,11 +74,6 @@ class Signature:
         named = dict.fromkeys(a.get("room", "") for a in self.attributes)
         return tuple(name for name in named if name)
 
-    def nbytes(self) -> int:
-        """Bytes of its arrays as they are searched."""
-        vectors = sum(v.size for v in self.vectors.values())  # a byte a number
-        return vectors + self.panoramas.size + self.places.nbytes + self.share.nbytes
-
 
 def signature_of(
     scene: SceneMap,
