@@ -1,0 +1,194 @@
+"""Compiled kernels are found again by what they are made of, and kept where they can be."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numba.core import config
+
+from placegraph import compiled
+from placegraph.fingerprint import fingerprint
+
+CALLEE = """
+from placegraph.compiled import kernel
+FACTOR = {factor}
+
+@kernel{options}
+def times(x):
+    {said}
+    return FACTOR * x
+"""
+CALLER = """
+from placegraph.compiled import kernel
+from compiled_callee import times
+
+@kernel
+def total(values):
+    out = 0.0
+    for value in values:
+        out += times(value)
+    return out
+"""
+BOTH = ["compiled_caller.total", "compiled_callee.times"]
+
+
+@pytest.fixture(autouse=True)
+def _fresh(monkeypatch, tmp_path):
+    monkeypatch.setattr(compiled, "_FOLDERS", compiled._Folders())
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    compiled.use_folder(tmp_path / "kept")
+
+
+@pytest.fixture
+def total(monkeypatch, tmp_path):
+    """Import both files anew, as another process would; says the sum and what was compiled."""
+
+    def import_and_call(values, *, factor=3, options="", said='"""Docstring."""'):
+        texts = {"callee": CALLEE.format(factor=factor, options=options, said=said)}
+        for name, text in (texts | {"caller": CALLER}).items():
+            path = tmp_path / f"compiled_{name}.py"
+            path.write_text(text)
+            spec = importlib.util.spec_from_file_location(path.stem, path)
+            module = importlib.util.module_from_spec(spec)
+            monkeypatch.setitem(sys.modules, path.stem, module)
+            exec(compile(text, path, "exec"), module.__dict__)  # noqa: S102  # never from a .pyc
+        told = []
+        with compiled.listening(lambda name, done: told.append((name, done))):
+            answer = module.total(values)
+        begun = [name for name, done in told if not done]
+        assert sorted(begun) == sorted(name for name, done in told if done)
+        return answer, begun
+
+    return import_and_call
+
+
+def test_compiled_once_for_each_signature(total):
+    assert total(np.arange(4.0)) == (18.0, BOTH)
+    assert total(np.arange(4.0)) == (18.0, [])
+    assert total(np.arange(4.0, dtype=np.float32)) == (18.0, BOTH)
+    readonly = np.arange(4.0)
+    readonly.flags.writeable = False
+    assert total(readonly) == (18.0, BOTH[:1])
+
+
+def test_a_change_in_another_file_is_noticed(total):
+    values = np.arange(4.0)
+    assert total(values)[1] == BOTH
+    assert total(values, factor=5) == (30.0, BOTH)
+    assert total(values, options="(fastmath=True)")[1] == BOTH
+    assert total(values, options="(error_model='numpy')")[1] == BOTH
+    assert total(values) == (18.0, [])
+
+
+def test_what_changes_no_code_compiles_nothing(total):
+    assert total(np.arange(4.0))[1] == BOTH
+    assert total(np.arange(4.0), said='"""Other."""  # and a comment') == (18.0, [])
+
+
+def test_a_file_cut_short_is_made_again(total, tmp_path):
+    total(np.arange(4.0))
+    (file,) = tmp_path.glob("kept/compiled_caller.total-*/*.nbc")
+    whole = file.read_bytes()
+    for size in (0, 10, len(whole) // 2, len(whole) - 1):
+        file.write_bytes(whole[:size])
+        assert total(np.arange(4.0)) == (18.0, BOTH[:1])
+        assert total(np.arange(4.0)) == (18.0, [])
+
+
+def test_constants_of_every_kind_are_told_apart():
+    values = [
+        1, 1.0, True, "1", None, (1, 2), (2, 1), [1, 2], {"a": 1}, {"b": 1}, np.float32(1), np.int64(1),
+        np.array([1.0, 2.0]), np.array([1.0, 3.0]), np.array([[1.0, 2.0]]), np.sqrt, np.sin, np, abs,
+    ]  # fmt: skip
+    assert len({fingerprint(value) for value in values}) == len(values)
+    assert fingerprint({"a", "b", "c"}) == fingerprint({"c", "b", "a"})
+    with pytest.raises(TypeError, match="of which compiled code cannot tell a change"):
+        fingerprint(object())
+
+
+def test_a_folder_that_cannot_be_written_is_replaced_with_one_warning(total, tmp_path):
+    (tmp_path / "file").touch()
+    compiled.use_folder(tmp_path / "file" / "below")
+    with pytest.warns(UserWarning, match="cannot be kept in .*below; it is kept in") as said:
+        assert total(np.arange(4.0)) == (18.0, BOTH)
+    assert len(said) == 1
+    assert total(np.arange(4.0)) == (18.0, [])
+    private = tmp_path / f"placegraph-{os.getuid()}"
+    assert private.stat().st_mode & 0o777 == 0o700
+    assert list(private.glob("*/*.nbc"))
+
+
+def test_a_folder_that_can_no_longer_be_written(total, tmp_path):
+    assert total(np.arange(4.0))[1] == BOTH
+    for kept in tmp_path.glob("kept/*"):
+        kept.rename(tmp_path / kept.name)
+    (tmp_path / "kept").rmdir()
+    (tmp_path / "kept").touch()
+    with pytest.warns(UserWarning, match="cannot be kept in"):
+        assert total(np.arange(4.0)) == (18.0, BOTH)
+
+
+def test_code_is_never_run_from_a_folder_that_others_can_write(total, tmp_path):
+    (tmp_path / "file").touch()
+    compiled.use_folder(tmp_path / "file" / "below")
+    open_to_all = tmp_path / f"placegraph-{os.getuid()}"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    with pytest.warns(UserWarning, match="cannot be kept in"):
+        total(np.arange(4.0))
+    assert not list(open_to_all.iterdir())
+
+
+def test_the_chosen_folder_comes_before_the_set_one_and_that_before_our_own(monkeypatch, tmp_path):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "set"))
+    assert compiled.folders() == [tmp_path / "kept"]
+    compiled.use_folder(None)
+    assert compiled.folders() == [tmp_path / "set"]
+    monkeypatch.setattr(config, "CACHE_DIR", "")
+    own, user = compiled.folders()
+    assert own.parts[-3:] == ("placegraph", "__pycache__", "kernels")
+    assert user.name == "kernels"
+
+
+def test_what_is_shipped_beside_the_package_is_read_and_the_rest_kept_elsewhere(
+    total, monkeypatch, tmp_path
+):
+    total(np.arange(4.0))
+    shipped, user = tmp_path / "kept", tmp_path / "user"
+    monkeypatch.setattr(compiled._Folders, "_wanted", [shipped, user])
+    monkeypatch.setattr(compiled, "_writable", lambda folder: folder != shipped)
+    compiled.use_folder(None)
+    assert total(np.arange(4.0)) == (18.0, [])
+    assert not user.exists()
+    assert total(np.arange(4)) == (18.0, BOTH)
+    assert len(list(user.glob("*/*.nbc"))) == 2
+
+
+def test_two_processes_compile_nothing_twice(total, tmp_path):
+    total(np.arange(4.0))  # writes both files
+    program = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "import numpy as np; from placegraph import compiled; from compiled_caller import total\n"
+        "compiled.use_folder(sys.argv[2])\n"
+        "print('ready', flush=True); input()\n"
+        "with compiled.listening(lambda name, done: print(name) if done else None):\n"
+        "    total(np.arange(3.0))\n"
+    )
+    processes = [
+        subprocess.Popen(  # noqa: S603
+            [sys.executable, "-c", program, tmp_path, tmp_path / "new"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    for process in processes:
+        assert process.stdout.readline() == "ready\n"
+    for process in processes:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    compiled_by = [process.communicate()[0].split() for process in processes]
+    assert [process.returncode for process in processes] == [0, 0]
+    assert sorted(compiled_by[0] + compiled_by[1]) == sorted(BOTH)
