@@ -5,10 +5,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test lint bench clean
+.PHONY: help venv demo test test-all lint bench clean
 
 help: ## show this list
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 venv: $(STAMP) ## create .venv and install placegraph with its tools
 
@@ -17,6 +17,9 @@ demo: $(STAMP) ## locate three sentences in a small town and a film in a flat; s
 
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest
+
+test-all: $(STAMP) ## run the tests, long ones too (needs ../shared)
+	$(BIN)/python -m pytest -m ""
 
 lint: $(STAMP) ## check rules, layout and types
 	$(BIN)/ruff check .

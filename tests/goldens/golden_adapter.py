@@ -1,0 +1,26 @@
+"""What the golden answers need that has no public name: the only imports to change when code moves."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+
+def private() -> SimpleNamespace:
+    """Options without public names, and drawn worlds: a town's OpenStreetMap file, a home's scene map."""
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.search import Prior
+    from placegraph.indoor.sources import FromCapture
+    from placegraph.synthetic.homes import home, scene_of
+    from placegraph.synthetic.towns import Town
+
+    def home_scene(seed):
+        rng = np.random.default_rng(seed)
+        return scene_of(home(rng).furnish(rng))
+
+    return SimpleNamespace(
+        FilterOptions=FilterOptions,
+        FromCapture=FromCapture,
+        Prior=Prior,
+        town_osm=Town.load("hafenstadt").write_osm,
+        home_scene=home_scene,
+    )

@@ -1,0 +1,44 @@
+"""Answers are those that were frozen before code moved: see `golden.py`."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import golden
+from golden_answers import differences
+
+
+@pytest.fixture(scope="session")
+def worlds(tmp_path_factory):
+    return golden.Worlds(tmp_path_factory.mktemp("goldens"))
+
+
+def test_town(worlds):
+    assert golden.compared("town", worlds) == []
+
+
+def test_few(worlds, shared):  # noqa: ARG001  # skips without
+    assert golden.compared("few", worlds) == []
+
+
+@pytest.mark.all
+@pytest.mark.parametrize("group", [g for g in golden.GROUPS if g not in golden.FAST])
+def test_all(worlds, shared, group):  # noqa: ARG001  # skips without
+    assert golden.compared(group, worlds) == []
+
+
+def test_a_changed_digit_shows():
+    kept = {"a": {"p": 0.1234, "cell": "c1r2", "at": [1.000001, 2.0]}}
+    last = {"p": 0.1235, "cell": "c1r2", "at": [1.000001, 2.0]}
+    assert list(differences(kept, {"a": last})) == []
+    for changed in (
+        {"p": 0.1236, "cell": "c1r2", "at": [1.000001, 2.0]},
+        {"p": 0.1234, "cell": "c1r3", "at": [1.000001, 2.0]},
+        {"p": 0.1234, "cell": "c1r2", "at": [1.000003, 2.0]},
+        {"p": 0.1234, "cell": "c1r2", "at": [1.000001]},
+        {"p": 0.1234, "cell": "c1r2"},
+    ):
+        assert len(list(differences(kept, {"a": changed}))) == 1, changed
