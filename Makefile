@@ -31,7 +31,7 @@ bench: $(STAMP) ## print the benchmark tables (needs ../shared; long)
 
 clean: ## remove what the targets above left behind, .venv included
 	rm -rf $(VENV) demo-out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmark-cache
-	find src tests benchmarks scripts -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src lab tests benchmarks scripts -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # PyTorch is pinned here and nowhere else; kornia and timm, which would bring another one, come with
 # it. Without them, training, the matcher XFeat and timm's backbones are left out, and their tests.
@@ -41,7 +41,7 @@ $(STAMP): pyproject.toml $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 \
 	  torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
 	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --editable ./lab
 	@touch $@
 
 # Debian ships venv apart from Python: fall back on virtualenv, or say what to install.

@@ -21,18 +21,18 @@ from rich.console import Console
 from rich.progress import track
 
 from placegraph.errors import PlacegraphError
-from placegraph.evaluate.calibration import reliability
-from placegraph.evaluate.human_text import Baselines, landmarks, read_records, write_osm
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_metrics import HIT, distances
-from placegraph.evaluate.tables import markdown, number, share, shares
+from placegraph_lab.tables.calibration import reliability
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.human_text import Baselines, landmarks, read_records, write_osm
+from placegraph_lab.tables.outdoor.metrics import HIT, distances
+from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.evaluate.human_text import Record
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.human_text import Record
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/text/rvs_pittsburgh.jsonl"

@@ -16,8 +16,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate.indoor_bench import Bench
-from placegraph.evaluate.indoor_jobs import (
+from placegraph_lab.tables.indoor.bench import Bench
+from placegraph_lab.tables.indoor.jobs import (
     ANSWERING,
     QUICK,
     QUICK_EVERY,
@@ -27,20 +27,20 @@ from placegraph.evaluate.indoor_jobs import (
     house_jobs,
     office_jobs,
 )
-from placegraph.evaluate.indoor_metrics import Answer, dumps
-from placegraph.evaluate.indoor_report import Row, report
-from placegraph.evaluate.indoor_windows import (
+from placegraph_lab.tables.indoor.metrics import Answer, dumps
+from placegraph_lab.tables.indoor.report import Row, report
+from placegraph_lab.tables.indoor.windows import (
     EVERY,
     HALVES,
     LENGTHS,
     OFFICE_EVERY,
     OFFICE_LENGTH,
 )
-from placegraph.evaluate.journal import Journal, fingerprint
-from placegraph.evaluate.machine import machine
+from placegraph_lab.tables.journal import Journal, fingerprint
+from placegraph_lab.tables.machine import machine
 
 if TYPE_CHECKING:
-    from placegraph.evaluate.indoor_windows import Window
+    from placegraph_lab.tables.indoor.windows import Window
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data"

@@ -20,16 +20,16 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from placegraph.evaluate.indoor_bench import Bench
-from placegraph.evaluate.indoor_matches import Query, Trial, ask, starts
-from placegraph.evaluate.indoor_matches_report import report, to_dict
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_windows import HALVES
-from placegraph.evaluate.machine import machine
-from placegraph.indoor.matching import matcher
+from placegraph.indoor.refine.matching import matcher
+from placegraph_lab.tables.indoor.bench import Bench
+from placegraph_lab.tables.indoor.matches import Query, Trial, ask, starts
+from placegraph_lab.tables.indoor.matches_report import report, to_dict
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.windows import HALVES
+from placegraph_lab.tables.machine import machine
 
 if TYPE_CHECKING:
-    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.refine.matching import Matcher
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"

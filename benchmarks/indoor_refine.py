@@ -17,10 +17,10 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate.indoor_bench import Bench
-from placegraph.evaluate.indoor_jobs import QUICK_EVERY, chosen
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_refine import (
+from placegraph_lab.tables.indoor.bench import Bench
+from placegraph_lab.tables.indoor.jobs import QUICK_EVERY, chosen
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.refine import (
     GICP,
     MATCHERS,
     QUICK,
@@ -29,15 +29,15 @@ from placegraph.evaluate.indoor_refine import (
     ask,
     refine_jobs,
 )
-from placegraph.evaluate.indoor_refine_metrics import Refined
-from placegraph.evaluate.indoor_refine_report import RefineRow, refine_report
-from placegraph.evaluate.indoor_windows import EVERY, LENGTHS, OFFICE_EVERY
-from placegraph.evaluate.journal import Journal, fingerprint
-from placegraph.evaluate.machine import machine
+from placegraph_lab.tables.indoor.refine_metrics import Refined
+from placegraph_lab.tables.indoor.refine_report import RefineRow, refine_report
+from placegraph_lab.tables.indoor.windows import EVERY, LENGTHS, OFFICE_EVERY
+from placegraph_lab.tables.journal import Journal, fingerprint
+from placegraph_lab.tables.machine import machine
 
 if TYPE_CHECKING:
-    from placegraph.evaluate.indoor_windows import Window
-    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.refine.matching import Matcher
+    from placegraph_lab.tables.indoor.windows import Window
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
@@ -57,7 +57,7 @@ class Matchers:
         if name in WORDS:
             return name
         if name not in self._made:
-            from placegraph.indoor.matching import matcher
+            from placegraph.indoor.refine.matching import matcher
 
             weights = self.weights if name == "xfeat" else None
             self._made[name] = matcher(name, weights=weights)

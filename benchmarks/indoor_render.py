@@ -18,21 +18,21 @@ import numba
 import numpy as np
 import typer
 
-from placegraph.evaluate import indoor_maps
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_speed import no_cuda
-from placegraph.evaluate.indoor_windows import HALVES, true_poses
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.tables import markdown, number, share
-from placegraph.formats.camera import read_camera
+from placegraph.formats.capture.camera import read_camera
 from placegraph.geometry import Camera
-from placegraph.indoor.raycast import RayCaster
-from placegraph.indoor.raycast.embree import processors
-from placegraph.indoor.render import Renderer, camera_rays
+from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.rays.embree import processors
+from placegraph.indoor.refine.render import Renderer, camera_rays
+from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.speed import no_cuda
+from placegraph_lab.tables.indoor.windows import HALVES, true_poses
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
     from placegraph.geometry import Floats
-    from placegraph.indoor.raycast.caster import Backend
+    from placegraph.indoor.rays.caster import Backend
     from placegraph.indoor.scene_map import SceneMap
 
 ROOT = Path(__file__).parents[1]

@@ -16,16 +16,16 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate.indoor_jobs import ANSWERING, chosen
-from placegraph.evaluate.indoor_metrics import Answer, dumps
-from placegraph.evaluate.indoor_semantics import Case, SemanticBench, ask, available, cases
-from placegraph.evaluate.indoor_semantics_report import Row, report
-from placegraph.evaluate.indoor_windows import EVERY, OFFICE_EVERY
-from placegraph.evaluate.journal import Journal, fingerprint
-from placegraph.evaluate.machine import machine
+from placegraph_lab.tables.indoor.jobs import ANSWERING, chosen
+from placegraph_lab.tables.indoor.metrics import Answer, dumps
+from placegraph_lab.tables.indoor.semantics import Case, SemanticBench, ask, available, cases
+from placegraph_lab.tables.indoor.semantics_report import Row, report
+from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
+from placegraph_lab.tables.journal import Journal, fingerprint
+from placegraph_lab.tables.machine import machine
 
 if TYPE_CHECKING:
-    from placegraph.evaluate.indoor_windows import Window
+    from placegraph_lab.tables.indoor.windows import Window
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data"

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from placegraph.evaluate import indoor_maps
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_speed import (
+from placegraph.indoor.options import FilterOptions
+from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.speed import (
     BASE,
     FRAMES,
     Cost,
@@ -31,9 +32,8 @@ from placegraph.evaluate.indoor_speed import (
     resized,
     tracking,
 )
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.tables import markdown, number, share
-from placegraph.indoor.options import FilterOptions
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_ablation import CANDIDATES, Task, evaluate, mean_of
-from placegraph.evaluate.outdoor_extracts import EXTRACTS, TRAINED, open_city, unseen_queries
-from placegraph.evaluate.outdoor_queries import load
-from placegraph.evaluate.tables import markdown, number, share, shares
-from placegraph.outdoor.learn.network import GraphTransformer
-from placegraph.outdoor.learn.train import TrainOptions, train
+from placegraph.outdoor.network.network import GraphTransformer
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.ablation import CANDIDATES, Task, evaluate, mean_of
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.queries import load
+from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.train.city.train import TrainOptions, train
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -20,21 +20,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from placegraph.evaluate.city_sizes import busiest_tile, crop, tile
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_extracts import EXTRACTS, in_held_out_tiles, open_city
-from placegraph.evaluate.outdoor_matchers import LocateMatcher, ask, cell_centers
-from placegraph.evaluate.outdoor_metrics import score
-from placegraph.evaluate.outdoor_queries import make_queries
-from placegraph.evaluate.outdoor_stages import STAGES, found_within, medians, run, slope
-from placegraph.evaluate.tables import markdown, number, share
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, tile
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, open_city
+from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask, cell_centers
+from placegraph_lab.tables.outdoor.metrics import score
+from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
+from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.evaluate.outdoor_queries import Query
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.queries import Query
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"

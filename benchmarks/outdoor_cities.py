@@ -17,12 +17,12 @@ from typing import Annotated, Any
 
 import typer
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_extracts import EXTRACTS, names_of, open_city, unseen_queries
-from placegraph.evaluate.outdoor_matchers import LocateMatcher, ask
-from placegraph.evaluate.outdoor_metrics import RANKS, score
-from placegraph.evaluate.tables import markdown, number, shares
 from placegraph.outdoor.city import CityMap
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask
+from placegraph_lab.tables.outdoor.metrics import RANKS, score
+from placegraph_lab.tables.tables import markdown, number, shares
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"

@@ -18,10 +18,10 @@ from rich.console import Console
 from rich.progress import Progress
 
 import placegraph as pg
-from placegraph.evaluate.dialogue import RIGHT, Asking, Speaker, dialogue, distance
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_queries import load, make_queries
-from placegraph.evaluate.tables import markdown, share
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.dialogue import RIGHT, Asking, Speaker, dialogue, distance
+from placegraph_lab.tables.outdoor.queries import load, make_queries
+from placegraph_lab.tables.tables import markdown, share
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"

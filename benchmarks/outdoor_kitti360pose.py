@@ -20,7 +20,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from placegraph.errors import OptionError, PlacegraphError
-from placegraph.evaluate.kitti360pose import (
+from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose
+from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.tables.kitti.kitti360pose import (
     MATCHERS,
     SLOW,
     Result,
@@ -30,13 +32,11 @@ from placegraph.evaluate.kitti360pose import (
     retrieval_table,
     size_table,
 )
-from placegraph.evaluate.kitti360pose_relational import Relational
-from placegraph.evaluate.machine import machine
-from placegraph.formats.kitti360pose import SPLITS, Kitti360Pose
-from placegraph.formats.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.tables.kitti.relational import Relational
+from placegraph_lab.tables.machine import machine
 
 if TYPE_CHECKING:
-    from placegraph.evaluate.kitti360pose_graphs import Reading
+    from placegraph_lab.tables.kitti.graphs import Reading
 
 ROOT = Path(__file__).parents[1]
 
@@ -114,7 +114,7 @@ def main(
     """Measure every matcher on KITTI360Pose and print Markdown."""
     network = None
     if weights is not None:
-        from placegraph.outdoor.learn.network import GraphTransformer
+        from placegraph.outdoor.network.network import GraphTransformer
 
         network = GraphTransformer.open(weights)
     names = [name.strip() for name in matchers.split(",")] if matchers else list(MATCHERS)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from placegraph.evaluate.city_sizes import busiest_tile, crop
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_extracts import names_of, open_city
-from placegraph.evaluate.tables import markdown, number
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop
+from placegraph_lab.tables.outdoor.extracts import names_of, open_city
+from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

@@ -20,18 +20,18 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_extracts import EXTRACTS, names_of, open_city, unseen_queries
-from placegraph.evaluate.outdoor_matchers import MATCHERS, SLOW, ask, matcher
-from placegraph.evaluate.outdoor_matchers_report import advantages, report
-from placegraph.evaluate.outdoor_queries import SETTINGS, load
-from placegraph.evaluate.outdoor_report import Protocol, Row, of_answers
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.matchers import MATCHERS, SLOW, ask, matcher
+from placegraph_lab.tables.outdoor.matchers_report import advantages, report
+from placegraph_lab.tables.outdoor.queries import SETTINGS, load
+from placegraph_lab.tables.outdoor.report import Protocol, Row, of_answers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from placegraph.evaluate.outdoor_matchers import Matcher
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.matchers import Matcher
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_extracts import EXTRACTS, open_city, unseen_queries
-from placegraph.evaluate.outdoor_pairs import Pairs, rate
-from placegraph.evaluate.tables import markdown, number
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.pairs import Pairs, rate
+from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,7 +48,7 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
         return pairs.by_edits(plain=kind != "edits", texts=texts, cells=cells, timeout=0.1)
     if kind == "relations":
         return pairs.by_relations()
-    from placegraph.outdoor.learn.network import GraphTransformer
+    from placegraph.outdoor.network.network import GraphTransformer
 
     network = GraphTransformer.default()
     if kind in ("network", "encoded"):

@@ -20,21 +20,28 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_baselines import Bag
-from placegraph.evaluate.outdoor_ceiling import ceiling, oracle
-from placegraph.evaluate.outdoor_contest import Contest
-from placegraph.evaluate.outdoor_extracts import TRAINED as DEV
-from placegraph.evaluate.outdoor_extracts import UNSEEN as TEST
-from placegraph.evaluate.outdoor_metrics import RADII, RANKS, Answer, distances, measure, positions
-from placegraph.evaluate.outdoor_queries import (
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.baselines import Bag
+from placegraph_lab.tables.outdoor.ceiling import ceiling, oracle
+from placegraph_lab.tables.outdoor.contest import Contest
+from placegraph_lab.tables.outdoor.extracts import TRAINED as DEV
+from placegraph_lab.tables.outdoor.extracts import UNSEEN as TEST
+from placegraph_lab.tables.outdoor.metrics import (
+    RADII,
+    RANKS,
+    Answer,
+    distances,
+    measure,
+    positions,
+)
+from placegraph_lab.tables.outdoor.queries import (
     CELL,
     SETTINGS,
     Query,
     load,
     make_queries,
 )
-from placegraph.evaluate.outdoor_report import (
+from placegraph_lab.tables.outdoor.report import (
     BAGS,
     CEILING,
     ORACLE,
@@ -48,10 +55,10 @@ from placegraph.evaluate.outdoor_report import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.evaluate.outdoor_baselines import Words
-    from placegraph.evaluate.outdoor_nearby import Bins
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.baselines import Words
+    from placegraph_lab.tables.outdoor.nearby import Bins
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"

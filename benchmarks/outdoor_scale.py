@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_metrics import measure, score
-from placegraph.evaluate.outdoor_queries import make_queries
-from placegraph.evaluate.tables import markdown, number, share
-from placegraph.evaluate.tiling import tile
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.metrics import measure, score
+from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.tiling import tile
+from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from placegraph.evaluate.outdoor_queries import Query
+    from placegraph_lab.tables.outdoor.queries import Query
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm/monaco_2025.osm.pbf"

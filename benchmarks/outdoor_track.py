@@ -19,14 +19,14 @@ from rich.console import Console
 from rich.progress import Progress
 
 import placegraph as pg
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.outdoor_metrics import Answer, Score, measure, score
-from placegraph.evaluate.outdoor_walks import METHODS, Method, Walk, follow, make_walks
-from placegraph.evaluate.tables import markdown, number, share, shares
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score
+from placegraph_lab.tables.outdoor.walks import METHODS, Method, Walk, follow, make_walks
+from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from placegraph.evaluate.outdoor_queries import Setting
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.queries import Setting
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared/data/osm"

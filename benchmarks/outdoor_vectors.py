@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.tables import markdown, number
 from placegraph.vectors import EmbeddedStore
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -61,11 +61,11 @@ def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Float
 
 def of_city(map_file: Path, osm: Path, queries: int, seed: int) -> tuple[Floats, Floats]:
     """Cells of a real map, and texts spoken in it, as the shipped network embeds them."""
-    from placegraph.evaluate.outdoor_queries import make_queries
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.describe import describe
-    from placegraph.outdoor.learn.graphs import TextGraphs
-    from placegraph.outdoor.learn.network import GraphTransformer
+    from placegraph.outdoor.language import describe
+    from placegraph.outdoor.network.graphs import TextGraphs
+    from placegraph.outdoor.network.network import GraphTransformer
+    from placegraph_lab.tables.outdoor.queries import make_queries
 
     texts = [describe(q.text) for q in make_queries(osm, n=queries, seed=seed)]
     asked = GraphTransformer.default().embed_texts(TextGraphs.of(texts))

@@ -17,11 +17,11 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.patch_accuracy import Accuracy, accuracy, mean, report
-from placegraph.evaluate.patch_places import HOMES, places
 from placegraph.indoor.encode import bound, encoder
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.retrieval.patch_accuracy import Accuracy, accuracy, mean, report
+from placegraph_lab.tables.retrieval.patch_places import HOMES, places
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder

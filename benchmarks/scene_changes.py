@@ -17,11 +17,11 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.journal import Journal, fingerprint
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.scene_changes import Told, ask, figures, report
-from placegraph.indoor.build import build_scene
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.journal import Journal, fingerprint
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.scene.changes import Told, ask, figures, report
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"

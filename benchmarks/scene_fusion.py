@@ -24,13 +24,13 @@ import numba
 import numpy as np
 import typer
 
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_windows import true_poses
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.scene_fusion import House, Office, Way, open3d_volume, own
-from placegraph.evaluate.tables import markdown, number
-from placegraph.formats.capture import open_capture
-from placegraph.indoor.fuse import FuseOptions, fuse
+from placegraph.formats.capture.capture import open_capture
+from placegraph.indoor.mapping.fuse import FuseOptions, fuse
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.windows import true_poses
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.scene.fusion import House, Office, Way, open3d_volume, own
+from placegraph_lab.tables.tables import markdown, number
 
 TIMES = 3
 """Runs, of which the quickest counts: what else the machine does only slows them."""

@@ -17,12 +17,12 @@ from typing import Annotated
 
 import typer
 
-from placegraph.evaluate.indoor_jobs import chosen
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_windows import EVERY, OFFICE_EVERY
-from placegraph.evaluate.journal import Journal
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.scene_maps import (
+from placegraph_lab.tables.indoor.jobs import chosen
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
+from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.scene.maps import (
     FULL,
     LABELLED,
     NAMED,
@@ -33,8 +33,8 @@ from placegraph.evaluate.scene_maps import (
     Maps,
     Size,
 )
-from placegraph.evaluate.scene_maps_recall import Asking, findings, refinement, refinings, study
-from placegraph.evaluate.scene_maps_report import MAPPING, STORAGE, report
+from placegraph_lab.tables.scene.maps_recall import Asking, findings, refinement, refinings, study
+from placegraph_lab.tables.scene.maps_report import MAPPING, STORAGE, report
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"

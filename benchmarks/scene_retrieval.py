@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.progress import track
 
 from placegraph.errors import MissingExtraError
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.journal import Journal
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.scene_retrieval_places import (
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.retrieval.retrieval_places import (
     FIRST,
     HOMES,
     Place,
@@ -32,9 +32,9 @@ from placegraph.evaluate.scene_retrieval_places import (
     house_rooms,
     office_half,
 )
-from placegraph.evaluate.scene_retrieval_report import PAPER, figures, report
-from placegraph.evaluate.scene_retrieval_study import Study
-from placegraph.evaluate.scene_retrieval_vectors import BOTH, ROWS
+from placegraph_lab.tables.retrieval.retrieval_report import PAPER, figures, report
+from placegraph_lab.tables.retrieval.retrieval_study import Study
+from placegraph_lab.tables.retrieval.retrieval_vectors import BOTH, ROWS
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"

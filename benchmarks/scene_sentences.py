@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from placegraph.evaluate import spoken_poses
-from placegraph.evaluate.indoor_metrics import dumps
-from placegraph.evaluate.indoor_windows import house_windows
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.scene_sentences import (
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.tables.indoor import spoken_poses
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.windows import house_windows
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.scene.sentences import (
     FACTS,
     WRONG,
     Asked,
@@ -33,9 +34,8 @@ from placegraph.evaluate.scene_sentences import (
     scenes_of,
     speed,
 )
-from placegraph.indoor.build import build_scene
-from placegraph.synthetic.flats import Flat
-from placegraph.synthetic.homes import home, scene_of
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import home, scene_of
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap

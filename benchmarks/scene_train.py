@@ -21,13 +21,13 @@ import numpy as np
 import torch
 import typer
 
-from placegraph.evaluate.machine import machine
-from placegraph.evaluate.tables import markdown, share
-from placegraph.indoor.encode.scenegraphloc.lessons import Lesson, read_lesson, split
-from placegraph.indoor.encode.scenegraphloc.train import Progress, TrainOptions, train
-from placegraph.indoor.encode.scenegraphloc.trainer import Judged, Trainer, judge
-from placegraph.indoor.encode.scenegraphloc.worlds import homes
-from placegraph.training import rows_of
+from placegraph_lab.tables.machine import machine
+from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.train.scenegraphloc.lessons import Lesson, read_lesson, split
+from placegraph_lab.train.scenegraphloc.train import Progress, TrainOptions, train
+from placegraph_lab.train.scenegraphloc.trainer import Judged, Trainer, judge
+from placegraph_lab.train.scenegraphloc.worlds import homes
+from placegraph_lab.train.training import rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,7 +15,7 @@ import numpy as np
 import placegraph
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.decoys import FILE
-from placegraph.synthetic.homes import home, scene_of
+from placegraph_lab.worlds.home.home import home, scene_of
 
 COUNT = 32
 FIRST_SEED = 700_000

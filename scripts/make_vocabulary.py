@@ -16,9 +16,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from placegraph.outdoor.vocabulary.lexicon import LETTERS
-from placegraph.outdoor.vocabulary.objects import DETAIL, ObjectTable, read_objects
-from placegraph.outdoor.vocabulary.text import folded, normal, singular
+from placegraph.outdoor.language.vocabulary.lexicon import LETTERS
+from placegraph.outdoor.language.vocabulary.objects import DETAIL, ObjectTable, read_objects
+from placegraph.outdoor.language.vocabulary.text import folded, normal, singular
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

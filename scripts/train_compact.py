@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode.compact import worlds
-from placegraph.synthetic.flats import Flat
-from placegraph.synthetic.homes import home, scene_of
-from placegraph.training import torch_or_what_installs_it
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.train.compact import worlds
+from placegraph_lab.train.training import torch_or_what_installs_it
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import home, scene_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from placegraph.indoor.encode.compact.worlds import World
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph_lab.train.compact.worlds import World
 
 HOME, FLAT, MAP = range(3)
 """Kinds of worlds, in their seeds."""
@@ -81,7 +81,7 @@ def render(given: argparse.Namespace) -> None:
 def train(given: argparse.Namespace) -> None:
     """Train, or go on."""
     torch_or_what_installs_it()
-    from placegraph.indoor.encode.compact.train import Plan, train_on
+    from placegraph_lab.train.compact.train import Plan, train_on
 
     plan = Plan(steps=given.steps, batch=given.batch, seed=given.seed)
     train_on(given.worlds, given.folder, given.output, plan, tell=lambda s: print(s, flush=True))

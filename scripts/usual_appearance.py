@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.encode import appearance
-from placegraph.synthetic.flats import Flat
-from placegraph.synthetic.homes import home, scene_of
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import home, scene_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from placegraph.synthetic.interior import Interior
+    from placegraph_lab.worlds.flat.interior import Interior
 
 HELD_OUT = 1000
 """Seeds of homes from here on are for benchmarks."""

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from placegraph import cli
-from placegraph.synthetic.flats import Flat
+from placegraph_lab.worlds.flat.flat import Flat
 
 settings.register_profile("local", deadline=None)
 settings.register_profile(
@@ -126,8 +126,8 @@ def study() -> Flat:
 @pytest.fixture(scope="session")
 def make_city(tmp_path_factory):
     """City of a town drawn in ASCII; the same drawing is built once."""
-    from placegraph.outdoor.build import build_city
-    from placegraph.synthetic.towns import Town
+    from placegraph.outdoor.map.build import build_city
+    from placegraph_lab.worlds.town.town import Town
 
     known = {}
 
@@ -145,7 +145,7 @@ def make_city(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def hafenstadt():
-    from placegraph.synthetic.towns import Town
+    from placegraph_lab.worlds.town.town import Town
 
     return Town.load("hafenstadt")
 

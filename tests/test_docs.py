@@ -120,7 +120,7 @@ def run(block, page, monkeypatch):
 
 def helpers(folder):
     """Files a page may take for granted: the town of the demo."""
-    from placegraph.synthetic.towns import Town
+    from placegraph_lab.worlds.town.town import Town
 
     Town.load("hafenstadt").write_osm(folder / "hafenstadt.osm")
 

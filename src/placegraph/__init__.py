@@ -12,27 +12,27 @@ from placegraph import errors
 
 if TYPE_CHECKING:
     from placegraph.estimate import Estimate, Refinement, Status
-    from placegraph.formats.capture import Capture, Frame, open_capture
+    from placegraph.formats.capture.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
-    from placegraph.indoor.build import build_scene
     from placegraph.indoor.encode import encoder
     from placegraph.indoor.library import SceneLibrary, SearchOptions
-    from placegraph.indoor.matching import matcher
-    from placegraph.indoor.merge import merge_scenes
+    from placegraph.indoor.mapping.build import build_scene
+    from placegraph.indoor.mapping.merge import merge_scenes
     from placegraph.indoor.refine import RefineOptions
+    from placegraph.indoor.refine.matching import matcher
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.maps import open_map
-    from placegraph.outdoor.build import build_city
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.describe import describe
+    from placegraph.outdoor.language import describe
+    from placegraph.outdoor.map.build import build_city
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "Capture": "placegraph.formats.capture",
+    "Capture": "placegraph.formats.capture.capture",
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.estimate",
-    "Frame": "placegraph.formats.capture",
+    "Frame": "placegraph.formats.capture.capture",
     "RefineOptions": "placegraph.indoor.refine",
     "Refinement": "placegraph.estimate",
     "SceneGraph": "placegraph.graph",
@@ -40,13 +40,13 @@ _HOME = {
     "SceneMap": "placegraph.indoor.scene_map",
     "SearchOptions": "placegraph.indoor.library",
     "Status": "placegraph.estimate",
-    "build_city": "placegraph.outdoor.build",
-    "build_scene": "placegraph.indoor.build",
-    "describe": "placegraph.outdoor.describe",
+    "build_city": "placegraph.outdoor.map.build",
+    "build_scene": "placegraph.indoor.mapping.build",
+    "describe": "placegraph.outdoor.language",
     "encoder": "placegraph.indoor.encode",
-    "matcher": "placegraph.indoor.matching",
-    "merge_scenes": "placegraph.indoor.merge",
-    "open_capture": "placegraph.formats.capture",
+    "matcher": "placegraph.indoor.refine.matching",
+    "merge_scenes": "placegraph.indoor.mapping.merge",
+    "open_capture": "placegraph.formats.capture.capture",
     "open_map": "placegraph.maps",
 }
 

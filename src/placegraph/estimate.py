@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.ask import Question
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.description import Description
+    from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.search.ask import Question
 
 
 class Status(StrEnum):
@@ -254,7 +254,7 @@ class CityEstimate(Estimate[Place]):
 
     def next_question(self, city: CityMap) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""
-        from placegraph.outdoor.ask import next_question
+        from placegraph.outdoor.search.ask import next_question
 
         return next_question(self, city)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from placegraph.formats.frame_files import quarter_turn
+from placegraph.formats.capture.frame_files import quarter_turn
 from placegraph.geometry import Camera
-from placegraph.synthetic.flat_render import Stage
-from placegraph.synthetic.walks import stroll
+from placegraph_lab.worlds.flat.render import Stage
+from placegraph_lab.worlds.flat.walks import stroll
 
 POSE = "{} {} 0 1.6 0.5 -0.5 0.5 -0.5\n"  # upright, looking along x of a level odometry
 

@@ -8,13 +8,13 @@ import numba
 import numpy as np
 import pytest
 
-from placegraph.formats.capture import open_capture
-from placegraph.formats.model import Model, Picture, Thing
-from placegraph.formats.tum import read_tum
+from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.tum import read_tum
+from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.geometry import Camera
-from placegraph.indoor.build import build_scene
-from placegraph.synthetic.flats import Flat
-from placegraph.synthetic.walks import stroll, write_walk
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
 ROOM = """
 [flat]

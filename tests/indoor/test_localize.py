@@ -11,22 +11,22 @@ import pytest
 import placegraph as pg
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Status
-from placegraph.formats.capture import Capture, open_capture
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import (
     level_from_camera,
     pose_matrix,
     split_pose,
     vector_from_rotation,
 )
-from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.instances import ClassesOfInstances
-from placegraph.indoor.merge import merge_scenes
-from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.search import Prior
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.search import Prior
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()

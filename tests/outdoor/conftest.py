@@ -8,12 +8,12 @@ import pytest
 
 from placegraph.geometry import LocalPlane
 from placegraph.maps import open_map
-from placegraph.outdoor import scan
-from placegraph.outdoor.build import build_city
-from placegraph.outdoor.description import Description, Mention, Relation, Sense, Statement
-from placegraph.outdoor.index import REACH
-from placegraph.outdoor.query import compile_query
-from placegraph.outdoor.search import TOGETHER
+from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
+from placegraph.outdoor.likelihood import scan_kernels as scan
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.map.index import REACH
+from placegraph.outdoor.search.viewpoints import TOGETHER
 
 PLANE = LocalPlane(10.0, 50.0)
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from placegraph.errors import DescriptionError, OptionError
 from placegraph.estimate import Status
 from placegraph.maps import open_map
-from placegraph.outdoor.description import Description, Mention, Relation, Sense, Statement
+from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
 
 TEXT = "I am next to a bench. A bakery is north of me."
 
@@ -456,7 +456,7 @@ def test_threads_give_the_same_answers(monaco):
 
 
 def test_a_map_may_be_rebuilt_while_it_is_open(hafenstadt, tmp_path):
-    from placegraph.outdoor.build import build_city
+    from placegraph.outdoor.map.build import build_city
 
     osm, path = hafenstadt.write_osm(tmp_path / "town.osm"), tmp_path / "a.city"
     build_city(osm, path)

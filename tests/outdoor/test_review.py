@@ -6,7 +6,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import OptionError
-from placegraph.synthetic.towns import Town
+from placegraph_lab.worlds.town.town import Town
 
 
 @pytest.fixture(scope="module")

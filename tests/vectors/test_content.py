@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from placegraph.errors import OptionError
 from placegraph.maps import open_map
-from placegraph.outdoor.embed import map_fingerprint
+from placegraph.outdoor.network.embed import map_fingerprint
 from placegraph.vectors import Origin, Region, Vectors
 from placegraph.vectors.content import GRAIN, checked_queries, unit
 

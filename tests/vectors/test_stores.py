@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError, StoreError
-from placegraph.outdoor.embed import cell_positions, embed_city, map_fingerprint
-from placegraph.outdoor.learn.network import GraphTransformer
+from placegraph.outdoor.network.embed import cell_positions, embed_city, map_fingerprint
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.vectors import (
     EmbeddedStore,
     MilvusStore,

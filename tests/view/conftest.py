@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
-from placegraph.outdoor.build import build_city
-from placegraph.outdoor.description import Description, Mention, Relation, Sense, Statement
-from placegraph.synthetic.towns import Town
-from placegraph.text.check import Ignored
+from placegraph.language.check import Ignored
+from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
+from placegraph.outdoor.map.build import build_city
+from placegraph_lab.worlds.town.town import Town
 
 TOWN = """
 [town]

@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from placegraph.cli import city, library, scene
+from placegraph.cli import library
+from placegraph.cli.city import commands as city
+from placegraph.cli.scene import commands as scene
 from placegraph.errors import InputError, PlacegraphError
 
 app = typer.Typer(
@@ -57,7 +59,7 @@ def demo(
     ),
 ) -> None:
     """Locate three sentences in a town that ships with placegraph, and a walk in a flat."""
-    from placegraph.synthetic.demo import run_demo
+    from placegraph.demo import run_demo
 
     try:
         out.mkdir(parents=True, exist_ok=True)

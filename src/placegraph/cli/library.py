@@ -12,8 +12,8 @@ from rich.table import Table
 
 from placegraph.cli.common import AsJson, echo_json, show_facts
 from placegraph.cli.encoders import WeightsFile, encoders_of
-from placegraph.cli.scene_answer import MOST_OBJECTS, progress_of, show
-from placegraph.cli.scene_query import (
+from placegraph.cli.scene.answer import MOST_OBJECTS, progress_of, show
+from placegraph.cli.scene.query import (
     CaptureFolder,
     Device,
     Frames,
@@ -183,7 +183,7 @@ def search(
     placegraph library search homes.library "a kitchen with two sinks";
     placegraph library search homes.library --text "a sofa and/or a bed"
     """
-    from placegraph.formats.capture import open_capture
+    from placegraph.formats.capture.capture import open_capture
 
     asked = _asked(query, text)
     if isinstance(asked, str) and frames is not None:
@@ -228,7 +228,7 @@ def localize(
 
     Example: placegraph library localize homes.library walk/ --frames :10
     """
-    from placegraph.formats.capture import open_capture
+    from placegraph.formats.capture.capture import open_capture
 
     chosen = chosen_frames(open_capture(capture), frames)
     with progress_of(hidden=quiet or as_json) as tell:

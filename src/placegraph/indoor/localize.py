@@ -8,13 +8,13 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import for_map
-from placegraph.indoor.frames import chosen_frames
-from placegraph.indoor.motion import keyframes
-from placegraph.indoor.observe import sight
+from placegraph.indoor.likelihood.observe import sight
+from placegraph.indoor.likelihood.scorer import Scorer
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.frames import chosen_frames
+from placegraph.indoor.pose.motion import keyframes
+from placegraph.indoor.pose.sequence import Sequence_, leveled, usable
 from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
-from placegraph.indoor.scorer import Scorer
-from placegraph.indoor.sequence import Sequence_, leveled, usable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from placegraph.estimate import PoseEstimate
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder, MapEncoder
-    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.language import Sentence
+    from placegraph.indoor.pose.search import Prior
+    from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.search import Prior
-    from placegraph.indoor.sentence import Sentence
 
     Progress = Callable[[str, int, int], None]
 
@@ -114,7 +114,7 @@ def localize(
     reading = None if encoder is None else for_map(encoder, scene)
     sequence = None
     if len(chosen) > WINDOW:
-        from placegraph.indoor.tracker import Tracker, follow
+        from placegraph.indoor.pose.tracker import Tracker, follow
 
         if prior is not None:
             raise OptionError(

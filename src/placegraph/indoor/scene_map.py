@@ -10,7 +10,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
-from placegraph.indoor import textures
+from placegraph.indoor.map import textures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.estimate import PoseEstimate
-    from placegraph.formats.capture import Capture
+    from placegraph.formats.capture.capture import Capture
     from placegraph.geometry import Camera
-    from placegraph.indoor.change.changes import SceneDiff
-    from placegraph.indoor.change.options import DiffOptions
-    from placegraph.indoor.check import Finding
     from placegraph.indoor.encode import Encoder, MapEncoder
-    from placegraph.indoor.matching import Matcher
-    from placegraph.indoor.mesh import Mesh
+    from placegraph.indoor.language import Sentence
+    from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.map.surface import Surface
+    from placegraph.indoor.map.visibility import VisibilityTable
+    from placegraph.indoor.mapping.change.changes import SceneDiff
+    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.mapping.check import Finding
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.raycast import RayCaster
+    from placegraph.indoor.pose.tracker import Tracker
+    from placegraph.indoor.rays import RayCaster
     from placegraph.indoor.refine import RefineOptions
-    from placegraph.indoor.render import Rendering
-    from placegraph.indoor.sentence import Sentence
-    from placegraph.indoor.surface import Surface
-    from placegraph.indoor.tracker import Tracker
-    from placegraph.indoor.visibility import VisibilityTable
+    from placegraph.indoor.refine.matching import Matcher
+    from placegraph.indoor.refine.render import Rendering
 
 KIND = "scene"
 VERSION = 2
@@ -119,7 +119,7 @@ class SceneMap:
                 "ids: there is no object; a scene map is made of objects with triangles, so name at "
                 "least one and the triangles that are its own."
             )
-        from placegraph.indoor.mesh_order import ordered
+        from placegraph.indoor.map.mesh_order import ordered
 
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
         mesh = ordered(replace(mesh.snapped(), textures=textures.decode(blobs, source or scene)))
@@ -204,14 +204,14 @@ class SceneMap:
     @cached_property
     def caster(self) -> RayCaster:
         """Casts rays at the mesh; made on first use."""
-        from placegraph.indoor.raycast import RayCaster
+        from placegraph.indoor.rays import RayCaster
 
         return RayCaster(self.mesh.vertices, self.mesh.triangles)
 
     @cached_property
     def surface(self) -> Surface:
         """The mesh as compiled code reads it; made on first use."""
-        from placegraph.indoor.surface import Surface
+        from placegraph.indoor.map.surface import Surface
 
         return Surface.of(self.mesh)
 
@@ -224,7 +224,7 @@ class SceneMap:
 
     def visibility(self, options: FilterOptions) -> VisibilityTable:
         """What is visible from where, for cameras at `options.heights`; made once for each."""
-        from placegraph.indoor.visibility import build_table
+        from placegraph.indoor.map.visibility import build_table
 
         key = (options.heights, options.spacing)
         if key not in self._tables:
@@ -266,7 +266,7 @@ class SceneMap:
 
         `encoder`: key of the encoder that they are of (`placegraph.indoor.encode.Encoder.key`).
         """
-        from placegraph.indoor.scene_file import from_8_bits, in_8_bits
+        from placegraph.indoor.map.scene_file import from_8_bits, in_8_bits
 
         vectors = np.asarray(embeddings, np.float32)
         if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
@@ -275,7 +275,7 @@ class SceneMap:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the map file (atomically, with checksums); raises as `placegraph.store` does."""
-        from placegraph.indoor.scene_file import columns
+        from placegraph.indoor.map.scene_file import columns
         from placegraph.store import write_map
 
         write_map(path, KIND, VERSION, *columns(self))
@@ -283,7 +283,7 @@ class SceneMap:
     @classmethod
     def open(cls, path: str | PathLike[str]) -> SceneMap:
         """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
-        from placegraph.indoor.scene_file import scene_map
+        from placegraph.indoor.map.scene_file import scene_map
         from placegraph.store import read_map
 
         return scene_map(read_map(path, KIND, VERSION))
@@ -349,9 +349,9 @@ class SceneMap:
     ) -> Rendering:
         """The map as a camera at a pose (4, 4) would see it.
 
-        Parameters, result and errors: `placegraph.indoor.render.render`.
+        Parameters, result and errors: `placegraph.indoor.refine.render.render`.
         """
-        from placegraph.indoor.render import render
+        from placegraph.indoor.refine.render import render
 
         return render(self, map_from_camera, camera, samples=samples, device=device)
 
@@ -364,39 +364,39 @@ class SceneMap:
     ) -> SceneDiff:
         """What changed since this map was made, as a later map or a capture with poses shows it.
 
-        Parameters, result and errors: `placegraph.indoor.change.diff.diff`, and of a capture, whose poses
-        (T, 4, 4) are what `localize` said of it, `placegraph.indoor.change.capture.diff_capture`.
+        Parameters, result and errors: `placegraph.indoor.mapping.change.diff.diff`, and of a capture, whose poses
+        (T, 4, 4) are what `localize` said of it, `placegraph.indoor.mapping.change.capture.diff_capture`.
         """
         if isinstance(later, SceneMap):
-            from placegraph.indoor.change.diff import diff
+            from placegraph.indoor.mapping.change.diff import diff
 
             return diff(self, later, options=options)
-        from placegraph.indoor.change.capture import diff_capture
+        from placegraph.indoor.mapping.change.capture import diff_capture
 
         if poses is None:
             raise OptionError("poses: a capture needs them; give what scene.localize said of it.")
         return diff_capture(self, later, poses, options=options)
 
     def updated(self, diff: SceneDiff, **options: Any) -> SceneMap:  # noqa: ANN401  # of `update`
-        """Map that has taken over what changed; options: `placegraph.indoor.change.update.update`."""
-        from placegraph.indoor.change.update import update
+        """Map that has taken over what changed; options: `placegraph.indoor.mapping.change.update.update`."""
+        from placegraph.indoor.mapping.change.update import update
 
         return update(self, diff, **options)
 
     def check(self) -> list[Finding]:
-        """What is odd about the map, worst first: `placegraph.indoor.check.check`."""
-        from placegraph.indoor.check import check
+        """What is odd about the map, worst first: `placegraph.indoor.mapping.check.check`."""
+        from placegraph.indoor.mapping.check import check
 
         return check(self)
 
     def export(self, path: str | PathLike[str], *, overwrite: bool = False) -> tuple[Path, ...]:
-        """Write the map as .glb, .ply or Spark-DSG's .json: `placegraph.indoor.export.export`."""
-        from placegraph.indoor.export import export
+        """Write the map as .glb, .ply or Spark-DSG's .json: `placegraph.indoor.mapping.export.export`."""
+        from placegraph.indoor.mapping.export import export
 
         return export(self, path, overwrite=overwrite)
 
     def tracker(self, camera: Camera, *, seed: int = 0, **options: Any) -> Tracker:  # noqa: ANN401
-        """Localizer for one frame at a time; see `placegraph.indoor.tracker.Tracker`."""
-        from placegraph.indoor.tracker import Tracker
+        """Localizer for one frame at a time; see `placegraph.indoor.pose.tracker.Tracker`."""
+        from placegraph.indoor.pose.tracker import Tracker
 
         return Tracker(self, camera, seed=seed, **options)

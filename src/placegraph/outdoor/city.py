@@ -10,10 +10,10 @@ import numpy as np
 
 from placegraph.errors import MapError
 from placegraph.geometry import LocalPlane
-from placegraph.outdoor.cells import Cells, cell_graph, occupied_cells
-from placegraph.outdoor.objects import CityObjects
-from placegraph.outdoor.raster import Grid
-from placegraph.outdoor.simplify import centers
+from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
+from placegraph.outdoor.map.objects import CityObjects
+from placegraph.outdoor.map.raster import Grid
+from placegraph.outdoor.map.simplify import centers
 from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
     from placegraph.estimate import CityEstimate
     from placegraph.graph import SceneGraph
-    from placegraph.outdoor.ask import Answer
-    from placegraph.outdoor.description import Description
-    from placegraph.outdoor.index import ViewIndex
-    from placegraph.outdoor.learn.encoded import EncodedCity
-    from placegraph.outdoor.match import Scene
-    from placegraph.outdoor.names import NameIndex
-    from placegraph.outdoor.retrieve import By, Matcher
-    from placegraph.outdoor.track import CityTracker
+    from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.likelihood.match import Scene
+    from placegraph.outdoor.map.index import ViewIndex
+    from placegraph.outdoor.map.names import NameIndex
+    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.search.ask import Answer
+    from placegraph.outdoor.search.cells import By, Matcher
+    from placegraph.outdoor.track.tracker import CityTracker
     from placegraph.vectors import Region, VectorStore
 
 KIND = "city"
@@ -155,14 +155,14 @@ class CityMap:
     @cached_property
     def views(self) -> ViewIndex:
         """What is seen from where; derived on first use."""
-        from placegraph.outdoor.index import ViewIndex
+        from placegraph.outdoor.map.index import ViewIndex
 
         return ViewIndex.build(self.objects)
 
     @cached_property
     def name_index(self) -> NameIndex:
         """Proper names of the map; derived on first use."""
-        from placegraph.outdoor.names import NameIndex
+        from placegraph.outdoor.map.names import NameIndex
 
         return NameIndex.build(self.objects)
 
@@ -180,14 +180,14 @@ class CityMap:
     @cached_property
     def tokens(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
         """Tokens of every object as CSR (starts, values, weights); values are rows of `words`."""
-        from placegraph.outdoor.index import tokens_of
+        from placegraph.outdoor.map.index import tokens_of
 
         return tokens_of(self.objects)
 
     @cached_property
     def words(self) -> tuple[str, ...]:
         """What tokens read: labels, then names (`learn.labels.of_name`)."""
-        from placegraph.outdoor.learn.labels import of_name
+        from placegraph.outdoor.network.labels import of_name
 
         return (*self.objects.labels, *map(of_name, self.objects.names))
 
@@ -209,8 +209,8 @@ class CityMap:
     @cached_property
     def encoded(self) -> EncodedCity:
         """The city as the shipped network reads it; derived on first use."""
-        from placegraph.outdoor.learn.encoded import EncodedCity
-        from placegraph.outdoor.learn.network import GraphTransformer
+        from placegraph.outdoor.network.encoded import EncodedCity
+        from placegraph.outdoor.network.network import GraphTransformer
 
         return EncodedCity(self, GraphTransformer.default())
 
@@ -222,7 +222,7 @@ class CityMap:
     @cached_property
     def scene(self) -> Scene:
         """Columns that the matching kernels read."""
-        from placegraph.outdoor.match import Scene
+        from placegraph.outdoor.likelihood.match import Scene
 
         o, v = self.objects, self.views
         return Scene(
@@ -322,7 +322,7 @@ class CityMap:
         top: int = 5,
     ) -> CityTracker:
         """Follow somebody who speaks and walks; see `CityTracker`, arguments as for `locate`."""
-        from placegraph.outdoor.track import CityTracker
+        from placegraph.outdoor.track.tracker import CityTracker
 
         return CityTracker(self, near=near, radius=radius, heading=heading, top=top)
 

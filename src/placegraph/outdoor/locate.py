@@ -11,12 +11,16 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.geometry import angle_between
-from placegraph.outdoor.description import LISTENER, SPEAKER, Description, Relation, Statement
-from placegraph.outdoor.evidence import evidence_at
-from placegraph.outdoor.index import REACH
-from placegraph.outdoor.posterior import Mode, Posterior, modes, posterior, status_of
-from placegraph.outdoor.query import Query, compile_query, ends, standing_at
-from placegraph.outdoor.retrieve import (
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Relation,
+    Statement,
+)
+from placegraph.outdoor.likelihood.query import Query, compile_query, ends, standing_at
+from placegraph.outdoor.map.index import REACH
+from placegraph.outdoor.search.cells import (
     MATCHERS,
     WAYS,
     By,
@@ -26,17 +30,19 @@ from placegraph.outdoor.retrieve import (
     rank_cells,
     views_of_candidates,
 )
-from placegraph.outdoor.retrieve import within as lies_in
-from placegraph.outdoor.search import Prior, search
+from placegraph.outdoor.search.cells import within as lies_in
+from placegraph.outdoor.search.evidence import evidence_at
+from placegraph.outdoor.search.posterior import Mode, Posterior, modes, posterior, status_of
+from placegraph.outdoor.search.viewpoints import Prior, search
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.ask import Answer
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.learn.encoded import EncodedCity
+    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.search.ask import Answer
     from placegraph.vectors import Region, VectorStore
 
 MOST_SUPPORT = 4000
@@ -174,8 +180,8 @@ def read(city: CityMap, text: str | Description, *, heading: float | None = None
     """Understand a text in the words of a city: its names count, whatever the vocabulary says."""
     if isinstance(text, Description):
         return text
-    from placegraph.outdoor.describe import describe
-    from placegraph.outdoor.vocabulary import Vocabulary
+    from placegraph.outdoor.language import describe
+    from placegraph.outdoor.language.vocabulary import Vocabulary
 
     return describe(text, vocabulary=Vocabulary.default(), names=city.name_index, heading=heading)
 

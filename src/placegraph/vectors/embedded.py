@@ -21,7 +21,7 @@ from placegraph.vectors.content import (
     checked_queries,
 )
 from placegraph.vectors.lists import Lists, make_lists
-from placegraph.vectors.scan import search_all, search_lists
+from placegraph.vectors.scan_kernels import search_all, search_lists
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -1,9 +1,9 @@
 """Pictures and pages of a map and of an estimate on it."""
 
-from placegraph.view.city_page import write_page
-from placegraph.view.city_picture import draw_city, write_picture
-from placegraph.view.overlay import write_overlay
-from placegraph.view.scene_plan import draw_scene, write_plan, write_plan_animation
+from placegraph.view.city.page import write_page
+from placegraph.view.city.picture import draw_city, write_picture
+from placegraph.view.scene.overlay import write_overlay
+from placegraph.view.scene.scene_plan import draw_scene, write_plan, write_plan_animation
 
 __all__ = [
     "draw_city",

@@ -6,14 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MapError
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.encode import Encoder, bound, encoder
-from placegraph.indoor.encode.compact import CompactEncoder, picture, vary
+from placegraph.indoor.encode.compact import CompactEncoder, picture
 from placegraph.indoor.encode.compact.network import Network
 from placegraph.indoor.encode.compact.shape import Shape
 from placegraph.indoor.encode.compact.things import FEATURES
 from placegraph.indoor.encode.compact.weights import Weights, read_weights, write_weights
+from placegraph_lab.train.compact import vary
 
 SMALL = Shape(fine=8, coarse=12, fine_blocks=1, coarse_blocks=2, kernel=3, hidden=16, dimension=6)
 WIDE = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
@@ -55,7 +56,7 @@ def shot(rgb, camera=None, gravity=LEVEL):
 @given(rows=st.integers(1, 5), columns=st.integers(1, 5), seed=st.integers(0, 99))
 def test_numpy_is_torch(rows, columns, seed):
     torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    from placegraph.indoor.encode.compact.torch_network import TorchNetwork
+    from placegraph_lab.train.compact.torch_network import TorchNetwork
 
     arrays, rng = random_arrays(SMALL, seed), np.random.default_rng(seed)
     module = TorchNetwork(SMALL)
@@ -72,7 +73,7 @@ def test_numpy_is_torch(rows, columns, seed):
 
 def test_the_shipped_network_is_torchs_too():
     torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    from placegraph.indoor.encode.compact.torch_network import TorchNetwork
+    from placegraph_lab.train.compact.torch_network import TorchNetwork
 
     network = CompactEncoder().network
     arrays = dict(network.arrays)
@@ -89,7 +90,7 @@ def test_the_shipped_network_is_torchs_too():
 
 def test_weights_have_the_names_and_shapes_of_torch():
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    from placegraph.indoor.encode.compact.torch_network import TorchNetwork
+    from placegraph_lab.train.compact.torch_network import TorchNetwork
 
     state = TorchNetwork(SMALL).state_dict()
     assert {n: tuple(t.shape) for n, t in state.items()} == SMALL.arrays()
@@ -138,7 +139,7 @@ def test_a_broken_image_says_so(compact, tmp_path, walk):
         (path / kind).mkdir()
         for image in (walk.path / kind).iterdir():
             (path / kind / image.name).write_bytes(image.read_bytes())
-    from placegraph.formats.capture import open_capture
+    from placegraph.formats.capture.capture import open_capture
 
     broken = path / f"rgb/{frame.index:06d}.jpg"
     broken.write_bytes(broken.read_bytes()[:200])
@@ -177,7 +178,7 @@ def test_inputs_keep_patches_apart():
 @settings(max_examples=30, deadline=None)
 @given(pitch=st.floats(-1.0, 1.0), roll=st.floats(-3.0, 3.0))
 def test_rays_rise_as_gravity_says(pitch, roll):
-    from placegraph.indoor.encode.compact.worlds import tilted
+    from placegraph_lab.train.compact.worlds import tilted
 
     level_from_camera = tilted(pitch, roll)
     gravity = -level_from_camera[2]  # level's -z, in camera axes

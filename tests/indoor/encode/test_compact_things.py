@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode.compact import things
 from placegraph.indoor.encode.compact.things import (
     COLOUR,
@@ -17,8 +16,9 @@ from placegraph.indoor.encode.compact.things import (
     describe,
     features,
 )
-from placegraph.indoor.merge import merge_scenes
-from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.build import scene_of_model
+from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 
 ROOM = {

@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import Camera
-from placegraph.indoor.encode.compact import picture, vary, worlds
+from placegraph.indoor.encode.compact import picture
 from placegraph.indoor.encode.compact.shape import Shape
 from placegraph.indoor.encode.compact.weights import read_weights
-from placegraph.indoor.encode.compact.worlds import World
-from placegraph.synthetic.flats import Flat
-from placegraph.synthetic.homes import scene_of
+from placegraph_lab.train.compact import vary, worlds
+from placegraph_lab.train.compact.worlds import World
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import scene_of
 
 DRAWING = """
 [flat]
@@ -151,7 +152,7 @@ def test_repainting_keeps_some():
 
 def torch_training():
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    from placegraph.indoor.encode.compact import train
+    from placegraph_lab.train.compact import train
 
     return train
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture import Capture
+from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode.confusion import Confusion
 
 NAMES = ("desk", "table", "wall, white")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.encode import Encoder, bound, encoder
 from placegraph.indoor.encode.features import covered

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from placegraph.formats.capture import Capture
+from placegraph.formats.capture.capture import Capture
 from placegraph.geometry import Camera
 from placegraph.indoor.library import library_of
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.synthetic.flats import Flat
-from placegraph.synthetic.homes import scene_of
-from placegraph.synthetic.homes_record import record
-from placegraph.synthetic.interior import Interior
-from placegraph.synthetic.walks import Walk, stroll
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
+from placegraph_lab.worlds.flat.walks import Walk, stroll
+from placegraph_lab.worlds.home.home import scene_of
+from placegraph_lab.worlds.home.record import record
 
 LEGEND = """
 [legend]

@@ -11,7 +11,7 @@ import placegraph as pg
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.estimate import Status
 from placegraph.indoor.library import SceneLibrary, library_of
-from placegraph.indoor.merge import merge_scenes
+from placegraph.indoor.mapping.merge import merge_scenes
 
 
 @pytest.fixture(scope="session")

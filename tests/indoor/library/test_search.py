@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of
 from placegraph.indoor.library.index import distinct
-from placegraph.indoor.library.kernels import best_cosines, mixtures
 from placegraph.indoor.library.query import WORDS, encode, told_apart
 from placegraph.indoor.library.search import scores
-from placegraph.synthetic.homes import scene_of
-from placegraph.synthetic.homes_change import changed
+from placegraph.indoor.library.search_kernels import best_cosines, mixtures
+from placegraph_lab.worlds.home.change import changed
+from placegraph_lab.worlds.home.home import scene_of
 
 
 @pytest.mark.parametrize("name", ["parlour", "study", "bedroom"])

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.formats.capture import Capture
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
-from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.depth import Surfaces, readings
 from placegraph.indoor.refine.joint import Problem
 from placegraph.indoor.refine.options import RefineOptions

@@ -9,11 +9,11 @@ import pytest
 
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Status
-from placegraph.formats.capture import Capture, open_capture
-from placegraph.indoor.matching import matcher
-from placegraph.indoor.mesh import Mesh
+from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions
+from placegraph.indoor.refine.matching import matcher
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.refine.depth import Surfaces, distances, readings
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from placegraph.errors import MissingExtraError
 from placegraph.geometry import Camera, rotation_from_vector, vector_from_rotation
-from placegraph.indoor.matching import Matches
 from placegraph.indoor.refine.images import lift, look, solve_frame, solve_rig, turned
+from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.pixels import Sights
-from placegraph.indoor.render import Renderer
+from placegraph.indoor.refine.render import Renderer
 
 OPTIONS = RefineOptions()
 LENS = Camera(320, 240, 260.0, 260.0, 160.0, 120.0)

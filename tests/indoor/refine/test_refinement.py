@@ -8,11 +8,11 @@ import pytest
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.estimate import Status
-from placegraph.formats.capture import open_capture
-from placegraph.indoor.matching.guided import GuidedMatcher
-from placegraph.indoor.observe import sight
+from placegraph.formats.capture.capture import open_capture
+from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
+from placegraph.indoor.refine.matching.guided import GuidedMatcher
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
@@ -286,7 +286,7 @@ def test_a_matcher_that_was_asked_for_is_not_passed_over(room, walk, exact, monk
 
 
 def test_the_shared_house_to_centimetres(shared, tmp_path, truth, kit):
-    from placegraph.indoor.build import build_scene
+    from placegraph.indoor.mapping.build import build_scene
 
     house = build_scene(shared / "data/house/map/house.glb", tmp_path / "house.scene")
     capture = open_capture(shared / "data/house/seq00")

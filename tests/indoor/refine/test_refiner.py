@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from placegraph.indoor.matching import Matches
-from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.check import held_back
+from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import FEW, MANY, Refiner, stages_of
 from placegraph.indoor.scene_map import SceneMap

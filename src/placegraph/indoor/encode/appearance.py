@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.scene_map import SceneMap
 
 DIMENSION = 64
@@ -116,7 +116,7 @@ class AppearanceEncoder:
 
 def surfaces(scene: SceneMap) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Mean features (N, d) of a map's objects, not centred, and how many cells (N,) show them."""
-    from placegraph.indoor.render import Renderer
+    from placegraph.indoor.refine.render import Renderer
 
     sums = np.zeros((len(scene), DIMENSION))
     cells = np.zeros(len(scene), np.int64)

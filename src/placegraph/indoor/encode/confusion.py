@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.camera import read_json
+from placegraph.formats.capture.camera import read_json
 from placegraph.indoor.encode.word_tree import spelled
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.scene_map import SceneMap
 
 STEP = 8

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST, NOTHING, STEP
+from placegraph.indoor.map.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST, NOTHING, STEP
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.visibility import VisibilityTable
+    from placegraph.indoor.map.visibility import VisibilityTable
 
 POSITIONS_A_GLANCE = 24
 """Free positions of the visibility table, 0.25 m apart, that share a glance."""

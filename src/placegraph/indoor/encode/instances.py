@@ -10,7 +10,7 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.grid import GRID, checked, looked_up, majority
 
 if TYPE_CHECKING:
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.scene_map import SceneMap
 
 

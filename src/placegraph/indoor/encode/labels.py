@@ -9,15 +9,15 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.grid import GRID, cells, checked, looked_up, majority
 from placegraph.indoor.encode.words import DIMENSION, digest, vector
-from placegraph.indoor.segment.segmenter import Segmenter
+from placegraph.indoor.mapping.segment.segmenter import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode.confusion import Confusion
     from placegraph.indoor.scene_map import SceneMap

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.encode.word_codes import DIMENSION, codes
-from placegraph.indoor.floor import label_words
+from placegraph.indoor.map.floor import label_words
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -20,7 +20,7 @@ from rapidfuzz.distance import OSA
 
 from placegraph.indoor.encode.word_codes import DIMENSION, codes
 from placegraph.indoor.encode.word_tree import KIN, mixed, tree
-from placegraph.indoor.floor import label_words
+from placegraph.indoor.map.floor import label_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
-from placegraph.indoor.frames import chosen_frames
 from placegraph.indoor.library.query import encode
 from placegraph.indoor.library.search import patch_weights, ratio, scores
+from placegraph.indoor.pose.frames import chosen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.indoor.language import Sentence
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query
     from placegraph.indoor.library.search import Scores
-    from placegraph.indoor.sentence import Sentence
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""

@@ -10,13 +10,13 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import SceneEstimate, SceneMode
+from placegraph.indoor.language import read
 from placegraph.indoor.library.by_capture import judge
-from placegraph.indoor.sentence import read
 
 if TYPE_CHECKING:
     from placegraph.estimate import Evidence
+    from placegraph.indoor.language import Sentence
     from placegraph.indoor.library.library import SceneLibrary
-    from placegraph.indoor.sentence import Sentence
 
 UNKNOWN = 0.05
 """Probability that a text describes no scene of the library, before it is read."""

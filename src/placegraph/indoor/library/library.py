@@ -12,20 +12,20 @@ import numpy as np
 
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
+from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.library.decoys import decoys
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import Signature, signature_of
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.sentence import TextIndex, read
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from placegraph.estimate import PoseEstimate, SceneEstimate
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
 
     Progress = Callable[[str, int, int], None]
 

@@ -16,22 +16,22 @@ from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.geometry import split_pose
 from placegraph.indoor.encode import encoder as encoder_named
-from placegraph.indoor.frames import chosen_frames
+from placegraph.indoor.language import read
 from placegraph.indoor.localize import localize as localize_in
-from placegraph.indoor.merge import merge_scenes
-from placegraph.indoor.sentence import read
+from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.pose.frames import chosen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.language import Sentence
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.sentence import Sentence
 
 SCENES = 4
 """Scenes localized in at most."""

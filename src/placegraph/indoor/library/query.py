@@ -13,14 +13,14 @@ from placegraph.geometry import between, level_from_camera
 from placegraph.indoor.encode import patches_of
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS
-from placegraph.indoor.sequence import leveled
+from placegraph.indoor.pose.sequence import leveled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode import Encoder
 

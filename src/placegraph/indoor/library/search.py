@@ -14,9 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.library.kernels import add_told, along_ways, best_cosines, held, mixtures
+from placegraph.indoor.library.search_kernels import (
+    add_told,
+    along_ways,
+    best_cosines,
+    held,
+    mixtures,
+)
 from placegraph.indoor.library.signature import BANDS, TURNS
-from placegraph.indoor.observe import spread
+from placegraph.indoor.likelihood.observe import spread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

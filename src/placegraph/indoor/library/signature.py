@@ -14,16 +14,16 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import vectors_of
+from placegraph.indoor.map.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST
+from placegraph.indoor.map.visibility import build_table
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST
-from placegraph.indoor.visibility import build_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture import Capture
+    from placegraph.formats.capture.capture import Capture
     from placegraph.graph import SceneGraph
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.scene_map import SceneMap

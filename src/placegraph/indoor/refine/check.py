@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.matching.guided import lightness, resized
-from placegraph.indoor.raycast.layout import LANES
+from placegraph.indoor.rays.layout import LANES
 from placegraph.indoor.refine.depth import distances
+from placegraph.indoor.refine.fit_kernels import correlations
 from placegraph.indoor.refine.images import smaller
-from placegraph.indoor.refine.kernels import correlations
+from placegraph.indoor.refine.matching.guided import lightness, resized
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.refine.depth import Readings, Surfaces
-    from placegraph.indoor.render import Renderer
+    from placegraph.indoor.refine.render import Renderer
 
 SCALE = 0.03
 """Distance of a reading from the map's surface at which it counts half [m]."""

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.indoor.refine.kernels import plane_distances
-from placegraph.indoor.render import camera_rays
+from placegraph.indoor.refine.fit_kernels import plane_distances
+from placegraph.indoor.refine.render import camera_rays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.raycast.packets import Tracer
+    from placegraph.indoor.rays.packets import Tracer
     from placegraph.indoor.scene_map import SceneMap
 
 _TILE = 4

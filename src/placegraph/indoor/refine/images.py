@@ -10,18 +10,18 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.geometry import rotation_from_vector, rotation_z, vector_from_rotation
-from placegraph.indoor.matching import Matches
-from placegraph.indoor.matching.guided import resized
+from placegraph.indoor.refine.matching import Matches
+from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.pixels import Sights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.render import Renderer, Rendering
+    from placegraph.indoor.refine.render import Renderer, Rendering
 
 MOST = 5000
 """Matches of a view that are used, the surest."""

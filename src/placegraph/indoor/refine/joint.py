@@ -15,7 +15,7 @@ import numpy as np
 from placegraph.errors import InputError
 from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.depth import Kernel
-from placegraph.indoor.refine.kernels import depth_system, pixel_system
+from placegraph.indoor.refine.fit_kernels import depth_system, pixel_system
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.geometry import vector_from_rotation
-from placegraph.indoor.clock import timed
+from placegraph.indoor.pose.clock import timed
 from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
 from placegraph.indoor.refine.focal import better_focal
 from placegraph.indoor.refine.joint import odometry_errors

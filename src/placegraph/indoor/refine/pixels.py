@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.observe import REFERENCE
+from placegraph.indoor.likelihood.observe import REFERENCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

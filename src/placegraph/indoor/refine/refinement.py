@@ -10,18 +10,18 @@ import numpy as np
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
-from placegraph.indoor import polish
-from placegraph.indoor.frames import chosen_frames
-from placegraph.indoor.matching import Matcher
-from placegraph.indoor.observe import COARSE, FINE
+from placegraph.indoor.likelihood.observe import COARSE, FINE
+from placegraph.indoor.likelihood.scorer import Scorer
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose import polish
+from placegraph.indoor.pose.frames import chosen_frames
+from placegraph.indoor.pose.sequence import Sequence_
+from placegraph.indoor.pose.verdict import evidence_at, verdict
 from placegraph.indoor.refine.judge import BENT, Judgement, judged
+from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
-from placegraph.indoor.render import checked_pose
-from placegraph.indoor.scorer import Scorer
-from placegraph.indoor.sequence import Sequence_
-from placegraph.indoor.verdict import evidence_at, verdict
+from placegraph.indoor.refine.render import checked_pose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import ArrayLike
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.observe import Sighting
+    from placegraph.indoor.likelihood.observe import Sighting
     from placegraph.indoor.scene_map import SceneMap
 
     Progress = Callable[[str, int, int], None]
@@ -44,7 +44,7 @@ MOST = 30
 def chosen_matcher(matcher: str | Matcher, device: str = "auto") -> Matcher | None:
     """The matcher of a name; None: the guided one, which the refiner makes itself.
 
-    Raises as `placegraph.indoor.matching.matcher` does.
+    Raises as `placegraph.indoor.refine.matching.matcher` does.
     """
     if not isinstance(matcher, str):
         if not isinstance(matcher, Matcher):
@@ -54,7 +54,7 @@ def chosen_matcher(matcher: str | Matcher, device: str = "auto") -> Matcher | No
         return matcher
     if matcher in {"auto", "guided"}:
         return None
-    from placegraph.indoor.matching import matcher as made
+    from placegraph.indoor.refine.matching import matcher as made
 
     return made(matcher, device="cuda" if device.startswith("cuda") else "cpu")
 

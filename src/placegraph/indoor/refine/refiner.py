@@ -9,26 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.clock import timed
-from placegraph.indoor.matching.guided import GuidedMatcher
-from placegraph.indoor.observe import spread
-from placegraph.indoor.raycast.embree import processors
+from placegraph.indoor.likelihood.observe import spread
+from placegraph.indoor.pose.clock import timed
+from placegraph.indoor.rays.embree import processors
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
 from placegraph.indoor.refine.images import look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.joint import Problem, Solution, solve
+from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.refine.render import Renderer
 from placegraph.indoor.refine.uncertainty import covariance
-from placegraph.indoor.render import Renderer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.matching import Matcher
+    from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.scene_map import SceneMap
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.encode.scenegraphloc.features import ColourFeatures
-from placegraph.indoor.encode.scenegraphloc.worlds import placed
+from placegraph_lab.train.scenegraphloc.worlds import placed
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.encode.scenegraphloc.elastic import distorted
 from placegraph.indoor.encode.scenegraphloc.inputs import (
     barycentre,
     complete,
@@ -23,9 +22,10 @@ from placegraph.indoor.encode.scenegraphloc.words import (
     read_attributes,
     relation_row,
 )
-from placegraph.indoor.merge import merge_scenes
-from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.train.scenegraphloc.elastic import distorted
 
 
 def _unseen(count, width=4):

@@ -13,9 +13,9 @@ from placegraph.indoor.encode.scenegraphloc.network import (  # noqa: E402
     SceneGraphLoc,
     unit,
 )
-from placegraph.indoor.encode.scenegraphloc.objective import Truth, losses, right  # noqa: E402
 from placegraph.indoor.encode.scenegraphloc.weights import read_weights  # noqa: E402
 from placegraph.indoor.encode.scenegraphloc.widths import Widths  # noqa: E402
+from placegraph_lab.train.scenegraphloc.objective import Truth, losses, right  # noqa: E402
 
 NEAR, SUMMED = 2e-5, 1e-4
 """Tolerances that the SPEC suggests."""

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.formats.capture import Capture
-from placegraph.formats.frame import Frame
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, rotation_from_quaternion
 from placegraph.indoor.encode.scenegraphloc.views import (
     Views,
@@ -19,7 +19,7 @@ from placegraph.indoor.encode.scenegraphloc.views import (
     seen_objects,
     shown,
 )
-from placegraph.indoor.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 
 CAMERA = Camera(80, 60, 40.0, 40.0, 40.0, 30.0)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.encode.compact.kernels import mixed, normalized
+from placegraph.indoor.encode.compact.picture_kernels import mixed, normalized
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.textures import linear_from_srgb
+from placegraph.indoor.map.textures import linear_from_srgb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

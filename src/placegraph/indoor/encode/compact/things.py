@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.encode.compact.kernels import colours_at
 from placegraph.indoor.encode.compact.picture import log_light
+from placegraph.indoor.encode.compact.picture_kernels import colours_at
 from placegraph.indoor.encode.words import DIMENSION
-from placegraph.indoor.textures import linear_from_srgb
+from placegraph.indoor.map.textures import linear_from_srgb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode.scenegraphloc.weights import Weights
     from placegraph.indoor.scene_map import SceneMap
@@ -91,7 +91,7 @@ class SceneGraphLocEncoder:
     ) -> None:
         torch = _torch()
         from placegraph.indoor.encode.scenegraphloc.weights import read_weights
-        from placegraph.indoor.matching.network import device_for
+        from placegraph.indoor.refine.matching.network import device_for
 
         if weights is None:
             raise OptionError(

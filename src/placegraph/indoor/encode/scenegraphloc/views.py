@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture import Capture
-    from placegraph.formats.frame import Frame
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
     from placegraph.indoor.scene_map import SceneMap

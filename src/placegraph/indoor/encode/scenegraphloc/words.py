@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
-from placegraph.indoor.relations import ABOVE, NEXT_TO
+from placegraph.indoor.map.relations import ABOVE, NEXT_TO
 
 if TYPE_CHECKING:
     from os import PathLike

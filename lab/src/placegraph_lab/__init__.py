@@ -1,0 +1,1 @@
+"""What placegraph is made and measured with; the library never imports it."""

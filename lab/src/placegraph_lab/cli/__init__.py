@@ -1,0 +1,1 @@
+"""Commands that join `placegraph` by entry points."""

@@ -1,0 +1,88 @@
+"""`placegraph city convert-kitti360pose` and `placegraph city evaluate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path  # noqa: TC003  # typer reads annotations
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from placegraph.cli.city.matching import Matcher  # noqa: TC001  # typer reads annotations
+from placegraph.cli.common import AsJson, Quiet, progress_bar
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.search import cells as matchers
+
+
+def convert_kitti360pose(
+    folder: Annotated[
+        Path, typer.Argument(help="Published folder with cells/ and poses/, of pickles.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: kitti360pose.k360.")],
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Convert KITTI360Pose from its pickles.
+
+    Nothing of them is ever run. For the tables: benchmarks/outdoor_kitti360pose.py.
+
+    Example: placegraph city convert-kitti360pose k360_30-10_scG_pd10_pc4_spY_all -o kitti.k360
+    """
+    from dataclasses import asdict
+
+    from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose as convert
+
+    with progress_bar(hidden=quiet or as_json) as progress:
+        task = progress.add_task("reading")
+        done = convert(
+            folder,
+            out,
+            progress=lambda step, n: progress.update(task, description=f"{step} {n:,} cells"),
+        )
+    if as_json:
+        typer.echo(json.dumps(asdict(done)))
+    elif not quiet:
+        typer.echo(
+            f"{out}: {done.cells:,} cells with {done.objects:,} objects and {done.poses:,} poses of "
+            f"the drives {', '.join(done.scenes)}.\n"
+            f"{done.points:,} points, {done.source_bytes / 1e6:,.1f} MB of pickles, became "
+            f"{done.bytes / 1e6:,.2f} MB. {done.unmatched:,} of {done.hints:,} hints are about "
+            f"things their cell does not hold; {done.padding:,} objects of padding left out."
+        )
+
+
+def evaluate(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder with descriptions.jsonl, and map.osm.pbf or a *.city.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write every answer as JSON to this file.")
+    ] = None,
+    matcher: Matcher = "relational",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how well descriptions of your own are found.
+
+    A line of descriptions.jsonl: {"id": "1", "text": "A bakery is north of me.", "longitude": 7.42,
+    "latitude": 43.73}
+
+    Example: placegraph city evaluate pairs/
+    """
+    from placegraph_lab.tables.kitti.own_pairs import evaluate_folder
+
+    with progress_bar(hidden=quiet or as_json) as progress:
+        task = progress.add_task("opening")
+        found = evaluate_folder(
+            folder,
+            matcher=cast("matchers.Matcher", matcher),
+            progress=lambda step, n: progress.update(task, description=f"{step} {n:,}"),
+        )
+    if out is not None:
+        text = json.dumps(found.to_dict(answers=True), ensure_ascii=False, indent=1)
+        out.write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        typer.echo(json.dumps(found.to_dict(), ensure_ascii=False))
+    elif not quiet:
+        typer.echo(found.table())

@@ -1,0 +1,115 @@
+"""`placegraph city train`: a network of one's own, from one's own maps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path  # noqa: TC003  # typer reads annotations
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.errors import OptionError
+from placegraph_lab.cli.training_shown import TrainingDevice, WorkFolder, training
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.outdoor.network.weights import Weights
+
+
+def train(
+    maps: Annotated[
+        list[Path], typer.Argument(help="City maps (.city) to train on, one or several.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: mine.weights.")],
+    work: WorkFolder,
+    epochs: Annotated[int, typer.Option(min=1, help="Rounds; each brings new descriptions.")] = 5,
+    examples: Annotated[
+        int, typer.Option(min=1, help="New descriptions of a city in each epoch.")
+    ] = 1200,
+    steps: Annotated[int, typer.Option(min=1, help="Batches an epoch.")] = 300,
+    batch: Annotated[int, typer.Option(min=1, help="Descriptions a batch.")] = 32,
+    check: Annotated[
+        int, typer.Option(min=1, help="Descriptions of a city, never learned, for the curves.")
+    ] = 500,
+    rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
+    seed: Annotated[
+        int, typer.Option(min=0, help="The same seed, the same descriptions and weights.")
+    ] = 0,
+    device: TrainingDevice = "auto",
+    pools: Annotated[
+        Path | None, typer.Option(help="Folder of descriptions that several trainings share.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Train the matching network on city maps.
+
+    Needs the extra `learn`. Interrupted, the same command goes on.
+
+    Example: placegraph city train ulm.city bern.city -o mine.weights --work training/
+    """
+    from time import perf_counter
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.store import writing
+    from placegraph_lab.cli.city_train_shown import Shown, draw
+    from placegraph_lab.train.city.train import TrainOptions
+    from placegraph_lab.train.city.train import train as learn
+
+    options = TrainOptions(
+        epochs=epochs,
+        examples=examples,
+        steps=steps,
+        batch=batch,
+        check=check,
+        rate=rate,
+        seed=seed,
+    )
+    names = _names(maps)
+    with writing(out):
+        pass  # a folder that cannot be written to is refused now, not after hours
+    cities = {name: CityMap.open(path) for name, path in zip(names, maps, strict=True)}
+    start = perf_counter()
+    with training(work, hidden=quiet or as_json) as bars:
+        shown = Shown(bars, work, options, table=not (quiet or as_json))
+        weights = learn(
+            cities,
+            out,
+            folder=work,
+            pools=pools,
+            options=options,
+            device=device,
+            progress=shown,
+        )
+    curves = draw(work)
+    seconds = perf_counter() - start
+    if as_json:
+        typer.echo(json.dumps(_facts(weights, out, curves, seconds)))
+    elif not quiet:
+        typer.echo(
+            f"{out}: {out.stat().st_size:,} bytes, {weights.fingerprint}, trained in {seconds:.0f} s. "
+            f"Curves: {curves}"
+        )
+
+
+def _names(maps: Sequence[Path]) -> list[str]:
+    names = [path.stem for path in maps]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise OptionError(
+            f"Several maps are called {min(twice)}; rename one, examples are kept by name."
+        )
+    return names
+
+
+def _facts(weights: Weights, out: Path, curves: Path, seconds: float) -> dict[str, object]:
+    return {
+        "weights": str(out),
+        "bytes": out.stat().st_size,
+        "fingerprint": weights.fingerprint,
+        "curves": weights.training["curves"],
+        "picture": str(curves),
+        "seconds": round(seconds, 1),
+    }

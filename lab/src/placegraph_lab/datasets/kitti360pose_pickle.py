@@ -1,0 +1,350 @@
+"""The pickles of KITTI360Pose, read by a machine that can make plain data and nothing else.
+
+Python's own unpickler calls what a file names and writes attributes that a file names. Here nothing
+of the file is ever called, imported or asked for an attribute: of the opcodes of protocols 2 to 5
+those that build data are carried out on our own containers, and a name is only a key of the table
+below. The file is mapped, not loaded: arrays of points stay views of it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import stat
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import InputError
+from placegraph_lab.datasets.kitti360pose_names import (
+    CALLS,
+    CLASSES,
+    NAMES,
+    Array,
+    DType,
+    Name,
+    Record,
+    RefusedError,
+    array_of,
+    order_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+_MOST_STEPS = 1 << 25
+"""Opcodes of the largest scene, several times over: every one may cost a hundred bytes."""
+
+
+def read_pickle(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # checked by the caller
+    """Plain data of one pickle: lists, tuples, dicts, strings, numbers, `Record`s and arrays.
+
+    Arrays are read-only and refer to the file, which must not change while they are in use. Bytes
+    come as memory views.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, cut short, or no pickle of protocol 2 to 5; or it asks for
+        anything else than the published classes and numpy arrays. Nothing of it was run.
+
+    """
+    data = _mapped(Path(path))
+    machine = _Machine(data)
+    try:
+        return finished(machine.run())
+    except RefusedError as error:
+        raise InputError(
+            f"{path}, byte {machine.opcode_at:,}: {error}. It is no file of KITTI360Pose, or it is "
+            "damaged; nothing of it was run. Download it again from where you trust it."
+        ) from None
+
+
+def finished(value: Any) -> Any:  # noqa: ANN401  # anything a pickle holds
+    """The array itself, where `value` stands for one."""
+    return value.value if isinstance(value, Array) else value
+
+
+def _mapped(path: Path) -> memoryview:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path} is not a plain file; name the pickle itself.")
+        if not status.st_size:
+            raise InputError(f"{path} is empty; download it again.")
+        return memoryview(mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
+    finally:
+        os.close(descriptor)
+
+
+class _Machine:
+    """Carries out the opcodes of one pickle."""
+
+    def __init__(self, data: memoryview) -> None:
+        self.data = data
+        self.at = 0
+        self.opcode_at = 0
+        self.stack: list[Any] = []
+        self.marks: list[list[Any]] = []
+        self.memo: dict[int, Any] = {}
+        self.encoded = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of the pickle."""
+        return len(self.data)
+
+    def run(self) -> Any:  # noqa: ANN401
+        """Value that the pickle leaves behind."""
+        if bytes(self.take(1)) != b"\x80" or not 2 <= self.take(1)[0] <= 5:
+            raise RefusedError("it is no pickle of protocol 2 to 5")
+        for _ in range(_MOST_STEPS):
+            self.opcode_at = self.at
+            opcode = self.take(1)[0]
+            if opcode == 0x2E:  # STOP
+                if self.marks or len(self.stack) != 1:
+                    raise RefusedError("its stack is not in order at the end")
+                return self.stack[0]
+            step = OPCODES.get(opcode)
+            if step is None:
+                raise RefusedError(f"opcode {opcode:#04x} is not one that plain data need")
+            step(self)
+        raise RefusedError("it has more parts than any scene")
+
+    # --- bytes ---
+
+    def take(self, n: int) -> memoryview:
+        """Next n bytes of the file."""
+        end = self.at + n
+        if end > len(self.data):
+            raise RefusedError("the file ends here")
+        taken = self.data[self.at : end]
+        self.at = end
+        return taken
+
+    def number(self, format_: str) -> Any:  # noqa: ANN401  # as the format says
+        """Number in the next bytes."""
+        return struct.unpack(format_, self.take(struct.calcsize(format_)))[0]
+
+    def line(self) -> str:
+        """Text up to the next line feed."""
+        head = bytes(self.data[self.at : self.at + 256])
+        length = head.find(b"\n")
+        if length < 0:
+            raise RefusedError("a name does not end")
+        self.at += length + 1
+        return head[:length].decode("ascii", "replace")
+
+    def text(self, format_: str) -> str:
+        """Text with its length before it."""
+        raw = self.take(self.number(format_))
+        try:
+            return str(raw, "utf-8")
+        except UnicodeDecodeError as error:
+            raise RefusedError("a text is not UTF-8") from error
+
+    # --- stack ---
+
+    def pop(self) -> Any:  # noqa: ANN401
+        """Topmost value."""
+        if not self.stack:
+            raise RefusedError("its stack is empty")
+        return self.stack.pop()
+
+    def pop_tuple(self, n: int) -> tuple[Any, ...]:
+        """Topmost n values, lowest first."""
+        if len(self.stack) < n:
+            raise RefusedError("its stack is empty")
+        values = tuple(self.stack[len(self.stack) - n :])
+        del self.stack[len(self.stack) - n :]
+        return values
+
+    def pop_mark(self) -> list[Any]:
+        """Values above the last mark."""
+        if not self.marks:
+            raise RefusedError("a mark is missing")
+        values, self.stack = self.stack, self.marks.pop()
+        return values
+
+    def top(self, kind: type) -> Any:  # noqa: ANN401
+        """Topmost value, which stays; it is of this type exactly."""
+        if not self.stack or type(self.stack[-1]) is not kind:
+            raise RefusedError(f"a {kind.__name__} is missing")
+        return self.stack[-1]
+
+    def recall(self, slot: int) -> None:
+        """Push what was memorized."""
+        if slot not in self.memo:
+            raise RefusedError(f"it recalls slot {slot}, which is empty")
+        self.stack.append(self.memo[slot])
+
+    def memorize(self, slot: int) -> None:
+        """Keep the topmost value; a dict, so that a large slot costs no more than a small one."""
+        if not self.stack:
+            raise RefusedError("its stack is empty")
+        self.memo[slot] = self.stack[-1]
+
+    def put_items(self, items: list[Any]) -> None:
+        """Key, value, key, value ... into the topmost dict."""
+        target = self.top(dict)
+        if len(items) % 2 or not all(type(key) is str for key in items[::2]):
+            raise RefusedError("a dict has keys that are not text")
+        target.update(zip(items[::2], items[1::2], strict=True))
+
+    # --- names, calls, states ---
+
+    def name(self, module: object, name: object) -> None:
+        """Push what a name means here."""
+        meaning = NAMES.get((module, name)) if type(module) is type(name) is str else None
+        if meaning is None:
+            raise RefusedError(f"it asks for {str(module)[:80]}.{str(name)[:80]}")
+        self.stack.append(Name(meaning))
+
+    def new(self) -> None:
+        """Make an instance of a published class."""
+        cls, arguments = self.pop_tuple(2)
+        if not (isinstance(cls, Name) and cls.meaning in CLASSES and arguments == ()):
+            raise RefusedError("it makes an object of no published class")
+        self.stack.append(Record(cls.meaning))
+
+    def call(self) -> None:
+        """Carry out one of the few calls that arrays need."""
+        function, arguments = self.pop_tuple(2)
+        meaning = function.meaning if isinstance(function, Name) else None
+        if meaning is None or meaning not in CALLS or type(arguments) is not tuple:
+            raise RefusedError("it calls what is not to be called")
+        self.stack.append(CALLS[meaning](self, arguments))
+
+    def build(self) -> None:
+        """Give a record its fields, an array its numbers, a dtype its byte order."""
+        target, state = self.pop_tuple(2)
+        if isinstance(target, Record):
+            if type(state) is not dict:
+                raise RefusedError(f"the state of a {target.kind} is no dict")
+            target.fields.update(state)
+        elif isinstance(target, Array) and target.value is None:
+            if type(state) is not tuple or len(state) != 5:
+                raise RefusedError("an array's state is not understood")
+            _, shape, dtype, fortran, raw = state
+            target.value = array_of(raw, dtype, shape, "F" if fortran is True else "C")
+        elif isinstance(target, DType):
+            target.order = order_of(state)
+        else:
+            raise RefusedError("it sets the state of what has none")
+        self.stack.append(target)
+
+
+def _push(read: Callable[[_Machine], Any]) -> Callable[[_Machine], None]:
+    def step(machine: _Machine) -> None:
+        value = read(machine)  # first: it may change which list is the stack
+        machine.stack.append(value)
+
+    return step
+
+
+def _drop(read: Callable[[_Machine], Any]) -> Callable[[_Machine], None]:
+    def step(machine: _Machine) -> None:
+        read(machine)
+
+    return step
+
+
+def _mark(machine: _Machine) -> None:
+    machine.marks.append(machine.stack)
+    machine.stack = []
+
+
+def _long(format_: str) -> Callable[[_Machine], None]:
+    def read(machine: _Machine) -> int:
+        length = machine.number(format_)
+        if not 0 <= length <= 16:
+            raise RefusedError("a number is longer than any that belongs here")
+        return int.from_bytes(machine.take(length), "little", signed=True)
+
+    return _push(read)
+
+
+def _tuple(n: int) -> Callable[[_Machine], None]:
+    return _push(lambda machine: machine.pop_tuple(n))
+
+
+def _append(machine: _Machine) -> None:
+    value = machine.pop()
+    machine.top(list).append(value)
+
+
+def _appends(machine: _Machine) -> None:
+    values = machine.pop_mark()
+    machine.top(list).extend(values)
+
+
+def _put(format_: str) -> Callable[[_Machine], None]:
+    return lambda machine: machine.memorize(machine.number(format_))
+
+
+def _get(format_: str) -> Callable[[_Machine], None]:
+    return lambda machine: machine.recall(machine.number(format_))
+
+
+def _bytes(format_: str) -> Callable[[_Machine], None]:
+    return _push(lambda machine: machine.take(machine.number(format_)))
+
+
+def _text(format_: str) -> Callable[[_Machine], None]:
+    return _push(lambda machine: machine.text(format_))
+
+
+def _number(format_: str) -> Callable[[_Machine], None]:
+    return _push(lambda machine: machine.number(format_))
+
+
+OPCODES: Mapping[int, Callable[[_Machine], None]] = {
+    ord("("): _mark,
+    ord("0"): _drop(lambda machine: machine.pop()),
+    ord("1"): _drop(lambda machine: machine.pop_mark()),
+    0x95: _drop(lambda machine: machine.number("<Q")),  # a frame: only a hint
+    ord("N"): _push(lambda _: None),
+    0x88: _push(lambda _: True),
+    0x89: _push(lambda _: False),
+    ord("J"): _number("<i"),
+    ord("K"): _number("<B"),
+    ord("M"): _number("<H"),
+    0x8A: _long("<B"),
+    0x8B: _long("<i"),
+    ord("G"): _number(">d"),
+    ord("X"): _text("<I"),
+    0x8C: _text("<B"),
+    0x8D: _text("<Q"),
+    ord("B"): _bytes("<I"),
+    ord("C"): _bytes("<B"),
+    0x8E: _bytes("<Q"),
+    0x96: _bytes("<Q"),  # a bytearray: here nobody writes into it
+    ord("]"): _push(lambda _: []),
+    ord("a"): _append,
+    ord("e"): _appends,
+    ord("}"): _push(lambda _: {}),
+    ord("s"): lambda machine: machine.put_items([*machine.pop_tuple(2)]),
+    ord("u"): lambda machine: machine.put_items(machine.pop_mark()),
+    ord(")"): _push(lambda _: ()),
+    ord("t"): _push(lambda machine: tuple(machine.pop_mark())),
+    0x85: _tuple(1),
+    0x86: _tuple(2),
+    0x87: _tuple(3),
+    ord("q"): _put("<B"),
+    ord("r"): _put("<I"),
+    0x94: lambda machine: machine.memorize(len(machine.memo)),
+    ord("h"): _get("<B"),
+    ord("j"): _get("<I"),
+    ord("c"): lambda machine: machine.name(machine.line(), machine.line()),
+    0x93: lambda machine: machine.name(*machine.pop_tuple(2)),
+    0x81: lambda machine: machine.new(),
+    ord("R"): lambda machine: machine.call(),
+    ord("b"): lambda machine: machine.build(),
+}
+"""What is carried out; the opcodes of protocols 0 and 1, of extensions, persistent ids, sets and
+out-of-band buffers are missing on purpose."""

@@ -1,0 +1,207 @@
+"""Cross-temporal queries on ScanNet: a scan is the map, another scan of its room is asked about.
+
+SG2Loc (Sec. 5) takes 57 pairs of scans captured at different times, and one image in 25: 4,088
+queries. Which 57 is not published, and the code of the earlier work took the first hundred scans of
+the validation set in the order of its disk. So pairs are derived from the scans that lie in a
+folder, or from those that a list of ScanNet's (`scannetv2_val.txt`) names; or they are read from a
+list of one's own.
+
+ScanNet's scans of a room are not registered to each other. A list may say how (`map_from_query`, of
+the axis-aligned scans), and `scannet_register` finds it where the room's form tells; without it a
+pair can be asked which room it is, but not where in the map.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.dataset.scannet_files import axis_alignment, is_rigid, read_text
+from placegraph_lab.tables.indoor.windows import Window, drifting_windows, sampled
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from os import PathLike
+
+    from numpy.random import Generator
+
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.geometry import Floats
+
+EVERY = 25
+"""Images from one query to the next (Sec. 5)."""
+LENGTHS = (5, 10, 25, 50)
+"""Images of a sequence (Tables 1 and 2)."""
+_SCAN = re.compile(r"(scene\d{4})_\d{2}")
+_RIGID = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPair:
+    """Two scans of one room."""
+
+    map: str
+    """Scan the map is made of."""
+    query: str
+    """Scan whose images are asked about."""
+    map_from_query: Floats | None = None
+    """(4, 4) [m], from the axis-aligned query to the axis-aligned map; None: nobody knows."""
+
+    @property
+    def name(self) -> str:
+        """`scene0011_01 in scene0011_00`."""
+        return f"{self.query} in {self.map}"
+
+
+def scans_in(path: str | PathLike[str]) -> list[str]:
+    """Names of scans, ascending: subfolders `scene0000_00` of a folder, or words of a text file.
+
+    Raises `InputError` where there is none.
+    """
+    path = Path(path)
+    if path.is_dir():
+        words = [entry.name for entry in path.iterdir() if entry.is_dir()]
+    else:
+        words = read_text(path).split()
+    found = sorted({word for word in words if _SCAN.fullmatch(word)})
+    if not found:
+        raise InputError(f"{path} holds no scan called like scene0000_00; give ScanNet's scans/.")
+    return found
+
+
+def derive_pairs(
+    scans: Iterable[str], which: Literal["first", "next", "all"] = "first"
+) -> list[ScanPair]:
+    """Pairs of different scans of the same room, in order of their names.
+
+    Parameters
+    ----------
+    scans
+        Names such as `scene0011_00`; the room is what stands before the underscore.
+    which
+        "first": a room's first scan is the map of all its others. "next": each scan is the map of the
+        next. "all": each scan is the map of each other one.
+
+    Raises
+    ------
+    OptionError
+        A name is none of ScanNet's, or `which` none of its values.
+
+    """
+    if which not in {"first", "next", "all"}:
+        raise OptionError(f"which is {which!r}; it is 'first', 'next' or 'all'.")
+    names = sorted(set(scans))
+    pairs: list[ScanPair] = []
+    for _, group in itertools.groupby(names, _room):
+        room = list(group)
+        match which:
+            case "first":
+                found = [(room[0], other) for other in room[1:]]
+            case "next":
+                found = list(itertools.pairwise(room))
+            case _:
+                found = list(itertools.permutations(room, 2))
+        pairs += [ScanPair(*two) for two in found]
+    return pairs
+
+
+def _room(scan: str) -> str:
+    match = _SCAN.fullmatch(scan)
+    if match is None:
+        raise OptionError(f"scans: {scan!r} is no scan of ScanNet; they are called scene0000_00.")
+    return match[1]
+
+
+def read_pairs(path: str | PathLike[str]) -> list[ScanPair]:
+    """Pairs of a text file: `map query` a line, and optionally 16 numbers, map_from_query by rows.
+
+    `#` begins a comment. Raises `InputError`, which names the line, where a line is not that, or the
+    scans are the same or of different rooms.
+    """
+    path = Path(path)
+    pairs = []
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.partition("#")[0].split()
+        if words:
+            try:
+                pairs.append(_pair(words))
+            except (OptionError, ValueError) as error:
+                raise InputError(f"{path}, line {number}: {error}") from error
+    if not pairs:
+        raise InputError(f"{path} holds no pair; a line is `scene0011_00 scene0011_01`.")
+    return pairs
+
+
+def _pair(words: list[str]) -> ScanPair:
+    if len(words) not in {2, 18}:
+        raise OptionError(
+            f"{len(words)} words, where map, query and perhaps 16 numbers of map_from_query belong."
+        )
+    one, other = words[:2]
+    if one == other or _room(one) != _room(other):
+        raise OptionError(f"{one} and {other} are not two scans of one room.")
+    if len(words) == 2:
+        return ScanPair(one, other)
+    matrix = np.array([float(word) for word in words[2:]]).reshape(4, 4)
+    if not is_rigid(matrix, _RIGID):
+        raise OptionError("map_from_query is no rigid transform; write its 4 x 4 numbers by rows.")
+    return ScanPair(one, other, matrix)
+
+
+# ---------------------------------------------------------------------------------------- queries
+
+
+def true_poses(capture: Capture, folder: Path, pair: ScanPair) -> Floats:
+    """True map_from_camera (T, 4, 4) [m] of frames of the query's recording, in `folder`.
+
+    The map is the axis-aligned `pair.map`. Raises `OptionError` where the pair's scans are not
+    registered, `InputError` where the alignment of the query is broken.
+    """
+    if pair.map_from_query is None:
+        raise OptionError(
+            f"{pair.name}: ScanNet does not register scans to each other; find map_from_query by "
+            "scannet_register, write it beside the pair, or ask only which room it is."
+        )
+    poses: Floats = pair.map_from_query @ axis_alignment(folder) @ capture.odometry
+    return poses
+
+
+def pair_windows(
+    folder: Path, pair: ScanPair, length: int, rng: Generator, *, every: int = EVERY
+) -> list[Window]:
+    """Sequences of `length` images, one in `every`, of a pair's query, that do not overlap.
+
+    A recording's own poses are its truth; the windows' captures have an odometry made of them, in a
+    frame of its own, that drifts as `synthetic.walks.drifted` says.
+
+    Parameters
+    ----------
+    folder
+        ScanNet's `scans/`.
+    pair
+        Scans of it, registered.
+    length
+        Images of a sequence: `LENGTHS` in the paper.
+    rng
+        Draws the drift.
+    every
+        Images of the recording from one to the next.
+
+    Raises
+    ------
+    InputError
+        The recording is missing or broken.
+    OptionError
+        The pair's scans are not registered, or `length` or `every` is less than 1.
+
+    """
+    scan = folder / pair.query
+    capture = sampled(open_capture(scan), every)
+    return drifting_windows(pair.name, capture, true_poses(capture, scan, pair), length, rng)

@@ -1,0 +1,1 @@
+"""Poses: filter, refinement, matchers, speed."""

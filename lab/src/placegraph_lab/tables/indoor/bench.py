@@ -1,0 +1,66 @@
+"""Maps and windows of the indoor benchmarks, made when they are first needed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor.windows import HALVES, covered, house_windows, office_windows
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph_lab.tables.indoor.windows import Window
+
+
+class Bench:
+    """Maps and windows by name; of the maps only the last is kept.
+
+    Parameters
+    ----------
+    data
+        Folder with `house` and `office`.
+    cache
+        Folder for maps.
+    every, office_every
+        Frames from the start of a window to the next, in the house and in the office.
+
+    """
+
+    def __init__(self, data: Path, cache: Path, every: int, office_every: int) -> None:
+        self.data = data
+        self.cache = cache
+        self.every = every
+        self.office_every = office_every
+        self._maps: dict[str, SceneMap] = {}
+        self._windows: dict[tuple[str, int], list[Window]] = {}
+
+    def scene(self, name: str) -> SceneMap:
+        """Map `house`, `coarse`, or one of a key of `HALVES`."""
+        if name not in self._maps:
+            self._maps.clear()
+            if name in HALVES:
+                made = indoor_maps.office(self.data, self.cache, name)
+            elif name == "coarse":
+                made = indoor_maps.coarse_house(self.data, self.cache)
+            else:
+                made = indoor_maps.house(self.data, self.cache)
+            self._maps[name] = made
+        return self._maps[name]
+
+    def windows(self, place: str, length: int) -> list[Window]:
+        """Windows of a length of the house, or of the half of the office that a key of `HALVES` asks.
+
+        Of the office it is measured how much of them the map covers.
+        """
+        place = place if place in HALVES else "house"
+        if (place, length) not in self._windows:
+            if place in HALVES:
+                folder = self.data / "office"
+                made = office_windows(folder, place, length=length, every=self.office_every)
+                made = [covered(self.scene(place), w) for w in made]
+            else:
+                made = house_windows(self.data / "house", length, every=self.every)
+            self._windows[place, length] = made
+        return self._windows[place, length]

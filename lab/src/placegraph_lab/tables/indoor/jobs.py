@@ -1,0 +1,207 @@
+"""The rows of the indoor benchmark: which map, which labels, which options; and asking for them."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
+
+from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.options import FilterOptions
+from placegraph_lab.tables.indoor.label_noise import NoisyEncoder
+from placegraph_lab.tables.indoor.metrics import Answer, measure
+from placegraph_lab.tables.indoor.windows import HALVES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from placegraph.indoor.encode import MapEncoder
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph_lab.tables.indoor.windows import Window
+
+Labels = Literal["instances", "classes", "none"]
+
+ANSWERING = (
+    "geometry.py", "estimate.py", "formats/*.py", "indoor/**/*.py", "evaluate/label_noise.py",
+    "evaluate/indoor_windows.py", "evaluate/indoor_metrics.py", "evaluate/indoor_maps.py",
+    "evaluate/decimate*.py",
+)  # fmt: skip
+"""Code that decides what the answers are."""
+QUICK_EVERY = 13
+"""Frames between windows of the house for a first impression."""
+
+SEMANTIC = {
+    "semantic": {"semantic": True},
+    "semantic + depth": {"semantic": True, "depth": True},
+    "semantic + colour": {"semantic": True, "colour": True},
+    "all": {"semantic": True, "depth": True, "colour": True},
+}
+BARE = {
+    "depth": {"depth": True},
+    "colour": {"colour": True},
+    "depth + colour": {"depth": True, "colour": True},
+}
+TITLES = {
+    "instances": "House, instance labels, 30 % of the patches wrong",
+    "classes": "House, class labels, 30 % of the patches wrong",
+    "none": "House, no labels",
+    "b in a": "Office, map of frames 0-185, asked about 186-372",
+    "a in b": "Office, map of frames 186-372, asked about 0-185",
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One row of a table, for windows of any length."""
+
+    table: str
+    """Key of `TITLES`."""
+    row: str
+    options: FilterOptions
+    map: str
+    """`house`, `coarse` or a key of `HALVES`."""
+    labels: Labels
+    theirs: bool = False
+    """The paper's recipe, which the aims do not count."""
+
+    @property
+    def name(self) -> str:
+        """`instances: semantic + depth`."""
+        return f"{self.table}: {self.row}"
+
+    def key(self, window: Window, seed: int, code: str) -> str:
+        """What an answer depends on."""
+        options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
+        return f"{code} {self.map} {self.labels} {options} seed {seed} {window.name}"
+
+
+def house_jobs() -> list[Job]:
+    """Terms and pairs, variants, the paper's recipe, and the coarse map."""
+    jobs = []
+    for labels in ("instances", "classes"):
+        jobs += [
+            Job(labels, row, FilterOptions().only(**terms), "house", labels)
+            for row, terms in SEMANTIC.items()
+        ]
+    jobs += [
+        Job("none", row, FilterOptions().only(**terms), "house", "none")
+        for row, terms in BARE.items()
+    ]
+    for row in ("semantic", "semantic + depth", "all"):
+        terms = SEMANTIC[row]
+        jobs += [
+            Job("instances", f"{row}, {name}", options, "house", "instances")
+            for name, options in variants(**terms)
+        ]
+        jobs.append(
+            Job(
+                "instances",
+                f"{row}, paper's recipe",
+                FilterOptions.paper().only(**terms),
+                "house",
+                "instances",
+                theirs=True,
+            )
+        )
+    for row in ("semantic", "semantic + depth", "all"):
+        options = FilterOptions().only(**SEMANTIC[row])
+        jobs.append(Job("instances", f"{row}, 20k triangles", options, "coarse", "instances"))
+    for row in ("depth + colour", "colour"):
+        options = FilterOptions().only(**BARE[row])
+        jobs.append(Job("none", f"{row}, 20k triangles", options, "coarse", "none"))
+    return jobs
+
+
+def variants(**terms: bool) -> list[tuple[str, FilterOptions]]:
+    """Rows of the ablations (Tables 7, 12) for the terms named."""
+    ours = FilterOptions().only(**terms)
+    return [
+        ("coarse only", FilterOptions.coarse().only(**terms)),
+        ("without KLD", replace(ours, kld=False)),
+        ("uniform start", replace(ours, start="uniform")),
+    ]
+
+
+def office_jobs() -> list[Job]:
+    """No labels: depth and colour, each alone, and the paper's recipe."""
+    jobs = []
+    for half in HALVES:
+        jobs += [
+            Job(half, row, FilterOptions().only(**terms), half, "none")
+            for row, terms in BARE.items()
+        ]
+        options = FilterOptions.paper().only(**BARE["depth + colour"])
+        jobs.append(Job(half, "depth + colour, paper's recipe", options, half, "none", theirs=True))
+    return jobs
+
+
+QUICK = (
+    "instances: semantic", "instances: semantic + depth", "instances: all", "classes: all",
+    "none: depth + colour", "b in a: depth + colour", "a in b: depth + colour",
+)  # fmt: skip
+"""Rows of a first impression."""
+
+
+class Named(Protocol):
+    """What has a name that rows can be chosen by."""
+
+    @property
+    def name(self) -> str:
+        """`instances: all`."""
+
+
+Row = TypeVar("Row", bound=Named)
+
+
+def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
+    """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is."""
+    return [
+        j
+        for j in jobs
+        if not only
+        or any(j.name == o or (o.endswith("*") and j.name.startswith(o[:-1])) for o in only)
+    ]
+
+
+def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> MapEncoder | None:
+    """Encoder with the noise model; None without labels."""
+    if job.labels == "none":
+        return None
+    clean = InstancesEncoder(scene) if job.labels == "instances" else ClassesOfInstances(scene)
+    return NoisyEncoder(clean, seed=seed, name=window.place)
+
+
+def ask(
+    job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
+) -> Answer:
+    """Localize a window, without refining, and measure the answer."""
+    encoder = encoder_of(job, scene, window, seed)
+    return answered(scene, window, encoder, job.options, seed=seed, device=device)
+
+
+def answered(
+    scene: SceneMap,
+    window: Window,
+    encoder: MapEncoder | None,
+    options: FilterOptions,
+    *,
+    seed: int = 0,
+    device: str = "auto",
+) -> Answer:
+    """Localize a window with an encoder of the map, without refining, and measure the answer."""
+    start = time.perf_counter()
+    estimate = scene.localize(
+        window.capture, encoder=encoder, options=options, refine=False, seed=seed, device=device
+    )
+    seconds = time.perf_counter() - start
+    return measure(
+        estimate,
+        window.truth,
+        seconds=seconds,
+        frames=len(window.capture),
+        window=window.name,
+        place=window.place,
+        changed=window.changed,
+        coverage=window.coverage,
+    )

@@ -1,0 +1,331 @@
+"""What an indoor answer is worth: errors of the pose, recall, status, calibration and time."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.geometry import vector_from_rotation
+from placegraph_lab.tables.calibration import Reliability, reliability
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import PoseEstimate
+    from placegraph.geometry import Floats
+
+THRESHOLDS = ((0.10, 5.0), (0.25, 2.0), (0.25, 10.0), (1.00, 10.0))
+"""Position [m] and rotation [deg] that a recall allows."""
+NEAR = (0.5, 10.0)
+"""What `OK` promises, and what a mode's probability speaks of: this near to the truth."""
+AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
+"""What the six numbers of a pose's error are, in the order of `PoseMode.covariance`."""
+WITHIN_95 = 12.5916
+"""95 % of the squared normalised errors of six degrees of freedom are smaller (chi-squared)."""
+
+
+def position_error(map_from_camera: Floats, truth: Floats) -> float:
+    """Distance [m] of two poses (4, 4)."""
+    return float(np.linalg.norm(map_from_camera[:3, 3] - truth[:3, 3]))
+
+
+def rotation_error(map_from_camera: Floats, truth: Floats) -> float:
+    """Geodesic angle [deg, 0 to 180] between the rotations of two poses (4, 4).
+
+    arccos((tr(R^T R') - 1) / 2) as in the paper (Sec. 5), by a formula that keeps its digits near
+    0 and 180 degrees.
+    """
+    turn = map_from_camera[:3, :3].T @ truth[:3, :3]
+    sine = math.sqrt(
+        (turn[2, 1] - turn[1, 2]) ** 2
+        + (turn[0, 2] - turn[2, 0]) ** 2
+        + (turn[1, 0] - turn[0, 1]) ** 2
+    )
+    return math.degrees(math.atan2(sine, float(np.trace(turn)) - 1.0))
+
+
+def near(map_from_camera: Floats, truth: Floats, limits: tuple[float, float] = NEAR) -> bool:
+    """Whether a pose (4, 4) lies within limits [m], [deg] of the truth (4, 4)."""
+    return (
+        position_error(map_from_camera, truth) <= limits[0]
+        and rotation_error(map_from_camera, truth) <= limits[1]
+    )
+
+
+def pose_error(map_from_camera: Floats, truth: Floats) -> Floats:
+    """What leads from a pose (4, 4) to the truth (4, 4): (6,) shift [m], turn [rad], map axes.
+
+    The shift is added to the position; the turn is the vector of the rotation that comes after the
+    pose's own: log(R_true R^T), as `PoseMode.covariance` has it.
+    """
+    turn = truth[:3, :3] @ map_from_camera[:3, :3].T
+    return np.concatenate([truth[:3, 3] - map_from_camera[:3, 3], vector_from_rotation(turn)])
+
+
+def normalised_error(covariance: Floats, map_from_camera: Floats, truth: Floats) -> Floats:
+    """`pose_error` (6,), whitened by the covariance (6, 6): of unit variance if that is honest.
+
+    The squares sum to the squared Mahalanobis distance. NaN where the covariance is not positive
+    definite.
+    """
+    try:
+        whole: Floats = np.linalg.solve(
+            np.linalg.cholesky(covariance), pose_error(map_from_camera, truth)
+        )
+    except np.linalg.LinAlgError:
+        return np.full(6, np.nan)
+    return whole
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One estimate, measured against the truth."""
+
+    window: str
+    """Which frames were asked about: `seq01 5:10`."""
+    place: str
+    """Which sequence, or which half."""
+    changed: bool | None
+    """Whether the scene differs from its map; None where nobody knows."""
+    coverage: float | None
+    """Share of the last frame's surface that the map holds; None where nobody looked."""
+    position: float
+    """Error of the best pose [m]; infinite where there is none."""
+    rotation: float
+    """Error of the best pose [deg]; 180 where there is none."""
+    status: str
+    probability: float
+    """Of the best mode; 0 where there is none."""
+    held: bool
+    """Whether the truth is near one of the modes."""
+    whitened: tuple[float, ...]
+    """(6,) `normalised_error` of the best mode; empty where there is none."""
+    frames: int
+    seconds: float
+    """Wall time of the whole estimate."""
+    particles: float = math.nan
+    """Mean number of particles over frames and passes."""
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is a pose."""
+        return math.isfinite(self.position)
+
+    def within(self, metres: float, degrees: float) -> bool:
+        """Whether the best pose is that near to the truth."""
+        return self.position <= metres and self.rotation <= degrees
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, ready for `json.dumps`; infinity and nan become None."""
+        row = asdict(self) | {"whitened": [rounded(w, 3) for w in self.whitened]}
+        digits = {"coverage": 3, "position": 4, "rotation": 3, "probability": 4, "seconds": 4}
+        for name, places in (digits | {"particles": 0}).items():
+            row[name] = rounded(row[name], places)
+        return row
+
+    @classmethod
+    def from_dict(cls, row: dict[str, Any]) -> Answer:
+        """What `to_dict` wrote."""
+        lost = row["position"] is None
+        return cls(
+            **row
+            | {
+                "position": math.inf if lost else row["position"],
+                "particles": math.nan if row["particles"] is None else row["particles"],
+                "whitened": tuple(math.nan if w is None else w for w in row["whitened"]),
+            }
+        )
+
+
+def measure(
+    estimate: PoseEstimate,
+    truth: Floats,
+    *,
+    seconds: float,
+    frames: int,
+    window: str = "",
+    place: str = "",
+    changed: bool | None = None,
+    coverage: float | None = None,
+) -> Answer:
+    """Measure an estimate against the true map_from_camera (4, 4) of its last frame."""
+    best = estimate.best
+    poses = [m.map_from_camera for m in estimate.modes]
+    return Answer(
+        window=window,
+        place=place,
+        changed=changed,
+        coverage=coverage,
+        position=position_error(best.map_from_camera, truth) if best else math.inf,
+        rotation=rotation_error(best.map_from_camera, truth) if best else 180.0,
+        status=estimate.status.name,
+        probability=float(best.probability) if best else 0.0,
+        held=any(near(pose, truth) for pose in poses),
+        whitened=tuple(normalised_error(best.covariance, best.map_from_camera, truth).tolist())
+        if best
+        else (),
+        frames=frames,
+        seconds=seconds,
+        particles=mean_particles(estimate.stats),
+    )
+
+
+def mean_particles(stats: dict[str, Any]) -> float:
+    """Mean number of particles over passes and frames, from an estimate's `stats`; NaN if unsaid."""
+    counts = [n for of_pass in stats.get("particles", ()) for n in of_pass]
+    return float(np.mean(counts)) if counts else math.nan
+
+
+@dataclass(frozen=True)
+class Score:
+    """Row of a table."""
+
+    windows: int
+    mean: tuple[float, float]
+    """Mean error of the answers that have a pose [m], [deg]; NaN where none has."""
+    median: tuple[float, float]
+    """Median error of all answers [m], [deg]; infinite where most have no pose."""
+    recall: tuple[float, ...]
+    """Share of answers within each of `THRESHOLDS`."""
+    status: dict[str, float]
+    """Share of every status."""
+    right: float
+    """Share of `OK` answers that are near the truth; NaN where none is `OK`."""
+    false_ok: float
+    """Share of all answers that are `OK` and not near the truth."""
+    held: float
+    """Share of answers with the truth among their modes."""
+    honest: float
+    """Share of answers that are right and `OK`, `AMBIGUOUS` with the truth among the modes, or
+    `LOST` where the best pose, if any, is wrong."""
+    calibration: Reliability
+    """Of the best mode's probability to be near the truth."""
+    spread: tuple[float, ...]
+    """(6,) root mean square of the whitened errors of right answers: 1 if honest, above 1 if
+    the covariance is too small."""
+    inside: float
+    """Share of right answers within the 95 % ellipsoid of their covariance."""
+    frame_seconds: float
+    """Mean time per frame [s]."""
+    particles: float
+    """Mean over answers."""
+    worst: tuple[str, ...] = field(default=())
+    """Windows whose answers are wrong, farthest first: `seq01 13:18 OK 14.1 m 179 deg`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
+        return {
+            "windows": self.windows,
+            "mean_position_m": rounded(self.mean[0], 4),
+            "mean_rotation_deg": rounded(self.mean[1], 3),
+            "median_position_m": rounded(self.median[0], 4),
+            "median_rotation_deg": rounded(self.median[1], 3),
+            "recall": {
+                f"{m:g} m, {d:g} deg": rounded(r, 4)
+                for (m, d), r in zip(THRESHOLDS, self.recall, strict=True)
+            },
+            "status": {k: rounded(v, 4) for k, v in self.status.items()},
+            "ok_right": rounded(self.right, 4),
+            "false_ok": rounded(self.false_ok, 4),
+            "truth_among_modes": rounded(self.held, 4),
+            "honest": rounded(self.honest, 4),
+            "calibration_error": rounded(self.calibration.error, 4),
+            "calibration_error_of_perfect": rounded(self.calibration.floor, 4),
+            "normalised_rms": [rounded(s, 3) for s in self.spread],
+            "within_95_percent": rounded(self.inside, 4),
+            "frame_seconds": rounded(self.frame_seconds, 4),
+            "particles": rounded(self.particles, 0),
+            "wrong": list(self.worst),
+        }
+
+
+def score(answers: Sequence[Answer]) -> Score:
+    """Summarize answers; `OptionError` where there are none."""
+    if not answers:
+        raise OptionError("There are no answers to score.")
+    n = len(answers)
+    errors = np.array([(a.position, a.rotation) for a in answers])
+    posed = errors[[a.answered for a in answers]]
+    right = np.array([a.within(*NEAR) for a in answers])
+    statuses = [a.status for a in answers]
+    ok = np.array([s == "OK" for s in statuses])
+    white = [a.whitened for a, r in zip(answers, right, strict=True) if r]
+    particles = [a.particles for a in answers if not math.isnan(a.particles)]
+    return Score(
+        windows=n,
+        mean=pair(posed.mean(axis=0)) if len(posed) else (math.nan, math.nan),
+        median=pair(np.median(errors, axis=0)),
+        recall=tuple(sum(a.within(*limits) for a in answers) / n for limits in THRESHOLDS),
+        status={s: statuses.count(s) / n for s in sorted(set(statuses))},
+        right=float(right[ok].mean()) if ok.any() else math.nan,
+        false_ok=float((ok & ~right).mean()),
+        held=sum(a.held for a in answers) / n,
+        honest=sum(map(is_honest, answers)) / n,
+        calibration=reliability([a.probability for a in answers], right, bins=min(5, n)),
+        spread=root_mean_square(white),
+        inside=share_inside(white),
+        frame_seconds=float(np.mean([a.seconds / a.frames for a in answers])),
+        particles=float(np.mean(particles)) if particles else math.nan,
+        worst=tuple(wrong_ones(answers)),
+    )
+
+
+def is_honest(answer: Answer) -> bool:
+    """Whether the status says what the answer is worth."""
+    right = answer.within(*NEAR)
+    if answer.status == "OK":
+        return right
+    return answer.held if answer.status == "AMBIGUOUS" else not right
+
+
+def wrong_ones(answers: Iterable[Answer]) -> list[str]:
+    """One line for every answer with a pose that is not near the truth, farthest first."""
+    wrong = [a for a in answers if a.answered and not a.within(*NEAR)]
+    return [
+        f"{a.window} {a.status} {a.position:.2f} m {a.rotation:.0f} deg"
+        for a in sorted(wrong, key=lambda a: -a.position)
+    ]
+
+
+def root_mean_square(whitened: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    """Root mean square (6,) of whitened errors, those without a sound covariance left out."""
+    sound = _sound(whitened)
+    if not len(sound):
+        return (math.nan,) * 6
+    return tuple(np.sqrt((sound**2).mean(axis=0)).tolist())
+
+
+def share_inside(whitened: Sequence[Sequence[float]]) -> float:
+    """Share of whitened errors within the 95 % ellipsoid; an unsound covariance holds nothing."""
+    if not whitened:
+        return math.nan
+    return float(((_sound(whitened) ** 2).sum(axis=1) <= WITHIN_95).sum() / len(whitened))
+
+
+def rounded(value: float | None, digits: int) -> float | None:
+    """Number for JSON: None for nothing, infinity and nan."""
+    if value is None or not math.isfinite(value):
+        return None
+    return round(float(value), digits)
+
+
+def pair(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Two floats of an array (2,)."""
+    return float(values[0]), float(values[1])
+
+
+def _sound(whitened: Sequence[Sequence[float]]) -> Floats:
+    table = np.array(whitened, np.float64).reshape(-1, 6)
+    return table[np.isfinite(table).all(axis=1)]
+
+
+def dumps(record: dict[str, Any]) -> str:
+    """JSON text that holds no NaN."""
+    return json.dumps(record, indent=1, allow_nan=False) + "\n"

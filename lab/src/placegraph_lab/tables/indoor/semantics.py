@@ -1,0 +1,179 @@
+"""What each encoder is worth to the particle filter: the rows of `benchmarks/indoor_semantics.py`.
+
+Encoders of labels get the house's instances as labels, by the names that the map gives its objects,
+or through `OTHER_WORDS`: what a segmentation trained elsewhere would say. Their noise is that of
+`label_noise`, 30 % of the patches. Nothing is refined, as in the paper's Tables 7 and 8.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from placegraph.errors import InputError, MissingExtraError
+from placegraph.formats.mesh.ply_write import write_ply
+from placegraph.indoor.encode import bound, encoder
+from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.bench import Bench
+from placegraph_lab.tables.indoor.jobs import answered
+from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels
+from placegraph_lab.tables.indoor.maps import place
+from placegraph_lab.tables.indoor.windows import HALVES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.indoor.encode import MapEncoder
+    from placegraph_lab.tables.indoor.metrics import Answer
+    from placegraph_lab.tables.indoor.windows import Window
+
+NONE = "none"
+TABLE = "labels, 0/1 table"
+LABELS = "labels"
+OTHERS = "labels, other words"
+INSTANCES = "instances"
+WITH_LABELS = (INSTANCES, TABLE, LABELS, OTHERS)
+"""Encoders of a capture that brings labels; those of the house do."""
+OF_IMAGES = ("appearance", "compact")
+"""Encoders of colour images that need no weights from elsewhere."""
+
+TERMS = {
+    "semantic": {"semantic": True},
+    "semantic + depth": {"semantic": True, "depth": True},
+    "semantic + colour": {"semantic": True, "colour": True},
+    "semantic + depth + colour": {"semantic": True, "depth": True, "colour": True},
+}
+BARE = {
+    "depth": {"depth": True},
+    "colour": {"colour": True},
+    "depth + colour": {"depth": True, "colour": True},
+}
+
+OTHER_WORDS = {
+    "Portrait": "painting", "DeskPortrait": "photo frame", "RoomWindow": "windowpane",
+    "Chair": "armchair", "Chandelier": "ceiling light", "FoldingDoor": "sliding door",
+    "Airconditioner": "ventilator", "NightStand": "chest of drawers", "Carpet": "floor mat",
+    "Light": "table lamp", "Trash": "waste basket", "TV": "computer monitor", "Bed": "bunk bed",
+    "Board": "whiteboard", "SecurityCamera": "webcam", "CoffeeTable": "end table",
+    "CookingBench": "worktop", "Curtain": "drapes", "KitchenTable": "dinner table",
+    "ReadingDesk": "office desk", "BalconyTable": "side table", "Door": "wooden door",
+    "Dumbbell": "weights", "Tablet": "ipad", "FitnessEquipment": "exercise machine",
+    "Handle": "doorknob", "HouseWall": "brick wall", "Floor": "parquet",
+    "KitchenCabinet": "cupboard", "KitchenUtensils": "cooking pot", "Rangehood": "extractor hood",
+    "Refrigerator": "deep freezer", "SeasoningBox": "storage box", "ShoeRack": "coat stand",
+    "Sofa": "couch", "Tableware": "plates", "TVCabinet": "sideboard", "Vase": "flower vase",
+    "RoomWall": "partition", "Wardrobe": "closet", "Ceiling": "roof",
+}  # fmt: skip
+"""Another word for each label of the house: a synonym, or what is of its kind; none is the map's."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of a table: an encoder, the terms beside it, and where."""
+
+    place: str
+    """`house`, or a key of `HALVES`."""
+    encoder: str
+    terms: str
+
+    @property
+    def name(self) -> str:
+        """`house: labels: semantic + depth`."""
+        return f"{self.place}: {self.encoder}: {self.terms}"
+
+    @property
+    def options(self) -> FilterOptions:
+        """Of the filter."""
+        return FilterOptions().only(**(TERMS | BARE)[self.terms])
+
+    def key(self, window: Window, seed: int, code: str) -> str:
+        """What an answer depends on."""
+        options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
+        return f"{code} {self.place} {self.encoder} {options} seed {seed} {window.name}"
+
+
+def cases(images: Iterable[str] = OF_IMAGES) -> list[Case]:
+    """All rows; `images`: the encoders of images that there are."""
+    images = tuple(images)
+    rows = []
+    for where in ("house", *HALVES):
+        rows += [Case(where, NONE, terms) for terms in BARE]
+        encoders = (*WITH_LABELS, *images) if where == "house" else images
+        rows += [Case(where, name, terms) for name in encoders for terms in TERMS]
+    return rows
+
+
+def available() -> list[str]:
+    """Those of `OF_IMAGES` that can be made here."""
+    found = []
+    for name in OF_IMAGES:
+        try:
+            encoder(name)
+        except (InputError, MissingExtraError, ModuleNotFoundError):  # no weights yet, no module
+            continue
+        found.append(name)
+    return found
+
+
+def named(capture: Capture, scene: SceneMap, words: dict[str, str] | None = None) -> Capture:
+    """A capture of a map's instances as one of labels: what the map calls them, or other words."""
+    said = words or {}
+    names = {
+        int(id_): said.get(label, label)
+        for id_, label in zip(scene.graph.ids, scene.graph.labels, strict=True)
+    }
+    frames = tuple(replace(f, label_kind="labels", label_names=names) for f in capture.frames)
+    return replace(capture, frames=frames, label_kind="labels", label_names=names)
+
+
+def encoder_of(
+    case: Case, scene: SceneMap, window: Window, seed: int
+) -> tuple[MapEncoder | None, Window]:
+    """An encoder with its noise, and the window as that is to see it."""
+    if case.encoder == NONE:
+        return None, window
+    if case.encoder in {INSTANCES, TABLE}:
+        clean = InstancesEncoder if case.encoder == INSTANCES else ClassesOfInstances
+        return NoisyEncoder(clean(scene), seed=seed, name=window.place), window
+    if case.encoder in {LABELS, OTHERS}:
+        words = OTHER_WORDS if case.encoder == OTHERS else {}
+        capture = named(window.capture, scene, words)
+        vocabulary = list(capture.label_names.values())
+        noisy = NoisyLabels(LabelsEncoder(), vocabulary, seed=seed, name=window.place)
+        return bound(noisy, scene), replace(window, capture=capture)
+    return bound(encoder(case.encoder), scene), window
+
+
+def ask(
+    case: Case, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
+) -> Answer:
+    """Localize a window, without refining, and measure the answer."""
+    mapped, seen = encoder_of(case, scene, window, seed)
+    return answered(scene, seen, mapped, case.options, seed=seed, device=device)
+
+
+class SemanticBench(Bench):
+    """Maps and windows; the office's maps are cut into objects, as encoders need some."""
+
+    def scene(self, name: str) -> SceneMap:
+        """Map `house`, or one of a key of `HALVES`."""
+        if name not in HALVES:
+            return super().scene(name)
+        if name not in self._maps:
+            low, high = HALVES[name][0]
+            path = place(self.cache, f"office_objects_{low}_{high}")
+            if not path.exists():
+                mesh = super().scene(name).mesh
+                ply = path.with_suffix(".ply")
+                write_ply(ply, mesh.vertices, mesh.triangles, mesh.colours)
+                build_scene(ply, path, detail="full")
+                ply.unlink()
+            self._maps.clear()
+            self._maps[name] = SceneMap.open(path)
+        return self._maps[name]

@@ -1,0 +1,344 @@
+"""The protocol of KITTI360Pose: retrieval of the exact cell, and localization within metres.
+
+The truth (a pose's best cell and position) is read here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph_lab.tables.kitti.graphs import (
+    EDGE_DISTANCE,
+    Names,
+    Reading,
+    description_of,
+    scene_graph,
+)
+from placegraph_lab.tables.kitti.matchers import EditDistance, Transformer, TripleBag
+from placegraph_lab.tables.kitti.relational import Relational
+from placegraph_lab.tables.tables import markdown, number, share, shares
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.graph import SceneGraph
+    from placegraph.outdoor.language.description import Description
+    from placegraph_lab.datasets.kitti360pose import Kitti360Pose
+    from placegraph_lab.tables.kitti.matchers import Matcher
+
+RANKS = (1, 3, 5)
+"""k of the retrieval recall."""
+TOPS = (1, 5, 10)
+"""k of the localization recall."""
+RADII = (5.0, 10.0, 15.0)
+"""A place within this distance of the truth is a hit [m]."""
+
+BAG, EDIT, EDIT_PLAIN = "triple bag", "edit distance", "edit distance, plain"
+TRANSFORMER, RELATIONAL = "transformer", "relational"
+MATCHERS = (BAG, EDIT_PLAIN, EDIT, TRANSFORMER, RELATIONAL)
+SLOW = (EDIT, EDIT_PLAIN)
+"""Those that only get some of the queries."""
+
+PAPER = {
+    "Text2Pos": ((0.14, 0.28, 0.37), (0.12, 0.25, 0.33)),
+    "RET": ((0.18, 0.34, 0.44), None),
+    "Text2Loc": ((0.31, 0.54, 0.64), (0.28, 0.49, 0.58)),
+    "MambaPlace": ((0.35, 0.61, 0.72), (0.31, 0.53, 0.62)),
+    "GOTLoc, rule-based": ((0.39, 0.68, 0.80), (0.24, 0.52, 0.66)),
+    "GOTLoc, transformer": ((0.36, 0.58, 0.67), (0.30, 0.49, 0.57)),
+    "GOTLoc on OSM, rule-based": ((0.24, 0.48, 0.57), (0.29, 0.50, 0.58)),
+    "GOTLoc on OSM, transformer": ((0.23, 0.43, 0.53), (0.22, 0.39, 0.48)),
+    "CMMLoc": (None, (0.32, 0.53, 0.63)),
+    "MNCL": (None, (0.44, 0.67, 0.75)),
+    "Des4Pos": (None, (0.45, 0.69, 0.77)),
+    "PARC-Loc": (None, (0.51, 0.76, 0.83)),
+}
+"""Published recall@1/3/5 on validation and test: Table II of the paper, and later work."""
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Cells and poses of a split, with the graphs that matchers compare."""
+
+    name: str
+    data: Kitti360Pose
+    reading: Reading
+    cells: NDArray[np.int64]
+    """(K,) rows of the data."""
+    poses: NDArray[np.int64]
+    """(P,) rows of the data."""
+    edge_distance: float = EDGE_DISTANCE
+
+    @classmethod
+    def of(
+        cls,
+        data: Kitti360Pose,
+        name: str,
+        reading: Reading = "honest",
+        *,
+        edge_distance: float = EDGE_DISTANCE,
+    ) -> Split:
+        """Raises `OptionError` where the data have no such split."""
+        return cls(name, data, reading, *data.split(name), edge_distance)
+
+    @property
+    def centers(self) -> Floats:
+        """Centres (K, 2) of the cells [m]."""
+        return self.data.cells.centers[self.cells]
+
+    def graphs(self, names: Names) -> list[SceneGraph]:
+        """Scene graphs of the cells."""
+        return [
+            scene_graph(self.data, int(c), names=names, edge_distance=self.edge_distance)
+            for c in self.cells
+        ]
+
+    def pairs(self, names: Names) -> tuple[list[Description], NDArray[np.int64]]:
+        """Query graphs of all poses, and the row (P,) among the K cells that each belongs to.
+
+        What training needs besides `graphs` and `centers`.
+        """
+        told = [
+            description_of(
+                self.data, int(p), reading=self.reading, names=names,
+                edge_distance=self.edge_distance,
+            )
+            for p in self.poses
+        ]  # fmt: skip
+        return told, np.searchsorted(self.cells, self.data.poses.cells[self.poses])
+
+    def matcher(
+        self,
+        name: str,
+        rng: np.random.Generator,
+        *,
+        network: Any = None,  # noqa: ANN401  # a `GraphTransformer`
+        candidates: int = 20,
+    ) -> tuple[Matcher, Names]:
+        """One of `MATCHERS`, and how queries call things for it.
+
+        Parameters
+        ----------
+        network
+            For the transformer; the shipped one where not given.
+        candidates
+            How many cells edit distance looks at.
+
+        Raises
+        ------
+        OptionError
+            There is no such matcher.
+        MissingExtraError
+            It needs a library that is not installed.
+
+        """
+        if name not in MATCHERS:
+            raise OptionError(f"There is no matcher {name!r}; choose one of {', '.join(MATCHERS)}.")
+        if name == RELATIONAL:
+            return Relational.of(self.data, self.cells), Names(self.data)
+        if name == TRANSFORMER:
+            if network is None:
+                from placegraph.outdoor.network.network import GraphTransformer
+
+                network = GraphTransformer.default()
+            names = Names(self.data, osm=True)
+            return Transformer(self.graphs(names), self.centers, network), names
+        names = Names(self.data, coloured=True)
+        graphs = self.graphs(names)
+        bag = TripleBag.of(graphs, self.centers, rng)
+        if name == BAG:
+            return bag, names
+        plain = name == EDIT_PLAIN
+        centers = self.centers if self.reading == "honest" and not plain else None
+        return EditDistance(graphs, centers, bag, candidates, plain=plain), names
+
+
+@dataclass(frozen=True)
+class Result:
+    """One matcher on the poses of a split."""
+
+    split: str
+    matcher: str
+    reading: Reading
+    queries: int
+    cells: int
+    retrieval: dict[int, float]
+    """Recall of the exact cell by rank."""
+    centered: dict[int, dict[float, float]]
+    """Recall by rank and radius [m], a cell's centre being the pose."""
+    placed: dict[int, dict[float, float]]
+    """The same, the pose being where in the cell the statements fit best."""
+    p50: float
+    """Median time for a query, all cells [s]."""
+    off: dict[str, float] = field(default_factory=dict)
+    """Median distance of the first place [m], by how it is placed."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`; infinity becomes None."""
+        return {
+            "split": self.split,
+            "matcher": self.matcher,
+            "reading": self.reading,
+            "queries": self.queries,
+            "cells": self.cells,
+            "retrieval": {str(k): round(v, 4) for k, v in self.retrieval.items()},
+            **{
+                name: {
+                    str(k): {f"{r:.0f} m": round(v, 4) for r, v in row.items()}
+                    for k, row in table.items()
+                }
+                for name, table in (("centered", self.centered), ("placed", self.placed))
+            },
+            "p50_ms": round(1e3 * self.p50, 3),
+            "median_m": {k: round(v, 2) if np.isfinite(v) else None for k, v in self.off.items()},
+        }
+
+
+def evaluate(
+    split: Split,
+    name: str,
+    matcher: Matcher,
+    names: Names,
+    *,
+    poses: Iterable[int] | None = None,
+    within: Relational | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Result:
+    """Give every pose's query graph, and nothing else of it, to a matcher.
+
+    Parameters
+    ----------
+    poses
+        Rows of the data; all of the split where not given.
+    within
+        Finds the pose within a cell, from the honest statements; those of the split where not given.
+    progress
+        Is told how many queries are done.
+
+    """
+    data, honest = split.data, Names(split.data)
+    within = within or Relational.of(data, split.cells)
+    rows = split.poses if poses is None else np.fromiter(poses, np.int64)
+    if not len(rows):
+        raise OptionError("There are no poses to evaluate.")
+    exact, centered, placed, seconds = [], [], [], []
+    for n, pose in enumerate(rows.tolist()):
+        query = description_of(
+            data, pose, reading=split.reading, names=names, edge_distance=split.edge_distance
+        )
+        start = time.perf_counter()
+        scores = matcher.scores(query)
+        top = _best(scores, max(*RANKS, *TOPS))
+        seconds.append(time.perf_counter() - start)
+        exact.append(split.cells[top] == data.poses.cells[pose])
+        centered.append(_distances(split, pose, top, split.centers[top]))
+        told = description_of(data, pose, names=honest)
+        placed.append(_distances(split, pose, top, within.poses(told, top)))
+        if progress is not None:
+            progress(n + 1)
+    return Result(
+        split=split.name,
+        matcher=name,
+        reading=split.reading,
+        queries=len(rows),
+        cells=len(split.cells),
+        retrieval={k: float(np.mean([e[:k].any() for e in exact])) for k in RANKS},
+        centered=_recall(centered),
+        placed=_recall(placed),
+        p50=float(np.median(seconds)),
+        off={
+            "centered": float(np.median([d[0] for d in centered])),
+            "placed": float(np.median([d[0] for d in placed])),
+        },
+    )
+
+
+def _best(scores: Floats, top: int) -> NDArray[np.int64]:
+    """Cells with the best scores, best first; those that nobody looked at are no answer."""
+    order = np.argsort(-scores, kind="stable")[:top]
+    return order[np.isfinite(scores[order])]
+
+
+def _distances(split: Split, pose: int, cells: NDArray[np.int64], at: Floats) -> Floats:
+    """Distances [m] of places (k, 2) in cells from a pose; another drive is infinitely far."""
+    data = split.data
+    off = np.hypot(*(at - data.poses.positions[pose, :2]).T)
+    same = data.cells.scene[split.cells[cells]] == data.poses.scene[pose]
+    return np.append(np.where(same, off, np.inf), np.inf)  # never empty
+
+
+def _recall(distances: Sequence[Floats]) -> dict[int, dict[float, float]]:
+    return {
+        k: {r: float(np.mean([(d[:k] <= r).any() for d in distances])) for r in RADII} for k in TOPS
+    }
+
+
+def retrieval_table(results: Sequence[Result]) -> str:
+    """Table II: recall@1/3/5 of the exact cell, with the published figures above."""
+    header = ["", *(f"{split} k = {k}" for split in ("validation", "test") for k in RANKS), "p50"]
+    rows = []
+    for name, sets in PAPER.items():
+        rows.append(
+            [
+                f"{name} (published)",
+                *(share(s[i] if s else None) for s in sets for i in range(3)),
+                "–",
+            ]
+        )
+    for (matcher, reading), found in _grouped(results).items():
+        cells = [
+            share(found[split].retrieval[k]) if split in found else "–"
+            for split in ("validation", "test")
+            for k in RANKS
+        ]
+        some = next(iter(found.values()))
+        rows.append([_title(matcher, reading), *cells, number(1e3 * some.p50, 1, "ms")])
+    return markdown(header, rows)
+
+
+def localization_table(results: Sequence[Result], split: str) -> str:
+    """Localization recall at 5/10/15 m of a split, from centres and from poses within cells."""
+    header = ["", *(f"k = {k}, {how}" for how in ("centre", "pose") for k in TOPS), "queries"]
+    rows = []
+    for (matcher, reading), found in _grouped(results).items():
+        if split in found:
+            r = found[split]
+            cells = [shares(table[k].values()) for table in (r.centered, r.placed) for k in TOPS]
+            rows.append([_title(matcher, reading), *cells, f"{r.queries:,}"])
+    return markdown(header, rows)
+
+
+def size_table(data: Kitti360Pose, scene: str = "0003") -> str:
+    """Table V: MB of a drive's points, and of its graphs, against the number of cells."""
+    cells, _ = data.split(scene)
+    counts = [max(1, round(len(cells) * part / 4)) for part in range(1, 5)]
+    header = ["MB of drive " + scene, *(f"{n:,} cells" for n in counts)]
+    points = [data.cells.point_bytes[cells[:n]].sum() / 1e6 for n in counts]
+    graphs = [data.graph_bytes(cells[:n]) / 1e6 for n in counts]
+    return markdown(
+        header,
+        [
+            ["points and colours", *(f"{mb:,.2f}" for mb in points)],
+            ["scene graphs", *(f"{mb:,.4f}" for mb in graphs)],
+            ["ratio", *(f"{p / g:,.0f}" for p, g in zip(points, graphs, strict=True))],
+        ],
+    )
+
+
+def _title(matcher: str, reading: str) -> str:
+    return f"{matcher}, {'the text' if reading == 'honest' else 'positions known'}"
+
+
+def _grouped(results: Sequence[Result]) -> dict[tuple[str, str], dict[str, Result]]:
+    grouped: dict[tuple[str, str], dict[str, Result]] = {}
+    for r in results:
+        grouped.setdefault((r.matcher, r.reading), {})[r.split] = r
+    return grouped

@@ -1,0 +1,1 @@
+"""Places: recall, matchers, scale, dialogue, walks."""

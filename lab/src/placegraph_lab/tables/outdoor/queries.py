@@ -1,0 +1,261 @@
+"""Query texts made from the raw extract, independently of the map's own cells and relations.
+
+A viewpoint stands within 10 m of the centre of a 50 m cell with at least 6 objects; the text
+relates objects within 25 m of it. What the published generator leaves open is an option here:
+where an object stands (`Position`), and whether a thing is related to another of its own kind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph_lab.tables.outdoor.nearby import Bins, Position
+from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
+from placegraph_lab.tables.outdoor.triples import DIRECTIONS, SHORTEST, Triples, relations
+from placegraph_lab.tables.outdoor.words import everyday, with_article
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+
+Setting = Literal["none", "replaced", "absent", "synonyms", "names", "speaker"]
+"""none; 20 % of relations replaced; 20 % of statements about things that are not there; everyday
+words for tag values; names kept (everywhere else they are removed); sentences about the speaker.
+"""
+SETTINGS: tuple[Setting, ...] = get_args(Setting)
+
+CELL = 50.0
+"""Edge of the grid that viewpoints are drawn from [m]."""
+JITTER = 10.0
+"""A viewpoint's largest distance from the centre of its cell [m]."""
+SIGHT = 25.0
+"""Objects within this distance of the viewpoint are spoken of [m]."""
+FEWEST = 6
+"""Objects that a cell must hold for a viewpoint in it."""
+NOWHERE = 60.0
+"""A thing "that is not there" is at least this far from the viewpoint [m]."""
+NOISE = 0.2
+"""Share of statements that noise changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """One statement of a query: the source lies in a direction, seen from the target."""
+
+    source: str
+    """Label, as the raw data have it."""
+    direction: str
+    """One of `DIRECTIONS`."""
+    target: str
+    """Label; empty where it is the speaker."""
+    source_osm: str
+    target_osm: str
+    """The objects it was made from; empty for the speaker and for things that are not there."""
+    noisy: bool = False
+    """Changed by the noise setting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A text and the place that it describes."""
+
+    text: str
+    longitude: float
+    latitude: float
+    """The true viewpoint [deg]."""
+    said: tuple[Said, ...]
+
+
+@lru_cache(maxsize=8)
+def load(path: str | Path) -> Bins:
+    """Raw objects of an extract, sorted into bins; read once a process."""
+    return Bins.of(read_raw(path))
+
+
+def make_queries(
+    osm_path: str | Path,
+    *,
+    statements: int = 6,
+    setting: Setting = "none",
+    n: int = 500,
+    seed: int = 0,
+    position: Position = "nearest",
+    same_label: bool = False,
+    anywhere: bool = False,
+    where: Callable[[Floats], NDArray[np.bool_]] | None = None,
+) -> list[Query]:
+    """Make `n` queries of `statements` sentences each from an OpenStreetMap extract.
+
+    The same seed gives the same viewpoints in every setting in which they have enough to say, and
+    without ``names`` and ``speaker`` the same true statements under the noise.
+
+    Parameters
+    ----------
+    position
+        ``nearest``: an object stands at its point nearest to the viewpoint. ``centroid``: at its
+        centre, and only objects whose centre is within 25 m are spoken of.
+    same_label
+        Also say "The building is on the north of the building."
+    anywhere
+        Draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid of
+        cells is then no longer told where to look.
+    where
+        Longitude and latitude (n, 2) [deg] to whether viewpoints may stand there (n,): parts of a
+        city that nothing was trained on, say. Other viewpoints are passed over.
+
+    Raises
+    ------
+    OptionError
+        Where a setting is unknown, or the extract has too few places with that much to say.
+    InputError
+        Where the extract cannot be read.
+    """
+    if setting not in SETTINGS:
+        raise OptionError(f"There is no setting {setting!r}; choose one of {', '.join(SETTINGS)}.")
+    bins = load(osm_path)
+    city, centers = bins.city, bins.centers(CELL)
+    full = np.diff(bins.around(centers, SIGHT, position).starts) >= FEWEST
+    if not full.any():
+        raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
+    place, speech = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    generator = Teller(bins, setting, statements, position, same_label=same_label)
+    queries: list[Query] = []
+    for _ in range(100 if where is None else 1000):
+        viewpoints = centers[place.choice(np.flatnonzero(full), n)]
+        viewpoints += _offsets(place, n, anywhere=anywhere)
+        streams = speech.spawn(n)
+        allowed = np.ones(n, np.bool_) if where is None else where(city.plane.to_lonlat(viewpoints))
+        for i in np.flatnonzero(allowed):
+            viewpoint, stream = viewpoints[i], streams[i]
+            query = generator.describe(viewpoint, stream)
+            if query is not None:
+                queries.append(query)
+            if len(queries) == n:
+                return queries
+    raise OptionError(
+        f"{osm_path} has too few places for {n} queries of {statements} statements; ask for fewer."
+    )
+
+
+def _offsets(rng: Generator, n: int, *, anywhere: bool) -> Floats:
+    """Offsets (n, 2) from cell centres, uniform over a disk of radius `JITTER`, or a cell [m]."""
+    if anywhere:
+        return CELL * (rng.random((n, 2)) - 0.5)
+    radius, angle = JITTER * np.sqrt(rng.random(n)), 2.0 * np.pi * rng.random(n)
+    return np.asarray(np.stack([radius * np.sin(angle), radius * np.cos(angle)], 1))
+
+
+@dataclass(frozen=True)
+class Teller:
+    """Describes viewpoints in one setting."""
+
+    bins: Bins
+    setting: Setting
+    statements: int
+    position: Position
+    same_label: bool
+
+    @property
+    def city(self) -> RawCity:
+        """What the extract holds."""
+        return self.bins.city
+
+    @property
+    def label(self) -> NDArray[np.int32]:
+        """Labels of the objects (N,), names where the setting keeps them."""
+        return self.city.named if self.setting == "names" else self.city.label
+
+    def describe(self, viewpoint: Floats, rng: Generator) -> Query | None:
+        """Text for a viewpoint (2,), or None where there is too little to say."""
+        told = self.from_here(viewpoint) if self.setting == "speaker" else self.between(viewpoint)
+        # no sentence is said twice, whichever objects it is true of
+        told = list({(s.source, s.direction, s.target): s for s in told}.values())
+        if len(told) < self.statements:
+            return None
+        chosen = rng.choice(len(told), self.statements, replace=False)
+        said = tuple(self.disturb(told[i], viewpoint, rng) for i in chosen)
+        longitude, latitude = self.city.plane.to_lonlat(viewpoint).tolist()
+        return Query(self.write(said, rng), longitude, latitude, said)
+
+    def between(self, viewpoint: Floats) -> list[Said]:
+        """All true statements about two objects in sight of a viewpoint (2,)."""
+        around = self.bins.around(viewpoint[None], SIGHT, self.position)
+        triples = Triples.of(around)
+        city, label = self.city, self.label
+        told = []
+        for a, b, r in zip(
+            around.objects[triples.source].tolist(),
+            around.objects[triples.target].tolist(),
+            triples.relation.tolist(),
+            strict=True,
+        ):
+            if self.same_label or label[a] != label[b]:
+                source, target = city.labels[label[a]], city.labels[label[b]]
+                told.append(Said(source, DIRECTIONS[r], target, city.osm[a], city.osm[b]))
+        return told
+
+    def from_here(self, viewpoint: Floats) -> list[Said]:
+        """All true statements about an object in sight and the speaker at a viewpoint (2,)."""
+        around = self.bins.around(viewpoint[None], SIGHT, self.position)
+        city, told = self.city, []
+        for i, point in zip(around.objects.tolist(), around.points, strict=True):
+            delta = point - viewpoint
+            if np.hypot(*delta) >= SHORTEST:
+                label = city.labels[self.label[i]]
+                told.append(Said(label, DIRECTIONS[int(relations(delta))], "", city.osm[i], ""))
+        return told
+
+    def disturb(self, said: Said, viewpoint: Floats, rng: Generator) -> Said:
+        """Change the statement with probability `NOISE`, where the setting asks for it."""
+        if self.setting not in ("replaced", "absent") or rng.random() >= NOISE:
+            return said
+        source, target, direction = said.source, said.target, said.direction
+        source_osm, target_osm = said.source_osm, said.target_osm
+        if self.setting == "replaced":
+            direction = str(rng.choice([d for d in DIRECTIONS if d != direction]))
+        elif rng.random() < 0.5:
+            source, source_osm = self.absent(viewpoint, rng, {target}), ""
+        else:
+            target, target_osm = self.absent(viewpoint, rng, {source}), ""
+        return Said(source, direction, target, source_osm, target_osm, noisy=True)
+
+    def absent(self, viewpoint: Floats, rng: Generator, other: set[str]) -> str:
+        """Draw a label as often as the city has it, but none that is near a viewpoint (2,)."""
+        around = self.bins.around(viewpoint[None], NOWHERE, self.position)
+        near = set(self.label[around.objects].tolist())
+        for _ in range(1000):
+            label = int(rng.choice(self.label))
+            if label not in near and self.city.labels[label] not in other:
+                return self.city.labels[label]
+        raise OptionError("Nothing in this extract is absent from a place; give a larger one.")
+
+    def write(self, said: tuple[Said, ...], rng: Generator) -> str:
+        """Put the statements into words."""
+        if self.setting == "speaker":
+            return " ".join(f"There {with_article(s.source)} to my {s.direction}." for s in said)
+        words = {label: label for s in said for label in (s.source, s.target)}
+        if self.setting == "synonyms":
+            keys = self.keys(said)
+            words = {label: str(rng.choice(everyday(keys[label], label))) for label in words}
+        return " ".join(
+            f"The {words[s.source]} is on the {s.direction} of the {words[s.target]}." for s in said
+        )
+
+    def keys(self, said: tuple[Said, ...]) -> dict[str, str]:
+        """OSM key of every label, of the first object that the text means by it."""
+        row = self.city.rows
+        keys: dict[str, str] = {}
+        for s in said:
+            for label, osm in ((s.source, s.source_osm), (s.target, s.target_osm)):
+                keys.setdefault(label, KEYS[self.city.key[row[osm]]])
+        return keys

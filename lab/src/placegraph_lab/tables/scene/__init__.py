@@ -1,0 +1,1 @@
+"""Scene maps: size, fusion, changes, sentences."""

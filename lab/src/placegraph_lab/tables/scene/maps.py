@@ -1,0 +1,313 @@
+"""Scene maps of many sizes, made as users make them, and what each takes: bytes, time, memory.
+
+Every map is built by `placegraph scene build` in a process of its own. What was measured is written
+down at once, and holds as long as the code that makes maps stays the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from placegraph.errors import PlacegraphError
+from placegraph.indoor.map.scene_file import bytes_of
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.decimate import coarse
+from placegraph_lab.tables.indoor.maps import COARSE, with_mesh
+from placegraph_lab.tables.journal import fingerprint
+from placegraph_lab.tables.scene.maps_surface import Apart, compare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from placegraph_lab.tables.journal import Journal
+
+MAKING = (
+    "geometry.py", "graph.py", "store.py", "columns.py", "formats/*.py", "indoor/**/*.py",
+    "cli/scene_build.py", "evaluate/decimate.py", "evaluate/scene_maps*.py",
+)  # fmt: skip
+"""Code that decides what the maps are, and how they are measured."""
+EMBEDDING = 512
+"""Length of the embeddings whose bytes are measured."""
+CHEAP = 30.0
+"""What takes less than this is built three times, and the median told [s]."""
+_LAUNCHER = """
+import json, os, subprocess, sys, time
+start = time.perf_counter()
+child = subprocess.Popen(sys.argv[1:])
+_, status, usage = os.wait4(child.pid, 0)
+unit = 1 if sys.platform == "darwin" else 1024
+print(json.dumps({"code": os.waitstatus_to_exitcode(status), "peak": usage.ru_maxrss * unit,
+                  "seconds": time.perf_counter() - start}))
+"""
+
+
+class Size(NamedTuple):
+    """How much of a source a map keeps."""
+
+    name: str
+    options: tuple[str, ...]
+    """Of `placegraph scene build`."""
+
+
+FULL = Size("full", ("--detail", "full"))
+"""The source's own triangles and textures: what the others are compared with."""
+NAMED = (
+    FULL,
+    *(Size(name, ("--detail", name)) for name in ("fine", "default", "small", "tiny")),
+)
+VERTICES = Size("coarse", ())
+"""20,000 triangles whose vertices alone have colours, of `evaluate.decimate`; from the full map."""
+LABELLED = Size("labelled", ())
+"""The default, its objects found by a segmenter of images instead of geometry and colour."""
+SWEEP = (
+    *(Size(f"error {mm} mm", ("--error", str(mm / 1000))) for mm in (1, 2, 5, 10, 20, 30)),
+    *(Size(f"texel {mm} mm", ("--texel", str(mm / 1000))) for mm in (2, 3, 5, 10, 20)),
+)
+"""The default with another bound of the surface's error, or with other texels."""
+
+
+class Place(NamedTuple):
+    """What maps are made of."""
+
+    title: str
+    source: str
+    """Below the folder of the data."""
+    options: tuple[str, ...]
+    warm_up: tuple[str, ...]
+    """Options of a build that shows all compiled code once, quickly."""
+
+
+PLACES = {
+    "house": Place("House, from its annotated mesh", "house/map/house.glb", (), ()),
+    "b in a": Place(
+        "Office, frames 0-185, no labels", "office", ("--frames", "0:186"), ("--frames", "0:30")
+    ),
+    "a in b": Place(
+        "Office, frames 186-372, no labels", "office", ("--frames", "186:373"),
+        ("--frames", "186:216"),
+    ),
+}  # fmt: skip
+OFFICE_SIZES = ("full", "default", "small", "labelled")
+"""What is made of the office unless more is asked for: fusing takes a while."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a map takes."""
+
+    place: str
+    size: str
+    digest: str
+    """Of the map file's bytes."""
+    bytes: int
+    parts: dict[str, int]
+    """Bytes of graph, surface, colour; and of embeddings of 512 random numbers an object, which
+    are not among `bytes`: a map that is just built has none."""
+    objects: int
+    labelled: int
+    """Objects whose label says something."""
+    triangles: int
+    textures: int
+    open_seconds: float
+    """Median of 5, ray-casting structure included, compiled code warm."""
+    build_seconds: float | None = None
+    """Of the build itself, in a fresh process, compiled code cached; median of 3 where cheap."""
+    command_seconds: float | None = None
+    """Of the whole command."""
+    peak_bytes: int | None = None
+    """Largest memory of the command; the largest of those measured."""
+    left_out: dict[str, int] | None = None
+    notes: list[str] | None = None
+
+    @property
+    def name(self) -> str:
+        """`house, small`."""
+        return f"{self.place}, {self.size}"
+
+
+class Maps:
+    """Maps by place and size, made when first asked for; of those opened the last is kept.
+
+    Parameters
+    ----------
+    data
+        Folder with `house` and `office`.
+    weights
+        Network of the segmenter that `LABELLED` asks for.
+    cache
+        Folder for maps.
+    journal
+        Where measurements are written down.
+    tell
+        Is told what is being done.
+
+    """
+
+    def __init__(
+        self,
+        data: Path,
+        weights: Path,
+        cache: Path,
+        journal: Journal,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.data, self.weights, self.journal, self.tell = data, weights, journal, tell
+        self.folder = cache / "scene_maps"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._code = fingerprint(MAKING)
+        self._opened: tuple[Path, SceneMap] | None = None
+        self._warm: set[tuple[str, ...]] = set()
+
+    def path(self, place: str, size: Size) -> Path:
+        """Where a map lies, or will."""
+        return self.folder / f"{place} {size.name}.scene".replace(" ", "_")
+
+    def made(self, place: str, size: Size) -> Made:
+        """What a map takes; it is built and measured if this code has not done so yet."""
+        key, path = f"made {self._code} {place} {size}", self.path(place, size)
+        if key in self.journal and path.exists():
+            row = Made(**self.journal[key])
+            if digest(path) == row.digest:
+                return row
+        self._opened = None
+        self.tell(f"{place}: building {size.name}")
+        built = self._coarse(place, path) if size == VERTICES else self._built(place, size, path)
+        facts = {"place": place, "size": size.name} | measured(path) | built
+        self.journal.put(key, facts)
+        return Made(**facts)
+
+    def scene(self, place: str, size: Size) -> SceneMap:
+        """A map, made if need be."""
+        path = self.path(place, size)
+        if self._opened is None or self._opened[0] != path:
+            self.made(place, size)
+            self._opened = path, SceneMap.open(path)
+        return self._opened[1]
+
+    def apart(self, place: str, size: Size) -> Apart:
+        """How far a map's surface lies from that of the full one."""
+        codes = [self.made(place, s).digest for s in (FULL, size)]
+        key = f"apart {self._code} {' '.join(codes)}"
+        if key not in self.journal:
+            self.tell(f"{place}: how far {size.name} is from full")
+            one, other = (SceneMap.open(self.path(place, s)).mesh for s in (FULL, size))
+            self.journal.put(key, asdict(compare(one, other, np.random.default_rng(0))))
+        return Apart(**self.journal[key])
+
+    def command(self, place: str, size: Size, out: Path, more: Sequence[str] = ()) -> list[str]:
+        """Arguments of `placegraph` that build a map."""
+        of = PLACES[place]
+        network = ("--segmenter", str(self.weights)) if size == LABELLED else ()
+        return [
+            "scene", "build", str(self.data / of.source), "-o", str(out), "--json",
+            *(more or of.options), *size.options, *network,
+        ]  # fmt: skip
+
+    def _built(self, place: str, size: Size, path: Path) -> dict[str, Any]:
+        """Build a map, several times if that is quick; what was measured."""
+        usual = size if size == LABELLED else Size("default", ())
+        kind = (PLACES[place].source, usual.name)
+        if kind not in self._warm:  # compiled code is cached from now on
+            with tempfile.TemporaryDirectory() as folder:
+                out = Path(folder) / "warm.scene"
+                run(self.command(place, usual, out, PLACES[place].warm_up))
+            self._warm.add(kind)
+        command = self.command(place, size, path)
+        runs = [run(command)]
+        if runs[0].seconds < CHEAP:
+            runs += [run(command), run(command)]
+        told = json.loads(runs[0].out)
+        return {
+            "build_seconds": float(np.median([json.loads(r.out)["seconds"] for r in runs])),
+            "command_seconds": float(np.median([r.seconds for r in runs])),
+            "peak_bytes": max(r.peak for r in runs),
+            "left_out": told["left_out"],
+            "notes": told["notes"],
+        }
+
+    def _coarse(self, place: str, path: Path) -> dict[str, Any]:
+        full = self.scene(place, FULL)
+        with_mesh(full, coarse(full.mesh, COARSE, np.random.default_rng(0))).save(path)
+        return {}
+
+
+class Run(NamedTuple):
+    """A command that ran in a process of its own."""
+
+    out: str
+    seconds: float
+    peak: int
+    """Largest memory [bytes]."""
+
+
+def run(arguments: Sequence[str]) -> Run:
+    """Run `placegraph` with arguments.
+
+    A small process starts it: Linux counts what a parent held as the peak of its child, too.
+
+    Raises
+    ------
+    PlacegraphError
+        The command fails.
+
+    """
+    done = subprocess.run(  # noqa: S603  # our own command line
+        [sys.executable, "-c", _LAUNCHER, sys.executable, "-m", "placegraph.cli", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    *lines, last = done.stdout.splitlines() or [""]
+    told = json.loads(last) if not done.returncode else {"code": done.returncode}
+    if told["code"]:
+        raise PlacegraphError(f"{' '.join(arguments)} fails: {done.stderr.strip()[-500:]}")
+    return Run("\n".join(lines), told["seconds"], told["peak"])
+
+
+def measured(path: Path) -> dict[str, Any]:
+    """What a map file holds, and how long it takes to open."""
+    scene = SceneMap.open(path)
+    return {
+        "digest": digest(path),
+        "bytes": path.stat().st_size,
+        "parts": bytes_of(path) | {"embeddings": embedding_bytes(scene)},
+        "objects": len(scene),
+        "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
+        "triangles": len(scene.mesh),
+        "textures": len(scene.mesh.textures),
+        "open_seconds": opening(path),
+    }
+
+
+def opening(path: Path, times: int = 5) -> float:
+    """Median time [s] to open a map, its ray-casting structure included, in this warm process."""
+    spent = []
+    for _ in range(times + 1):  # the first one warms
+        start = time.perf_counter()
+        assert SceneMap.open(path).caster is not None  # noqa: S101  # made on first use
+        spent.append(time.perf_counter() - start)
+    return float(np.median(spent[1:]))
+
+
+def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
+    """Bytes of 8-bit embeddings of random normal numbers."""
+    vectors = np.random.default_rng(0).standard_normal((len(scene), length))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "embedded.scene"
+        scene.with_embeddings(vectors).save(path)
+        return bytes_of(path)["embeddings"]
+
+
+def digest(path: Path) -> str:
+    """Sixteen hexadecimal digits of a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

@@ -1,0 +1,244 @@
+"""Which scene does a sentence describe? Sentences made of true facts, some of them wrong.
+
+The indoor task of "Where am I?" (Chen et al.): text to scene. A scene is asked about by a sentence of
+k facts about one of its rooms, drawn by a seeded generator: what room it is, how many of a thing it
+holds, how two things lie, and what it lacks; a share of the facts is of another scene. The labels
+are said in other words where there are some.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from placegraph.indoor.language import TextIndex, read
+from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.relations import SAME_ROOM
+from placegraph.indoor.map.structure import WORDS, nameless
+from placegraph_lab.tables.tables import markdown, shares
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.random import Generator
+
+    from placegraph.graph import SceneGraph
+    from placegraph.indoor.scene_map import SceneMap
+
+FACTS = (1, 2, 3, 4, 6)
+"""Facts in a sentence."""
+WRONG = (0.0, 0.2)
+"""Share of them that are of another scene."""
+AMONG = (10, 50)
+"""Scenes that a sentence is asked of, its own among them."""
+AT = (1, 3, 5)
+_NUMBERS = ("no", "a", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+_WORDS = {
+    "sofa": "couch", "television": "tv", "fridge": "refrigerator", "bookcase": "bookshelf",
+    "picture": "painting", "bin": "trash can", "wardrobe": "closet", "rug": "carpet",
+    "nightstand": "night stand", "washbasin": "sink", "stove": "cooker", "bathtub": "bath",
+}  # fmt: skip
+_OTHER_WORDS = 0.3  # how often they are used
+_SAID = {
+    "standing on": "on", "inside": "in", "attached to": "on", "above": "above",
+    "next to": "next to",
+}  # fmt: skip
+
+
+class Scene(NamedTuple):
+    """A scene that sentences are asked of."""
+
+    name: str
+    graph: SceneGraph
+    rooms: tuple[str, ...]
+    """(N,) room of each object, empty where it is in none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """One sentence and where its scene came out."""
+
+    scene: str
+    text: str
+    facts: int
+    wrong: float
+    among: int
+    rank: int
+    """1 if the scene was first; of equal scores the mean."""
+
+
+def scenes_of(scene: SceneMap, name: str) -> Scene:
+    """A scene map as a scene to be asked about."""
+    return Scene(name, scene.graph, tuple(a.get("room", "") for a in scene.attributes))
+
+
+def rooms_of(scene: Scene) -> list[Scene]:
+    """The rooms of a scene as scenes of their own."""
+    out = []
+    for room in dict.fromkeys(r for r in scene.rooms if r):
+        rows = np.flatnonzero(np.array(scene.rooms) == room)
+        out.append(Scene(f"{scene.name}: {room}", scene.graph.subgraph(rows), (room,) * len(rows)))
+    return out
+
+
+def ask(
+    scenes: Sequence[Scene], rng: Generator, *, facts: int, wrong: float, each: int = 2
+) -> list[Asked]:
+    """Ask `each` sentences about every scene, among all numbers of scenes that there are.
+
+    How rare things are is the whole library's; a sentence's scene and others drawn at random are
+    ranked.
+    """
+    index = TextIndex([s.graph for s in scenes], [s.rooms for s in scenes])
+    out = []
+    for row, scene in enumerate(scenes):
+        for _ in range(each):
+            text = describe(scenes, row, rng, facts=facts, wrong=wrong)
+            scores = index.scores(read(text))
+            others = rng.permutation(np.delete(np.arange(len(scenes)), row))
+            for among in AMONG:
+                if among <= len(scenes):
+                    rivals = scores[others[: among - 1]]
+                    tied = np.abs(rivals - scores[row]) < 1e-9
+                    better = (rivals > scores[row]) & ~tied
+                    rank = 1 + int(better.sum()) + round(float(tied.sum()) / 2)
+                    out.append(Asked(scene.name, text, facts, wrong, among, rank))
+    return out
+
+
+def describe(scenes: Sequence[Scene], row: int, rng: Generator, *, facts: int, wrong: float) -> str:
+    """A sentence of some facts about a room of a scene, each from another scene with `wrong`."""
+    room, things = _room(scenes[row], rng)
+    said: list[str] = []
+    lies = rng.random(facts) < wrong
+    if room and not room.isdigit():
+        facts -= 1
+    else:
+        room = "room"
+    own = _facts(scenes[row].graph, things, rng)
+    for lie in lies[:facts]:
+        source = own
+        if lie:
+            other = int(rng.integers(len(scenes) - 1))
+            other += other >= row
+            source = _facts(scenes[other].graph, _room(scenes[other], rng)[1], rng)
+        fresh = [fact for fact in source if fact not in said]
+        if fresh:
+            said.append(fresh[0])
+    article = "an" if room[0] in "aeiou" else "a"
+    if not said:
+        return f"{article} {room}"
+    *first, last = said
+    return f"{article} {room} with " + (f"{', '.join(first)} and {last}" if first else last)
+
+
+def _room(scene: Scene, rng: Generator) -> tuple[str, list[int]]:
+    """A room of a scene drawn at random, and the rows of what it holds."""
+    rooms = [r for r in dict.fromkeys(scene.rooms) if r and len(_things(scene, r)) > 1]
+    if not rooms:
+        return "", [i for i, label in enumerate(scene.graph.labels) if _telling(label)]
+    room = rooms[int(rng.integers(len(rooms)))]
+    return room, _things(scene, room)
+
+
+def _things(scene: Scene, room: str) -> list[int]:
+    labels = scene.graph.labels
+    return [i for i, r in enumerate(scene.rooms) if r == room and _telling(labels[i])]
+
+
+def _telling(label: str) -> bool:
+    """Whether people speak of such a thing: not of walls and floors."""
+    words = label_words(label)
+    return not nameless(label) and words[-1] not in WORDS
+
+
+def _facts(graph: SceneGraph, rows: list[int], rng: Generator) -> list[str]:
+    """What may be said of things, in random order: their numbers, and how they lie."""
+    labels = graph.labels
+    counts = Counter(labels[i] for i in rows)
+    out = [_numbered(label, count, rng) for label, count in counts.items()]
+    inside = set(rows)
+    for s, relation, t in zip(graph.sources, graph.relations, graph.targets, strict=True):
+        one, other = labels[int(s)], labels[int(t)]
+        if {int(s), int(t)} <= inside and relation != SAME_ROOM and one != other:
+            said = _SAID.get(relation, relation)
+            out.append(f"{_numbered(one, 1, rng)} {said} {_numbered(other, 1, rng)}")
+    return [out[i] for i in rng.permutation(len(out))]
+
+
+def _numbered(label: str, count: int, rng: Generator) -> str:
+    words = " ".join(label_words(label))
+    if rng.random() < _OTHER_WORDS:
+        words = _WORDS.get(words, words)
+    if count == 1:
+        return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
+    plural = (
+        words
+        if words.endswith("s")
+        else f"{words}es"
+        if words[-2:] in ("sh", "ch")
+        else f"{words}s"
+    )
+    return f"{_NUMBERS[count] if count < len(_NUMBERS) else count} {plural}"
+
+
+def report(asked: Sequence[Asked]) -> str:
+    """Markdown table: recall@1/3/5 by facts, share of wrong ones, and number of scenes."""
+    header = ["facts", *[f"{among}, {wrong:.0%} wrong" for among in AMONG for wrong in WRONG]]
+    rows = []
+    for facts in dict.fromkeys(a.facts for a in asked):
+        cells = [
+            shares(
+                recall([a for a in asked if (a.facts, a.among, a.wrong) == (facts, among, wrong)])
+            )
+            for among in AMONG
+            for wrong in WRONG
+        ]
+        rows.append([str(facts), *cells])
+    return markdown(header, rows)
+
+
+def recall(asked: Sequence[Asked]) -> list[float]:
+    """Shares of sentences whose scene was among the first 1, 3 and 5."""
+    ranks = np.array([a.rank for a in asked])
+    return [float((ranks <= k).mean()) if len(ranks) else float("nan") for k in AT]
+
+
+def speed(scenes: Sequence[Scene], rng: Generator, *, library: int = 10_000) -> dict[str, float]:
+    """Milliseconds to index a scene and to rank a library in which the scenes repeat."""
+    start = time.perf_counter()
+    index = TextIndex([s.graph for s in scenes], [s.rooms for s in scenes])
+    index.columns  # noqa: B018  # made when first asked for
+    indexed = time.perf_counter() - start
+    large = TextIndex()
+    for i in range(library):
+        large.add_units(index.units(i % len(scenes)))
+    large.columns  # noqa: B018
+    texts = [describe(scenes, i % len(scenes), rng, facts=4, wrong=0.0) for i in range(20)]
+    start = time.perf_counter()
+    for text in texts:
+        large.scores(read(text))
+    return {
+        "index_ms_a_scene": 1e3 * indexed / len(scenes),
+        "rank_ms": 1e3 * (time.perf_counter() - start) / len(texts),
+        "ranked": library,
+    }
+
+
+def figures(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+    """Recall of every row, with a sentence that came out last of it."""
+    keys = dict.fromkeys((a.facts, a.wrong, a.among) for a in asked)
+    out = []
+    for facts, wrong, among in keys:
+        own = [a for a in asked if (a.facts, a.wrong, a.among) == (facts, wrong, among)]
+        worst = max(own, key=lambda a: a.rank)
+        out.append(
+            {"facts": facts, "wrong": wrong, "among": among, "sentences": len(own)}
+            | {f"recall_{k}": value for k, value in zip(AT, recall(own), strict=True)}
+            | {"worst": asdict(worst)}
+        )
+    return out

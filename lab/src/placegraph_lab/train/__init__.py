@@ -1,0 +1,1 @@
+"""Trainings of the networks that ship, and of ones of your own."""

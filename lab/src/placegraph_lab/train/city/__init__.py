@@ -1,0 +1,1 @@
+"""Training of the outdoor matching network (GOTLoc Eq. 17-19)."""

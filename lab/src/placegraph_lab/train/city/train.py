@@ -1,0 +1,196 @@
+"""Training: descriptions made on the fly, hard candidates, three losses; resumable and seeded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.network.pool import fill
+from placegraph.outdoor.network.shape import Shape
+from placegraph.outdoor.network.weights import Weights, trained, write_weights
+from placegraph_lab.train.city.sample import Speaker
+from placegraph_lab.train.training import add_row, device_named, rows_of, torch_or_what_installs_it
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+    from placegraph_lab.train.city.checkpoint import PoolFolder
+    from placegraph_lab.train.city.torch_batches import Lessons
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How to train."""
+
+    epochs: int = 5
+    examples: int = 1200
+    """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
+    steps: int = 300
+    """Batches an epoch."""
+    batch: int = 32
+    """Descriptions a batch."""
+    share: float = 0.4
+    """Share of a description's candidates that a batch looks at."""
+    rate: float = 2e-3
+    """Largest learning rate; a cosine leads to nearly nothing."""
+    decay: float = 1e-3
+    losses: tuple[str, ...] = ("match", "similarity", "embedding", "fusion")
+    seed: int = 0
+    check: int = 500
+    """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
+    shape: Shape = field(default_factory=Shape)
+
+
+@dataclass
+class Progress:
+    """Is told how far a training is; override what is of interest."""
+
+    def filling(self, epoch: int, city: str, done: int, total: int) -> None:
+        """Descriptions are made."""
+
+    def step(self, epoch: int, done: int, total: int, losses: Mapping[str, float]) -> None:
+        """A batch was learned."""
+
+    def epoch(self, row: Mapping[str, float]) -> None:
+        """An epoch ended with these figures."""
+
+
+def train(
+    cities: Mapping[str, CityMap],
+    out: str | PathLike[str],
+    *,
+    folder: str | PathLike[str],
+    pools: str | PathLike[str] | None = None,
+    options: TrainOptions | None = None,
+    vocabulary: Vocabulary | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Weights:
+    """Train the network on cities and write a weights file (Eq. 17-19).
+
+    Parameters
+    ----------
+    cities
+        Maps by name. Every fourth square kilometre (`sample.held_out`) is left for evaluation.
+    out
+        Weights file to write.
+    folder
+        Holds what an interrupted training goes on from; the same call goes on.
+    pools
+        Folder of examples that several trainings may share; within `folder` if not given.
+    options
+        How to train.
+    vocabulary
+        Words of the speakers; the shipped one where not given.
+    device
+        ``cpu``, ``cuda`` or ``auto``.
+    progress
+        Is told how far the training is.
+
+    Raises
+    ------
+    MissingExtraError
+        PyTorch is not installed.
+    OptionError
+        An option is out of range, or the folder holds another training.
+
+    """
+    options, progress = options or TrainOptions(), progress or Progress()
+    _check(cities, options)
+    torch = torch_or_what_installs_it()
+    from placegraph.outdoor.language.vocabulary import Vocabulary as Shipped
+    from placegraph_lab.train.city.checkpoint import Folder, PoolFolder, plan_of
+    from placegraph_lab.train.city.recalls import best_prior, judge, recalls
+    from placegraph_lab.train.city.trainer import Trainer
+
+    device = device_named(device, cuda=torch.cuda.is_available())
+    kept = Folder(folder, plan_of({n: len(c.objects) for n, c in cities.items()}, options))
+    trainer = Trainer(options, device, progress)
+    begun = kept.read_state(trainer.module, trainer.optimizer)
+    store = PoolFolder(pools or kept.path / "pools")
+    school = School(cities, vocabulary or Shipped.default(), options, progress, store)
+    check = school.held_out()
+    past = [lessons for epoch in range(begun) for lessons in school.lessons(epoch)]
+    for epoch in range(begun, options.epochs):
+        fresh = school.lessons(epoch)
+        past += fresh
+        row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
+        judged = [judge(trainer.network, lessons, device) for lessons in check]
+        row |= recalls(judged)
+        add_row(kept.path, row)  # first: an epoch that is done again gives the same row
+        kept.write_state(epoch + 1, trainer.module, trainer.optimizer)
+        progress.epoch(row)
+    state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
+    scale = float(state["prior"][1])
+    fitted = best_prior([judge(trainer.network, lessons, device) for lessons in check], scale)
+    state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
+    training = {"plan": kept.plan, "curves": rows_of(kept.path)}
+    weights = trained(options.shape, state, training)
+    write_weights(out, weights)
+    return weights
+
+
+def _check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
+    if not cities:
+        raise OptionError("There is no city to train on; name at least one map.")
+    for name in ("epochs", "examples", "steps", "batch", "check"):
+        if getattr(options, name) < 1:
+            raise OptionError(f"{name} is {getattr(options, name)}; choose at least 1.")
+    if not 0.0 < options.rate <= 1.0 or not 0.0 < options.share <= 1.0:
+        raise OptionError(
+            f"rate is {options.rate}, share {options.share}; choose above 0 and at most 1."
+        )
+    known = ("match", "similarity", "embedding", "fusion")
+    if not set(options.losses) <= set(known) or not options.losses:
+        raise OptionError(f"losses are {options.losses}; choose among {', '.join(known)}.")
+
+
+@dataclass(frozen=True, eq=False)
+class School:
+    """Makes the examples of every epoch, or reads those that were made before."""
+
+    cities: Mapping[str, CityMap]
+    vocabulary: Vocabulary
+    options: TrainOptions
+    progress: Progress
+    store: PoolFolder
+
+    def lessons(self, epoch: int) -> list[Lessons]:
+        """Examples of an epoch, one pool a city."""
+        return [
+            self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held=False)
+            for name in self.cities
+        ]
+
+    def held_out(self) -> list[Lessons]:
+        """Examples from the tiles that are never trained on."""
+        return [
+            self._made(name, f"{name}-check", 1 << 20, self.options.check, held=True)
+            for name in self.cities
+        ]
+
+    def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
+        from placegraph.outdoor.network.embed import map_fingerprint
+        from placegraph_lab.train.city.torch_batches import Lessons
+
+        city, seed = self.cities[name], self.options.seed
+        file = f"{file}-{seed}-{n}-{map_fingerprint(city)[:8]}"
+        pool = self.store.read(file)
+        if pool is None:
+            rng = np.random.default_rng([seed, epoch, *name.encode()])
+            done = 0
+
+            def tick() -> None:
+                nonlocal done
+                done += 1
+                self.progress.filling(epoch, name, done, n)
+
+            pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
+            self.store.write(file, pool)
+        return Lessons(city, pool, self.options.shape.subwords)

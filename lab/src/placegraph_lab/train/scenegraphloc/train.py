@@ -1,0 +1,226 @@
+"""Training of the network: on scene maps with captures, or on procedural homes (SPEC, 11)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.encode.scenegraphloc.features import ColourFeatures
+from placegraph.indoor.encode.scenegraphloc.widths import Widths
+from placegraph_lab.train.scenegraphloc.lessons import (
+    Lesson,
+    Teacher,
+    World,
+    kept_lesson,
+    split,
+)
+from placegraph_lab.train.training import add_row, device_named, planned, torch_or_what_installs_it
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from os import PathLike
+
+    from placegraph.indoor.encode.scenegraphloc.weights import Weights
+
+SNAPSHOT = "snapshot.pth"
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How to train; the defaults are the published ones (SPEC, 11).
+
+    Raises
+    ------
+    OptionError
+        A number is out of its range.
+
+    """
+
+    epochs: int = 30
+    batch: int = 16
+    """Pictures a step."""
+    pictures: int = 0
+    """Pictures an epoch, drawn anew in each; 0: all."""
+    others: int = 9
+    """Other rooms whose objects a patch is told from."""
+    points: int = 512
+    """Of each object, drawn anew in each epoch; the encoder then looks at as many."""
+    rate: float = 1.1e-3
+    weight_decay: float = 1e-6
+    decay: float = 0.97
+    """Of the rate, each epoch."""
+    elastic: bool = True
+    """Whether points are distorted (`elastic`)."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("epochs", 1), ("batch", 1), ("pictures", 0), ("others", 0),
+                            ("points", 1), ("seed", 0)):  # fmt: skip
+            if getattr(self, name) < least:
+                raise OptionError(f"{name} is {getattr(self, name)}; choose at least {least}.")
+        if not (0.0 < self.rate <= 1.0 and self.weight_decay >= 0.0 and 0.0 < self.decay <= 1.0):
+            raise OptionError(
+                f"rate is {self.rate}, weight_decay {self.weight_decay}, decay {self.decay}; rate and "
+                "decay are above 0 and at most 1, weight_decay is not negative."
+            )
+
+
+class Progress:
+    """Is told how far a training is; override what is of interest."""
+
+    def preparing(self, name: str, done: int, total: int) -> None:
+        """A place was looked at."""
+
+    def step(self, epoch: int, done: int, total: int, loss: float) -> None:
+        """A batch was learned; `loss` is the mean of the epoch so far."""
+
+    def epoch(self, row: dict[str, float]) -> None:
+        """An epoch ended with these figures."""
+
+
+def train(
+    worlds: Sequence[World],
+    out: str | PathLike[str],
+    *,
+    folder: str | PathLike[str],
+    held: int = 1,
+    teacher: Teacher | None = None,
+    widths: Widths | None = None,
+    options: TrainOptions | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Weights:
+    """Train the network and write its weights.
+
+    Parameters
+    ----------
+    worlds
+        Places to learn from (`worlds.homes`, `worlds.folder`).
+    out
+        File to write, .safetensors; `SceneGraphLocEncoder` reads it.
+    folder
+        Holds places once looked at, a snapshot of the last epoch and the curves: an interrupted
+        training goes on by the same call, and ends with the very same weights.
+    held
+        Places, spread evenly, that are not learned but asked about after each epoch; the
+        temperature is calibrated on them.
+    teacher
+        How places are looked at: image features, attribute words, and so on; features of colour if
+        not given.
+    widths
+        Of the network's layers; `Widths.small` of the features if not given.
+    options
+        How to train.
+    device
+        ``cpu``, ``cuda`` or ``auto``.
+    progress
+        Is told how far the training is.
+
+    Raises
+    ------
+    MissingExtraError
+        PyTorch or safetensors is not installed.
+    OptionError
+        There are too few places, an option is out of range, or the folder holds another training.
+    InputError
+        A map, a capture or the snapshot is damaged.
+    MapError
+        The weights cannot be written.
+
+    """
+    torch = torch_or_what_installs_it()
+    from placegraph.indoor.encode.scenegraphloc.weights import Weights, digest_of, write_weights
+    from placegraph_lab.train.scenegraphloc.trainer import Trainer, judge
+
+    options, progress = options or TrainOptions(), progress or Progress()
+    teacher = teacher or Teacher(ColourFeatures())
+    widths = widths or Widths.small(teacher.features.dimension, teacher.attribute_count)
+    device = device_named(device, cuda=torch.cuda.is_available())
+    _check(worlds, Path(out), held, teacher, widths)
+    at = Path(folder)
+    planned(at, _plan(worlds, held, teacher, widths, options))
+    learned, asked = split(_lessons(worlds, at, teacher, progress), held)
+    trainer = Trainer(learned, widths, options, device)
+    trainer.read(at / SNAPSHOT)
+    while trainer.epochs < options.epochs:
+        epoch = trainer.epochs
+
+        def told(done: int, total: int, loss: float, epoch: int = epoch) -> None:
+            progress.step(epoch, done, total, loss)
+
+        loss = trainer.epoch(told)
+        row = {"epoch": float(epoch + 1), "loss": loss}
+        row |= judge(trainer.network, asked, device, points=options.points).row()
+        add_row(at, row)  # first: an epoch that is done again gives the same row
+        trainer.write(at / SNAPSHOT)
+        progress.epoch(row)
+    network = trainer.network.cpu()
+    judged = judge(network, asked, "cpu", points=options.points)
+    notes = {
+        "features": teacher.features.key,
+        "temperature": f"{judged.temperature:.4g}",
+        "points": str(options.points),
+        "epochs": str(options.epochs),
+        "seed": str(options.seed),
+        "places": str(len(learned)),
+    }
+    write_weights(out, network, notes)
+    return Weights(network, notes, digest_of(network))
+
+
+def _lessons(
+    worlds: Sequence[World], at: Path, teacher: Teacher, progress: Progress
+) -> list[Lesson]:
+    """All places, looked at now or in an earlier run."""
+    kept = at / "places"
+    try:
+        kept.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{kept}: no folder for places ({error}); name another.") from error
+    lessons = []
+    for done, world in enumerate(worlds, start=1):
+        path = kept / f"{world.name}.lesson"
+        lessons.append(kept_lesson(path, lambda w=world: teacher.lesson(w)))  # type: ignore[misc]
+        progress.preparing(world.name, done, len(worlds))
+    return lessons
+
+
+def _plan(
+    worlds: Sequence[World], held: int, teacher: Teacher, widths: Widths, options: TrainOptions
+) -> dict[str, Any]:
+    """What a training is: with another plan it is another one."""
+    return {
+        "places": [world.name for world in worlds],
+        "held": held,
+        "features": teacher.features.key,
+        "rotate": teacher.rotate,
+        "points_from": teacher.points,
+        "attributes": list(teacher.attributes),
+        "widths": asdict(widths),
+        "options": asdict(options),
+    }
+
+
+def _check(worlds: Sequence[World], out: Path, held: int, teacher: Teacher, widths: Widths) -> None:
+    if held < 1 or len(worlds) - held < 2:
+        raise OptionError(
+            f"{len(worlds)} places, {held} held out: at least two are learned and one is held out."
+        )
+    names = [world.name for world in worlds]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise OptionError(f"Several places are called {min(twice)}; rename one.")
+    if widths.feature != teacher.features.dimension:
+        raise OptionError(
+            f"widths: made for {widths.feature} numbers a feature, {teacher.features.key} has "
+            f"{teacher.features.dimension}."
+        )
+    if widths.attributes != teacher.attribute_count:
+        raise OptionError(
+            f"widths: made for {widths.attributes} attribute words, the teacher counts "
+            f"{teacher.attribute_count}."
+        )
+    if out.suffix != ".safetensors":
+        raise OptionError(f"{out}: weights are written as .safetensors; name such a file.")

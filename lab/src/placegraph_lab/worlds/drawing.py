@@ -1,0 +1,136 @@
+"""What all drawn worlds share: sections of a text, lines of a legend, files that ship.
+
+A text has a head section, ``[town]`` or ``[flat]``, then ``[drawing]`` and ``[legend]``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING
+
+from placegraph.errors import InputError, OptionError
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+BLANKS = " ."
+LARGEST = 1_000_000
+"""Most characters of a drawing."""
+
+_SYMBOL = re.compile(r"(?P<glyph>\S)(?:[ \t]+(?P<kind>\w+))?[ \t]*:(?P<values>.*)$")
+_VALUE = re.compile(r"\s*([\w:]+)=(.*?)(?=\s+[\w:]+=|\s*$)")
+
+
+def sections(text: str, source: str, head: str) -> dict[str, list[tuple[int, str]]]:
+    """Lines of every section with their numbers; outside the drawing without the empty ones.
+
+    Raises
+    ------
+    InputError
+        Text stands before the first section, or a tab in the drawing.
+    """
+    found: dict[str, list[tuple[int, str]]] = {head: [], "drawing": [], "legend": []}
+    here = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if (name := line.rstrip()[1:-1]) in found and line.rstrip() == f"[{name}]":
+            here = name
+        elif not line.strip() and here != "drawing":
+            continue
+        elif not here:
+            raise InputError(
+                f"{source}, line {number}, column 1: text before the first section; "
+                f"begin with a line [{head}] or [drawing]."
+            )
+        elif "\t" in line and here == "drawing":
+            raise InputError(
+                f"{source}, line {number}, column {line.index(chr(9)) + 1}: "
+                "a tab in the drawing; write blanks."
+            )
+        else:
+            found[here].append((number, line.rstrip()))
+    return found
+
+
+def page(lines: list[tuple[int, str]], source: str, head: str) -> tuple[tuple[str, ...], int]:
+    """Rows of the drawing, all of one length, and the number of the first one's line.
+
+    Raises
+    ------
+    InputError
+        There is no drawing, or it is too large.
+    """
+    numbers = [number for number, line in lines if line]
+    if not numbers:
+        raise InputError(f"{source}: no drawing; add a line [drawing] and the {head} below it.")
+    rows = [line for number, line in lines if numbers[0] <= number <= numbers[-1]]
+    width = max(map(len, rows))
+    if width * len(rows) > LARGEST:
+        raise InputError(f"{source}: the drawing has over {LARGEST:,} characters; cut it.")
+    return tuple(row.ljust(width) for row in rows), numbers[0]
+
+
+@dataclass(frozen=True, slots=True)
+class LegendLine:
+    """One line ``glyph kind: key=value key=value`` of a legend."""
+
+    glyph: str
+    kind: str
+    """The word before the colon, or an empty string."""
+    kind_column: int
+    values: dict[str, str]
+    values_column: int
+    rest: bool
+    """Whether something behind the colon is no ``key=value``."""
+
+
+def legend_line(line: str, where: str) -> LegendLine:
+    """Read one line of a legend.
+
+    Raises
+    ------
+    InputError
+        The line has no colon, or its glyph is a blank.
+    """
+    match = _SYMBOL.match(line)
+    if not match or match["glyph"] in BLANKS:
+        raise InputError(f"{where}, column 1: expected 'glyph kind: key=value key=value'.")
+    values = match["values"]
+    found = list(_VALUE.finditer(values))
+    return LegendLine(
+        match["glyph"],
+        match["kind"] or "",
+        match.start("kind") + 1,
+        {value[1]: value[2] for value in found},
+        match.start("values") + 1,
+        sum(len(value[0]) for value in found) < len(values.rstrip()),
+    )
+
+
+def shipped(folder: str) -> tuple[str, ...]:
+    """Names of the drawings in a folder of `synthetic/data` that ship with the package."""
+    return tuple(
+        sorted(
+            file.name.removesuffix(".txt")
+            for file in _data(folder).iterdir()
+            if file.name.endswith(".txt")
+        )
+    )
+
+
+def load(folder: str, name: str, what: str) -> str:
+    """Text of a drawing that ships with the package.
+
+    Raises
+    ------
+    OptionError
+        No drawing of this name ships with the package.
+    """
+    if name not in (known := shipped(folder)):
+        raise OptionError(f"There is no {what} {name!r}; there are {', '.join(known)}.")
+    return (_data(folder) / f"{name}.txt").read_text("utf-8")
+
+
+def _data(folder: str) -> Traversable:
+    return resources.files("placegraph_lab.worlds") / "data" / folder

@@ -1,0 +1,1 @@
+"""Flats drawn in ASCII, furnished, rendered and walked through."""

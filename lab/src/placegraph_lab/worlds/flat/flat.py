@@ -1,0 +1,381 @@
+r"""Flats drawn in ASCII: demo and test worlds that become scene maps and captures.
+
+A text has the sections ``[drawing]`` and ``[legend]``, and ``[flat]`` before them where the
+defaults do not suit::
+
+    [flat]
+    name = Chamber
+    metres = 0.25
+    height = 2.6
+
+    [drawing]
+    ####==####
+    #SS.1   B#
+    #SS     B#
+    #   TT   :
+    #   TT c #
+    ##########
+
+    [legend]
+    1 room: label=study floor=parquet sienna walls=wallpaper palegoldenrod
+    S sofa: look=fabric darkred
+    B shelf: label=bookcase height=2.1
+    T table: label=desk
+    c chair: faces=T
+
+A character is a rectangle of `metres`: one number, or width and height. x grows to the right of
+the page, y up the page, from its lower left corner; z from the floor. ``#`` is wall, ``=`` a
+window, ``+`` a closed door, ``:`` a doorway; blanks and ``.`` are floor within walls and nothing
+outside of them. A legend line reads ``glyph kind: key=value key=value``, where a value runs up to
+the next ``key=``. Kinds are
+
+``wall``, ``window``, ``door``, ``doorway``
+    openings lie in a wall and lead through it: `base`, `height` [m];
+``room``
+    a label that stands on the floor and gives its room a name and the looks `walls`, `floor` and
+    `ceiling`;
+``spot``
+    floor, and a place to ask for by `Flat.position`;
+a model of `flat_furniture.MODELS`
+    every connected blot is a thing (from rectangles, where it is none): `label`, `height`, `base`
+    above the floor, `depth` from its back [m], `look` and `trim` such as ``wood saddlebrown``,
+    `faces` a direction or the glyph of what it looks at (else its back is to the wall), and
+    `in`, the glyph of what it stands on or in: its cells belong to both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph_lab.worlds.drawing import BLANKS, load, page, sections
+from placegraph_lab.worlds.drawing import shipped as drawings
+from placegraph_lab.worlds.flat.legend import (
+    COMMON,
+    DOOR,
+    OPENINGS,
+    ROOM,
+    SPOT,
+    WALL,
+    WINDOW,
+    Symbol,
+    settings,
+    symbol,
+)
+from placegraph_lab.worlds.trace import Cell, blots
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from numpy.typing import NDArray
+
+    from placegraph_lab.worlds.flat.interior import Interior
+
+HEADROOM = 1.9
+"""What hangs higher than this is walked under [m]."""
+OUTSIDE = -1
+SOLID = -2
+"""Entries of `Flat.room_of` that are no room: outside, and walls with what is in them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Floor enclosed by walls."""
+
+    name: str
+    symbol: Symbol
+    cells: frozenset[Cell]
+
+
+@dataclass(frozen=True, eq=False)
+class Blot:
+    """Connected cells of one glyph, with those of what stands in it."""
+
+    glyph: str
+    symbol: Symbol
+    cells: frozenset[Cell]
+    own: Cell
+    """First cell, in reading order, that is drawn with this very glyph."""
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A flat drawn in characters: make it an `Interior` with `furnish`."""
+
+    name: str
+    metres: tuple[float, float]
+    """Width and height of a character [m]."""
+    height: float
+    """Height of the rooms [m]."""
+    rows: tuple[str, ...]
+    """The drawing."""
+    legend: dict[str, Symbol]
+    """Meaning of every glyph."""
+    source: str = "<text>"
+    """File the flat was read from, for messages."""
+    first_line: int = 1
+    """Line of that file that holds ``rows[0]``, for messages."""
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "<text>") -> Self:
+        """Read a flat from text.
+
+        Raises
+        ------
+        InputError
+            The text is no flat; the message names line and column and says how to mend it.
+        """
+        parts = sections(text, source, "flat")
+        rows, first_line = page(parts["drawing"], source, "flat")
+        name, metres, height = settings(parts["flat"], source)
+        flat = cls(
+            name=name,
+            metres=metres,
+            height=height,
+            rows=rows,
+            legend=COMMON
+            | dict(symbol(line, f"{source}, line {n}") for n, line in parts["legend"]),
+            source=source,
+            first_line=first_line,
+        )
+        flat._check_glyphs()
+        if not flat.rooms:
+            raise InputError(f"{source}: no room; close the walls (#) around some floor.")
+        flat._check_places()
+        return flat
+
+    @classmethod
+    def load(cls, name: str) -> Self:
+        """Read a flat that ships with the package, such as ``altbau``.
+
+        Raises
+        ------
+        OptionError
+            No flat of this name ships with the package.
+        """
+        return cls.parse(load("flats", name, "flat"), source=f"{name}.txt")
+
+    def furnish(self, rng: np.random.Generator) -> Interior:
+        """Walls, floors, ceilings and furniture with their meshes and painted textures.
+
+        Raises
+        ------
+        InputError
+            An opening leads through no wall, or what hangs has no wall behind it.
+        """
+        from placegraph_lab.worlds.flat.interior import furnish
+
+        return furnish(self, rng)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of the page [m]."""
+        return len(self.rows[0]) * self.metres[0], len(self.rows) * self.metres[1]
+
+    def corner(self, row: float, column: float) -> tuple[float, float]:
+        """Place x, y [m] of a row and column on the page; (0, 0) is its upper left corner."""
+        return column * self.metres[0], (len(self.rows) - row) * self.metres[1]
+
+    def cell(self, x: float, y: float) -> Cell:
+        """Row and column of the character at x, y [m]; beyond the page too."""
+        row = len(self.rows) - y / self.metres[1]
+        return int(np.floor(row)), int(np.floor(x / self.metres[0]))
+
+    def cells(self, glyph: str) -> list[Cell]:
+        """Row and column of every occurrence of a glyph, in reading order."""
+        return [cell for cell, drawn in self.drawn.items() if drawn == glyph]
+
+    def positions(self, glyph: str) -> list[tuple[float, float]]:
+        """Middles x, y [m] of the connected blots of a glyph, in reading order."""
+        groups = (np.mean(sorted(group), axis=0) + 0.5 for group in blots(self.cells(glyph)))
+        return [self.corner(*middle.tolist()) for middle in groups]
+
+    def position(self, glyph: str) -> tuple[float, float]:
+        """Middle x, y [m] of the one thing that a glyph drew.
+
+        Raises
+        ------
+        OptionError
+            The glyph drew nothing, or several things.
+        """
+        found = self.positions(glyph)
+        if len(found) != 1:
+            raise OptionError(
+                f"{self.source} has {len(found)} places drawn {glyph!r}, not one; "
+                "ask with `positions`, or draw the place with a glyph of its own."
+            )
+        return found[0]
+
+    @cached_property
+    def drawn(self) -> dict[Cell, str]:
+        """Glyph of every cell that is not blank, in reading order."""
+        return {
+            (r, c): glyph
+            for r, row in enumerate(self.rows)
+            for c, glyph in enumerate(row)
+            if glyph not in BLANKS
+        }
+
+    @cached_property
+    def room_of(self) -> NDArray[np.int32]:
+        """Row of `rooms` of every cell (R, C); `OUTSIDE` and `SOLID` are none."""
+        solid = {cell for cell, glyph in self.drawn.items() if self._is_solid(glyph)}
+        shape = len(self.rows), len(self.rows[0])
+        found = np.full(shape, SOLID, np.int32)
+        index = 0
+        for group in blots(cell for cell in np.ndindex(shape) if cell not in solid):
+            rows, columns = zip(*group, strict=True)
+            open_air = (
+                min(rows) == 0
+                or min(columns) == 0
+                or max(rows) == shape[0] - 1
+                or max(columns) == shape[1] - 1
+            )
+            found[rows, columns] = OUTSIDE if open_air else index
+            index += not open_air
+        return found
+
+    @cached_property
+    def rooms(self) -> tuple[Room, ...]:
+        """Rooms in reading order.
+
+        Raises
+        ------
+        InputError
+            A room has two labels.
+        """
+        labels = [cell for cell, glyph in self.drawn.items() if self.legend[glyph].kind == ROOM]
+        found = []
+        for index in range(int(self.room_of.max()) + 1):
+            here = [cell for cell in labels if self.room_of[cell] == index]
+            if len(here) > 1:
+                raise InputError(f"{self.where(here[1])}: the room has two labels; leave one.")
+            style = self.legend[self.drawn[here[0]]] if here else symbol("1 room:", "")[1]
+            name = style.label if style.label != ROOM else f"room {index + 1}"
+            cells = frozenset((int(r), int(c)) for r, c in np.argwhere(self.room_of == index))
+            found.append(Room(name, style, cells))
+        return tuple(found)
+
+    @cached_property
+    def things(self) -> tuple[Blot, ...]:
+        """Furniture in reading order."""
+        return tuple(
+            sorted(
+                (
+                    blot
+                    for glyph, meaning in self.legend.items()
+                    if meaning.is_furniture
+                    for blot in self._blots(glyph)
+                ),
+                key=lambda blot: blot.own,
+            )
+        )
+
+    @cached_property
+    def openings(self) -> tuple[Blot, ...]:
+        """Windows, doors and doorways in reading order."""
+        found = [
+            Blot(glyph, meaning, frozenset(group), min(group))
+            for glyph, meaning in self.legend.items()
+            if meaning.kind in OPENINGS
+            for group in blots(self.cells(glyph))
+        ]
+        return tuple(sorted(found, key=lambda blot: blot.own))
+
+    @cached_property
+    def blocked(self) -> NDArray[np.bool_]:
+        """Cells (R, C) that nobody walks through: walls, furniture, closed doors, outside."""
+        mask = self.room_of < 0
+        for cell, glyph in self.drawn.items():
+            kind = self.legend[glyph].kind
+            if kind in OPENINGS:
+                mask[cell] = kind in (WINDOW, DOOR)
+        for blot in self.things:
+            if self.base(blot) < HEADROOM and blot.symbol.kind not in ("rug", "picture"):
+                mask[tuple(np.array(sorted(blot.cells)).T)] = True
+        return mask
+
+    def host(self, blot: Blot) -> Blot | None:
+        """What a thing stands on or in."""
+        return next((b for b in self.things if self._carries(b, blot)), None)
+
+    def base(self, blot: Blot) -> float:
+        """Height of a thing's lower edge above the floor [m]."""
+        if blot.symbol.kind == "pendant":
+            return self.height - blot.symbol.height
+        if blot.symbol.base is not None:
+            return blot.symbol.base
+        host = self.host(blot)
+        return self.base(host) + host.symbol.height if host else 0.0
+
+    def where(self, cell: Cell) -> str:
+        """Name file, line and column of a cell, for messages."""
+        return f"{self.source}, line {self.first_line + cell[0]}, column {cell[1] + 1}"
+
+    def _carries(self, host: Blot, blot: Blot) -> bool:
+        return host.glyph == blot.symbol.host and blot.own in host.cells
+
+    def _is_solid(self, glyph: str) -> bool:
+        return self.legend[glyph].kind in OPENINGS | {WALL}
+
+    def _blots(self, glyph: str) -> list[Blot]:
+        """Blots of a piece of furniture: its own cells and those of all that stands in it."""
+        inner, fresh = {glyph}, {glyph}
+        while fresh:
+            fresh = {g for g, s in self.legend.items() if s.host in fresh} - inner
+            inner |= fresh
+        found = []
+        for group in blots(cell for g in inner for cell in self.cells(g)):
+            own = sorted(cell for cell in group if self.drawn[cell] == glyph)
+            if not own:  # what stands in it here stands in none of it
+                lost = min(group)
+                raise InputError(
+                    f"{self.where(lost)}: {self.drawn[lost]!r} stands in {glyph!r}, but touches "
+                    f"none; draw {glyph!r} around it, or leave out in={glyph}."
+                )
+            found.append(Blot(glyph, self.legend[glyph], frozenset(group), own[0]))
+        return found
+
+    def _check_glyphs(self) -> None:
+        for cell, glyph in self.drawn.items():
+            if glyph not in self.legend:
+                raise InputError(
+                    f"{self.where(cell)}: {glyph!r} has no meaning; "
+                    f"add a line such as '{glyph} table: label=desk' to [legend]."
+                )
+        if self.legend["#"].kind != WALL:
+            raise InputError(f"{self.source}, [legend]: # is always a wall; choose another glyph.")
+        for glyph, meaning in self.legend.items():
+            for other in {meaning.host, meaning.faces if len(meaning.faces) == 1 else ""} - {""}:
+                known = self.legend.get(other)
+                if known is None or not known.is_furniture or other == glyph:
+                    raise InputError(
+                        f"{self.source}, [legend]: {glyph!r} refers to {other!r}, which is no "
+                        "other piece of furniture; give the glyph of one."
+                    )
+            carriers = [glyph]
+            while (host := self.legend[carriers[-1]].host) and host not in carriers:
+                carriers.append(host)
+            if host:
+                raise InputError(
+                    f"{self.source}, [legend]: {host!r} stands in {self.legend[host].host!r}, "
+                    "which stands in it; let one of them stand on the floor."
+                )
+
+    def _check_places(self) -> None:
+        for cell, glyph in self.drawn.items():
+            if self.room_of[cell] == OUTSIDE and self.legend[glyph].kind != SPOT:
+                raise InputError(
+                    f"{self.where(cell)}: {glyph!r} stands in no room; "
+                    "draw it inside, or close the walls (#) around it."
+                )
+        _ = self.things  # says what stands in nothing
+
+
+def shipped() -> tuple[str, ...]:
+    """Names of the flats that ship with the package."""
+    return drawings("flats")

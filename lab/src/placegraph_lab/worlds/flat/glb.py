@@ -1,0 +1,47 @@
+"""Writes a furnished flat as a binary glTF 2.0 file, as scanners and CAD programs do.
+
+One node per object, with its label, id and room in `extras`; a primitive per texture, base colours
+only, no light baked in.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PIL import Image
+
+from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from placegraph_lab.worlds.flat.interior import Interior
+
+QUALITY = 90
+"""Of the textures' JPEG images."""
+
+
+def write_glb(interior: Interior, path: str | Path) -> Path:
+    """Write the things of a flat as a .glb file; the same flat gives the same bytes."""
+    materials: list[Material] = []
+    parts = []
+    for thing in interior.things:
+        surfaces = []
+        for surface in thing.surfaces:
+            surfaces.append(
+                Surface(surface.vertices, surface.triangles, len(materials), surface.uv)
+            )
+            materials.append(Material(_jpeg(surface.texture)))
+        extras = {"label": thing.label, "id": thing.id, "room": thing.room}
+        parts.append(Part(thing.name, surfaces, extras))
+    Path(path).write_bytes(encode_glb(parts, materials))
+    return Path(path)
+
+
+def _jpeg(texture: NDArray[np.uint8]) -> bytes:
+    encoded = io.BytesIO()
+    Image.fromarray(texture).save(encoded, "JPEG", quality=QUALITY, subsampling=0)
+    return encoded.getvalue()

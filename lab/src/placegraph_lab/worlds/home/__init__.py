@@ -1,0 +1,1 @@
+"""Homes made up from seeds."""

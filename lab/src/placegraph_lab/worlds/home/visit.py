@@ -1,0 +1,147 @@
+"""Walks through homes by who looks about: at one thing after the other, around the furniture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import level_from_camera, pose_matrix, split_pose, wrap
+from placegraph_lab.worlds.flat.flat import HEADROOM, Flat
+from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
+from placegraph_lab.worlds.flat.walks import TURN, Walk, stroll
+from placegraph_lab.worlds.home.change import SHELL, STANDS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph_lab.worlds.flat.interior import Interior
+
+FLAT = 0.1
+"""What hangs on a wall stands out less than this [m]."""
+DWELL = (0.8, 2.5)
+"""How long one thing is looked at [s]."""
+LOWEST = 0.35
+"""Greatest angle at which a camera is held downwards [rad]."""
+_EASE = 0.6  # of what is left to turn, turned in a fifth of a second
+
+
+def visit(
+    flat: Flat,
+    interior: Interior,
+    rng: np.random.Generator,
+    *,
+    frames: int = 25,
+    rate: float = 5.0,
+    tilt: float = 0.05,
+) -> Walk:
+    """Walk through a flat around the furniture as it stands now, looking at one thing and another.
+
+    Parameters
+    ----------
+    flat
+        The flat as it was drawn.
+    interior
+        As it is now.
+    rng
+        Draws way and looks.
+    frames, rate
+        Number of images, and images a second.
+    tilt
+        Deviation of pitch and roll [rad].
+
+    Raises
+    ------
+    OptionError
+        A number is out of its range, or nobody can stand anywhere.
+
+    """
+    boxes = [t.bounds for t in interior.things if t.label not in SHELL and _in_the_way(t.bounds)]
+    now = _Refurnished(**{f.name: getattr(flat, f.name) for f in fields(flat)}, boxes=tuple(boxes))
+    walk = stroll(now, rng, frames=frames, rate=rate, tilt=0.0)
+    poses, _ = split_pose(walk.map_from_camera)
+    poses[:, 3], down = _looks(poses, interior, rate, rng)
+    down += tilt * rng.uniform(0.5, 1.0) * np.sin(2 * np.pi * (walk.stamps / 4.1 + rng.random()))
+    roll = 0.4 * tilt * np.sin(2 * np.pi * (walk.stamps / 3.7 + rng.random()))
+    felt = np.stack([np.sin(roll), np.cos(roll) * np.cos(down), np.cos(roll) * np.sin(down)], -1)
+    return Walk(walk.stamps, pose_matrix(poses, level_from_camera(felt)))
+
+
+def _looks(
+    poses: NDArray[np.float64], interior: Interior, rate: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Yaw and angle downwards (T,) [rad] on a way of poses (T, 4) that head along it."""
+    things = {
+        room: np.array([t.bounds.mean(axis=0) for t in interior.things
+                        if t.room == room and t.label not in SHELL])
+        for room in {t.room for t in interior.things}
+    }  # fmt: skip
+    floors = {t.room: t.bounds[:, :2] for t in interior.things if t.label == "floor"}
+    yaw, down = np.empty(len(poses)), np.empty(len(poses))
+    at, low, left = float(poses[0, 3]), 0.15, 0
+    goal: NDArray[np.float64] | None = None
+    for i, pose in enumerate(poses):
+        if left == 0:
+            room = next((r for r, f in floors.items() if _within(pose[:2], f)), "")
+            goal = _target(pose, at, things.get(room, np.zeros((0, 3))), rng)
+            left = max(1, round(float(rng.uniform(*DWELL)) * rate))
+        left -= 1
+        wish, dip = float(pose[3]), 0.15
+        if goal is not None:
+            away = goal - pose[:3]
+            wish = float(np.arctan2(away[1], away[0]))
+            dip = float(np.arctan2(-away[2], np.hypot(*away[:2])))
+        ease, most = min(1.0, 5.0 * _EASE / rate), TURN / rate
+        at += float(np.clip(ease * float(wrap(wish - at)), -most, most)) if i else 0.0
+        low += ease * (float(np.clip(dip, -0.05, LOWEST)) - low)
+        yaw[i], down[i] = at, low
+    return yaw, down
+
+
+def _target(
+    pose: NDArray[np.float64], yaw: float, things: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Something in the room (3,) to look at, rather ahead than behind; None: where one goes."""
+    away = things - pose[:3]
+    far = np.hypot(away[:, 0], away[:, 1])
+    things, away = things[far > 0.6], away[far > 0.6]
+    if not len(things):
+        return None
+    turn = np.abs(wrap(np.arctan2(away[:, 1], away[:, 0]) - yaw))
+    weights = np.exp(-turn)
+    found: NDArray[np.float64] = things[rng.choice(len(things), p=weights / weights.sum())]
+    return found
+
+
+def _within(point: NDArray[np.float64], bounds: NDArray[np.float64]) -> bool:
+    return bool((point >= bounds[0]).all() and (point <= bounds[1]).all())
+
+
+def _in_the_way(bounds: NDArray[np.float64]) -> bool:
+    """Whether who walks has to walk around: it is no rug, and hangs neither high nor on a wall."""
+    low, high = bounds
+    hung = low[2] > STANDS and (high - low)[:2].min() < FLAT
+    return bool(low[2] < HEADROOM and high[2] > STANDS and not hung)
+
+
+@dataclass(frozen=True)
+class _Refurnished(Flat):
+    """A drawn flat whose furniture stands elsewhere by now."""
+
+    boxes: tuple[NDArray[np.float64], ...] = ()
+    """(2, 3) of what is in the way."""
+
+    @cached_property
+    def blocked(self) -> NDArray[np.bool_]:
+        """Cells (R, C) that nobody walks through."""
+        mask = self.room_of < 0
+        for opening in self.openings:
+            for cell in opening.cells:
+                mask[cell] = opening.symbol.kind in {WINDOW, DOOR}
+        for low, high in self.boxes:
+            bottom, left = self.cell(low[0], low[1])
+            top, right = self.cell(high[0], high[1])
+            mask[max(top, 0) : bottom + 1, max(left, 0) : right + 1] = True
+        return mask

@@ -1,0 +1,1 @@
+"""Towns drawn in ASCII."""

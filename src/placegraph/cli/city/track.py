@@ -1,0 +1,123 @@
+"""`placegraph city track`: follow a speaker sentence by sentence."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
+from placegraph.errors import DescriptionError, OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from placegraph.estimate import CityEstimate
+
+PROMPT = "> "
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `placegraph city`."""
+    app.command("track")(track)
+
+
+def track(
+    map_file: Annotated[
+        Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")
+    ],
+    near: Annotated[str | None, typer.Option(help="LON,LAT you start near, with --radius.")] = None,
+    radius: Annotated[
+        float, typer.Option(help="Radius of --near [m]: half of the prior lies within.")
+    ] = 1000.0,
+    heading_deg: Annotated[
+        float | None, typer.Option(help="Where you look at first, clockwise from north.")
+    ] = None,
+    top: Annotated[int, typer.Option(help="How many places at most.")] = 5,
+    as_json: AsJson = False,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page of the last estimate, without a network.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a picture of the last estimate.")] = None,
+) -> None:
+    """Follow you through a city, a sentence a line.
+
+    Say what you see, or how you went: "A bakery is north of me.", "I walked 60 m east."
+    `reset` starts anew; `quit`, or the end of the input, ends it.
+
+    Example: placegraph city track monaco.city
+    """
+    from math import radians
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.track.tracker import CityTracker
+
+    city = CityMap.open(map_file)
+    tracker = CityTracker(
+        city,
+        near=_lonlat(near),
+        radius=radius,
+        heading=None if heading_deg is None else radians(heading_deg),
+        top=top,
+    )
+    asked = sys.stdin.isatty()
+    for line in _lines(asked=asked):
+        try:
+            estimate = tracker.reset() if line.lower() == "reset" else tracker.tell(line)
+        except DescriptionError as error:
+            if not asked:
+                raise
+            typer.echo(str(error), err=True)  # there is another line to come
+            continue
+        if as_json:
+            said = {"said": line} | estimate.to_dict() | {"elsewhere": tracker.elsewhere}
+            typer.echo(json.dumps(said, ensure_ascii=False))
+        else:
+            typer.echo(_told(estimate))
+    if html is not None:
+        from placegraph.view import write_page
+
+        write_page(city, tracker.estimate, html)
+    if png is not None:
+        from placegraph.view import write_picture
+
+        write_picture(city, tracker.estimate, png)
+
+
+def _lines(*, asked: bool) -> Iterator[str]:
+    """Lines of the input that say something, up to its end or "quit"."""
+    while True:
+        if asked:
+            typer.echo(PROMPT, nl=False, err=True)
+        line = sys.stdin.readline()
+        if not line or line.strip().lower() in ("quit", "exit"):
+            return
+        if line.strip():
+            yield line.strip()
+
+
+def _told(estimate: CityEstimate) -> str:
+    """One line: status, the best place and its probability, or why there is none."""
+    best = estimate.best
+    if best is None:
+        return f"{estimate.status.name}: {estimate.reason}"
+    sigma = max(best.covariance[0, 0], best.covariance[1, 1]) ** 0.5
+    return (
+        f"{estimate.status.name:9} {best.latitude:.5f}, {best.longitude:.5f} "
+        f"{best.probability:6.1%}  ±{sigma:.0f} m  {estimate.reason}"
+    )
+
+
+def _lonlat(value: str | None) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    try:
+        longitude, latitude = (float(part) for part in value.split(","))
+    except ValueError as error:
+        raise OptionError(
+            f"--near is {value!r}; give longitude and latitude as 7.42,43.73."
+        ) from error
+    return longitude, latitude

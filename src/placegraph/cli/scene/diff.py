@@ -1,0 +1,246 @@
+"""`placegraph scene diff` and `scene update`: what changed in a place, and a map that knows it."""
+
+from __future__ import annotations
+
+import json
+from math import isfinite, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene.answer import progress_of
+from placegraph.cli.scene.query import (
+    Frames,
+    MapFile,
+    NoProgress,
+    Seed,
+    UseColour,
+    UseDepth,
+    chosen_frames,
+)
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.mapping.change.changes import SceneDiff
+    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.scene_map import SceneMap
+
+MOST_IDS = 8
+"""Unseen objects that are named; JSON names all."""
+MAP_ENDING = ".scene"
+
+Later = Annotated[
+    Path, typer.Argument(help="The later look: a scene map (.scene), or a capture in the place.")
+]
+Axes = Annotated[
+    str | None,
+    typer.Option(
+        "--b-from-a",
+        help="X,Y,Z,YAW_DEG: where the first map's origin lies in the second, and how it is turned; "
+        "found if not given.",
+    ),
+]
+LeastShift = Annotated[float, typer.Option(help="What moved less than this stayed [m].")]
+
+
+def diff(
+    map_file: MapFile,
+    later: Later,
+    frames: Frames = None,
+    axes: Axes = None,
+    least_shift: LeastShift = 0.08,
+    depth: UseDepth = True,
+    colour: UseColour = True,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the diff as JSON, for scene update.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a plan with what changed.")] = None,
+    quiet: NoProgress = False,
+) -> None:
+    """Name what moved, appeared and vanished, from a map to a later map or capture of the place.
+
+    A capture is localized first; where it is not found in the map (LOST), nothing is compared, and
+    the command ends with 3. What the later look does not show is unseen, never vanished.
+
+    Example: placegraph scene diff house.scene walk/ --png changes.png -o changes.json
+    """
+    from placegraph.indoor.scene_map import SceneMap
+
+    options = _options(axes, least_shift, depth=depth, colour=colour, seed=seed)
+    scene = SceneMap.open(map_file)
+    with progress_of(hidden=quiet or as_json) as tell:
+        found = compared(scene, later, frames, options, tell)
+    if out is not None:
+        found.save(out)
+    if png is not None:
+        from placegraph.view.scene.diff_plan import write_diff
+
+        write_diff(scene, found, png)
+    if as_json:
+        typer.echo(json.dumps(found.to_dict(), ensure_ascii=False))
+    else:
+        show(found)
+
+
+def update(
+    map_file: MapFile,
+    diff_file: Annotated[
+        Path | None, typer.Argument(help="JSON file that `placegraph scene diff -o` wrote.")
+    ] = None,
+    later: Annotated[
+        Path | None,
+        typer.Option("--from", help="Instead of a diff: a later map or capture of the place."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Map file to write, such as new.scene.")
+    ] = None,
+    in_place: Annotated[
+        bool, typer.Option("--in-place", help="Replace the map itself; it is kept as NAME.bak.")
+    ] = False,
+    take: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Kinds (moved, appeared, vanished, relabelled) or ids that are taken over; may be "
+            "repeated. All kinds if not given."
+        ),
+    ] = None,
+    least_confidence: Annotated[
+        float, typer.Option(help="What is less sure than this is left alone.")
+    ] = 0.5,
+    when: Annotated[
+        str, typer.Option(help="When it changed, for the objects' history: 2026-11-21.")
+    ] = "",
+    frames: Frames = None,
+    axes: Axes = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    quiet: NoProgress = False,
+) -> None:
+    """Write a map that has taken over what changed; the old one stays, unless --in-place is given.
+
+    Each object that changed tells of it in its attribute `history`; `placegraph scene view` shows it.
+
+    Example: placegraph scene update house.scene changes.json -o house-now.scene
+    """
+    from placegraph.indoor.mapping.change.changes import KINDS, read_diff
+    from placegraph.indoor.mapping.change.update import update_file
+    from placegraph.indoor.scene_map import SceneMap
+
+    if (diff_file is None) == (later is None):
+        raise OptionError("Give a diff's JSON file, or --from with a later map or capture.")
+    if out is None and not in_place:
+        raise OptionError("--out names the map to write; --in-place replaces the map itself.")
+    if out is not None and in_place:
+        raise OptionError("--out and --in-place contradict each other; give one.")
+    if diff_file is not None:
+        found = read_diff(diff_file)
+    else:
+        scene = SceneMap.open(map_file)
+        options = _options(axes, 0.08, depth=True, colour=True, seed=seed)
+        with progress_of(hidden=quiet or as_json) as tell:
+            found = compared(scene, Path(str(later)), frames, options, tell)
+    target = out or map_file
+    new = update_file(
+        map_file, found, target, in_place=in_place, take=take or KINDS,
+        least_confidence=least_confidence, when=when,
+    )  # fmt: skip
+    told = [id_ for id_, a in zip(new.graph.ids, new.attributes, strict=True) if "history" in a]
+    if as_json:
+        facts = {"map": str(target), "objects": len(new), "changes": len(found), "told": told}
+        typer.echo(json.dumps(facts, ensure_ascii=False))
+    elif not quiet:
+        typer.echo(f"{target}: {len(new):,} objects, {len(found):,} changes in the diff.")
+        if found and not told:
+            typer.echo(
+                f"None of them is taken over; the two are laid on each other: {found.alignment}."
+            )
+        for id_, attributes in zip(new.graph.ids, new.attributes, strict=True):
+            if id_ in told:
+                label = new.graph.labels[new.row_of(id_)]
+                typer.echo(f"  {label} {id_!r}: {attributes['history']}")
+
+
+def compared(
+    scene: SceneMap,
+    later: Path,
+    frames: str | None,
+    options: DiffOptions,
+    tell: Callable[[str, int, int], None],
+) -> SceneDiff:
+    """Diff of a map and a later look, which is a map file or a capture; raises as these do."""
+    from placegraph.indoor.mapping.change.diff import diff as diff_of
+    from placegraph.indoor.mapping.change.diff import diff_capture
+    from placegraph.indoor.scene_map import SceneMap
+
+    if later.suffix.lower() == MAP_ENDING:
+        if frames is not None:
+            raise OptionError(f"--frames belongs to a capture, and {later} is a map.")
+        return diff_of(scene, SceneMap.open(later), options=options)
+    if options.b_from_a is not None:
+        raise OptionError("--b-from-a belongs to a map; a capture's poses are found by localizing.")
+    from placegraph.formats.capture.capture import open_capture
+
+    capture = chosen_frames(open_capture(later), frames)
+    estimate = scene.localize(capture, seed=options.seed, progress=tell)
+    name = str(later)
+    return diff_capture(scene, capture, estimate, options=options, name=name, progress=tell)
+
+
+def show(found: SceneDiff) -> None:
+    """Print a diff so that a person can read it."""
+    console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+    console.print(f"{found.before or 'The map'} and {found.after or 'a later look'}: {found!r}")
+    console.print(f"Laid on each other: {found.alignment}.")
+    if len(found):
+        table = Table("change", "object", "by", "sure", "", box=None, pad_edge=False)
+        for c in found:
+            thing = f"{c.label} {c.name or c.id or c.other}".strip()
+            by = f"{c.shift_m:.2f} m, {c.turn_deg:.0f}°" if c.kind == "moved" else ""
+            by = f"{c.new_label!r} now" if c.kind == "relabelled" else by
+            table.add_row(c.kind, thing, by, f"{c.confidence:.0%}", c.reason)
+        console.print(table)
+    if found.unseen:
+        more = ", ..." if len(found.unseen) > MOST_IDS else ""
+        console.print(
+            f"Unseen, so that nothing can be told of them: {len(found.unseen)} objects "
+            f"({', '.join(found.unseen[:MOST_IDS])}{more})."
+        )
+
+
+def _options(
+    axes: str | None, least_shift: float, *, depth: bool, colour: bool, seed: int
+) -> DiffOptions:
+    from placegraph.indoor.mapping.change.options import DiffOptions
+
+    return DiffOptions(
+        b_from_a=_motion(axes), least_shift=least_shift, depth=depth, colour=colour, seed=seed
+    )
+
+
+def _motion(axes: str | None) -> Floats | None:
+    """(4, 4) of a text X,Y,Z,YAW_DEG."""
+    if axes is None:
+        return None
+    import numpy as np
+
+    from placegraph.geometry import rotation_z
+    from placegraph.indoor.mapping.change.register import rigid
+
+    try:
+        numbers = [float(part) for part in axes.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or not all(map(isfinite, numbers)):
+        raise OptionError(
+            f"--b-from-a is {axes!r}; give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."
+        )
+    return rigid(rotation_z(radians(numbers[3])), np.array(numbers[:3]))

@@ -1,0 +1,182 @@
+"""`placegraph scene localize`: frames find their pose in a scene map."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import isfinite, log, radians, sqrt
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene.answer import Files, progress_of, show
+from placegraph.cli.scene.query import (
+    CaptureFolder,
+    Device,
+    Frames,
+    MapFile,
+    MatcherName,
+    NoProgress,
+    OverlayFile,
+    Seed,
+    TumFile,
+    UseColour,
+    UseDepth,
+    Weights,
+    chosen_frames,
+    matcher_of,
+)
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.search import Prior
+    from placegraph.indoor.refine.matching import Matcher
+
+
+def localize(
+    map_file: MapFile,
+    capture: CaptureFolder,
+    frames: Frames = None,
+    seed: Seed = 0,
+    near: Annotated[
+        str | None,
+        typer.Option(help="X,Y or X,Y,Z [m, map] the first frame is known to be near."),
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(help="Radius of --near [m]: half of the prior lies within.")
+    ] = 1.0,
+    yaw_deg: Annotated[
+        float | None,
+        typer.Option(help="With --near: about where it looks, counter-clockwise from x."),
+    ] = None,
+    description: Annotated[
+        str | None,
+        typer.Option(help="What is known of the place: 'next to the sofa, facing the window'."),
+    ] = None,
+    encoder: Annotated[
+        str | None,
+        typer.Option(
+            help="What says which objects a patch may show: labels, appearance, compact; "
+            "the capture's own labels if not given."
+        ),
+    ] = None,
+    height: Annotated[
+        list[float] | None,
+        typer.Option(help="Height of the camera above the floor [m]; may be repeated."),
+    ] = None,
+    semantic: Annotated[
+        bool, typer.Option("--semantic/--no-semantic", help="Use the labels of the frames.")
+    ] = True,
+    depth: UseDepth = True,
+    colour: UseColour = True,
+    coarse: Annotated[
+        bool, typer.Option("--coarse", help="No polish: the filter alone, faster, less exact.")
+    ] = False,
+    refine: Annotated[
+        bool, typer.Option("--refine/--no-refine", help="Fit the pose to depth and images.")
+    ] = True,
+    matcher: MatcherName = "auto",
+    weights: Weights = None,
+    every: Annotated[
+        float, typer.Option(help="Keyframes: least time between frames [s]; 0 takes all.")
+    ] = 0.0,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    png: Annotated[
+        Path | None, typer.Option(help="Write a plan with the particles of every pass.")
+    ] = None,
+    gif: Annotated[Path | None, typer.Option(help="Write the plan as an animation.")] = None,
+    overlay: OverlayFile = None,
+    tum: TumFile = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Write the run with all particles, for `scene view --run`."),
+    ] = None,
+    quiet: NoProgress = False,
+) -> None:
+    """Find the pose of a camera, from some frames of it, in a map of rooms.
+
+    The answer is the pose of the last frame: x, y, z of the camera in the map [m], and yaw, which
+    way it looks, counter-clockwise from the map's x axis. OK is to be trusted; AMBIGUOUS names
+    several places that fit, LOST says that none does. The map is only read.
+
+    The best pose is then refined: fitted to the map by depth, and by images where depth does not
+    fix it. It stands only where held-back pixels speak for it; a line says what became of it.
+
+    Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
+    """
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.indoor.scene_map import SceneMap
+
+    options = _options(
+        coarse=coarse, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
+        record=any(file is not None for file in (png, gif, record)),
+    )  # fmt: skip
+    prior = _prior(near, radius, yaw_deg)
+    matching = _matching(matcher, weights, device, refine=refine)
+    chosen = chosen_frames(open_capture(capture), frames)
+    scene = SceneMap.open(map_file)
+    title = f"{capture.name} {frames}" if frames else capture.name
+    with progress_of(hidden=quiet or as_json) as tell:
+        estimate = scene.localize(
+            chosen, prior=prior, description=description, encoder=encoder, options=options,
+            refine=refine, matcher=matching, seed=seed, device=device, progress=tell,
+        )  # fmt: skip
+        tell("drawing", 0, 1)
+        Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
+    if as_json:
+        typer.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
+    else:
+        show(estimate)
+
+
+def _options(
+    *,
+    coarse: bool,
+    semantic: bool,
+    depth: bool,
+    colour: bool,
+    height: list[float] | None,
+    every: float,
+    record: bool,
+) -> FilterOptions:
+    from placegraph.indoor.options import FilterOptions
+
+    options = FilterOptions.coarse() if coarse else FilterOptions()
+    if height:
+        options = replace(options, heights=tuple(height))
+    return replace(
+        options, semantic=semantic, depth=depth, colour=colour, every=every, record=record
+    )
+
+
+def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:
+    if not refine and (matcher != "auto" or weights is not None):
+        raise OptionError(
+            "--matcher and --weights belong to the refinement; leave out --no-refine, or these."
+        )
+    return matcher_of(matcher, weights, device)
+
+
+def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | None:
+    from placegraph.indoor.pose.search import Prior
+
+    if near is None:
+        if yaw_deg is not None:
+            raise OptionError("--yaw-deg belongs to --near; give both.")
+        return None
+    try:
+        numbers = [float(part) for part in near.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in {2, 3}:
+        raise OptionError(f"--near is {near!r}; give x and y, and z if it is known, as 1.5,-2.")
+    if not (isfinite(radius) and radius > 0):
+        raise OptionError(f"--radius is {radius}; it must be greater than 0.")
+    x, y, *z = numbers
+    yaw = None if yaw_deg is None else radians(yaw_deg)
+    # half of a round Gaussian lies within 1.177 standard deviations
+    return Prior(x, y, z[0] if z else None, yaw, spread=radius / sqrt(2.0 * log(2.0)))

@@ -1,0 +1,119 @@
+"""What `placegraph scene localize` and `scene refine` are asked: frames, matchers, options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.indoor.refine.matching import Matcher
+
+MapFile = Annotated[
+    Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
+]
+CaptureFolder = Annotated[
+    Path,
+    typer.Argument(
+        help="Folder with rgb/, camera.json, odometry.tum (depth/ and labels help), or what another "
+        "recorder wrote: Record3D, Polycam, Stray Scanner, ScanNet, ..."
+    ),
+]
+Frames = Annotated[
+    str | None,
+    typer.Option(help="Which frames, as in Python: 10:20, -5:, ::2; 7 is frame 7 alone."),
+]
+Seed = Annotated[int, typer.Option(help="The same seed gives the same answer.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+UseDepth = Annotated[bool, typer.Option("--depth/--no-depth", help="Use depth images.")]
+UseColour = Annotated[
+    bool, typer.Option("--colour/--no-colour", help="Use colours where the map has some.")
+]
+MatcherName = Annotated[
+    str,
+    typer.Option(
+        help="What matches images with renderings of the map where depth does not fix the pose: "
+        "auto or guided (nothing to install), sift, xfeat, roma, romav2."
+    ),
+]
+Weights = Annotated[
+    Path | None,
+    typer.Option(help="File with the weights of --matcher xfeat or roma; else from its own hub."),
+]
+PlanFile = Annotated[
+    Path | None, typer.Option(help="Write a plan with the pose and the way to it.")
+]
+TumFile = Annotated[
+    Path | None, typer.Option(help="Write every frame's pose, map_from_camera, as TUM text.")
+]
+OverlayFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="Write a picture of the last frame with the map's edges on it, at the pose answered "
+        "and before the refinement: whether it is right, at a glance."
+    ),
+]
+NoProgress = Annotated[bool, typer.Option("--quiet", help="No progress.")]
+
+_OWN = ("auto", "guided")  # without weights; the refiner makes them as each round wants them
+
+
+def matcher_of(name: str, weights: Path | None, device: str) -> str | Matcher:
+    """What `scene.localize` takes as `matcher`.
+
+    Raises as `placegraph.indoor.refine.matching.matcher`, `OptionError` for a name that there is not.
+    """
+    from placegraph.indoor.refine.matching import MATCHERS, matcher
+
+    known = dict.fromkeys([*_OWN, *MATCHERS])
+    if name not in known:
+        raise OptionError(f"--matcher is {name!r}; there are {', '.join(known)}.")
+    if name in _OWN:
+        if weights is not None:
+            raise OptionError(
+                f"--weights belongs to a matcher that has some, such as --matcher xfeat; {name} has "
+                "none."
+            )
+        return name
+    return matcher(name, weights=weights, device="cuda" if device.startswith("cuda") else "cpu")
+
+
+def chosen_frames(capture: Capture, frames: str | None) -> Capture:
+    """Frames of a capture by a text such as 10:20, -5:, ::2 or 7; all where there is none.
+
+    Raises
+    ------
+    OptionError
+        The text is no such thing, goes backwards, or selects nothing.
+
+    """
+    if frames is None:
+        return capture
+    chosen = capture[rows_of(frames)]
+    if not len(chosen):
+        raise OptionError(
+            f"--frames {frames} selects none of the {len(capture)} frames of {capture.path}; "
+            f"they are 0 to {len(capture) - 1}."
+        )
+    return chosen
+
+
+def rows_of(frames: str) -> slice:
+    """Rows of a text such as 10:20, -5:, ::2 or 7; `OptionError` where it is no such thing."""
+    parts = frames.split(":")
+    try:
+        numbers = [int(part) if part.strip() else None for part in parts]
+    except ValueError:
+        numbers = []
+    first, last, step = [*numbers, None, None, None][:3]
+    if not 1 <= len(numbers) <= 3 or (len(parts) == 1 and first is None):
+        raise OptionError(f"--frames is {frames!r}; give frames as 10:20, -5:, ::2 or 7.")
+    if step is not None and step < 1:
+        raise OptionError(f"--frames is {frames!r}; time runs forward, so the step is 1 or more.")
+    if len(parts) == 1 and first is not None:
+        last = first + 1 or None  # -1 is the last frame, and -1:0 would be none
+    return slice(first, last, step)

@@ -1,0 +1,276 @@
+"""`placegraph scene render`: the map as a camera would see it, beside what the camera saw."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene.pose import map_from_camera_of, pose_of_estimate, read_estimate
+from placegraph.errors import InputError, OptionError
+
+if TYPE_CHECKING:
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Camera, Floats
+    from placegraph.indoor.refine.render import Rendering
+    from placegraph.indoor.scene_map import SceneMap
+
+_UNITS = 1000.0
+"""Of a depth picture in a metre."""
+_MOST = (1 << 16) - 1
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the pose comes from: one of three."""
+
+    pose: str | None
+    tum: Path | None
+    estimate: Path | None
+    row: int | None
+    mode: int
+
+
+def render(
+    map_file: Annotated[
+        Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the pictures; made if need be.")
+    ],
+    pose: Annotated[
+        str | None,
+        typer.Option(
+            help="X,Y,Z,YAW_DEG[,PITCH_DEG,ROLL_DEG] of the camera in the map [m]: yaw is "
+            "counter-clockwise from x, pitch is up, roll is right side down."
+        ),
+    ] = None,
+    tum: Annotated[
+        Path | None,
+        typer.Option(help="TUM file of poses map_from_camera, as `scene localize --tum` writes."),
+    ] = None,
+    row: Annotated[
+        int | None,
+        typer.Option(
+            help="With --tum: row of the file from 0, -1 is the last. Without it the row with the "
+            "frame's stamp, or, without --frame, the last."
+        ),
+    ] = None,
+    estimate: Annotated[
+        Path | None, typer.Option(help="JSON file of what `scene localize --json` printed.")
+    ] = None,
+    mode: Annotated[int, typer.Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
+    camera: Annotated[
+        Path | None, typer.Option(help="camera.json with the intrinsics of the picture.")
+    ] = None,
+    capture: Annotated[
+        Path | None,
+        typer.Option(help="Capture folder: its camera, and a frame to lay the map over."),
+    ] = None,
+    frame: Annotated[
+        int | None,
+        typer.Option(
+            help="With --capture: frame from 0, -1 is the last. Without it the last, or the one "
+            "that an estimate is of."
+        ),
+    ] = None,
+    samples: Annotated[int, typer.Option(help="Rays a pixel at edges: 1, 2, 4, 8 or 16.")] = 4,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Render colour, depth and objects of a map from a pose, and judge the pose at a glance.
+
+    Writes into the folder --out: colour.png; depth.png (16 bits, millimetres, 0: nothing or beyond
+    65.5 m); objects.png (16 bits, row of the object + 1, 0: nothing) with objects.json, which names
+    them, and objects_preview.png, which a person can see; with --capture also overlay.png. There,
+    pink lines are the map's edges, green ones borders of its colours: if they lie on what the
+    photograph shows, the pose is right.
+
+    Example: placegraph scene render house.scene -o out --pose 1.5,2,1.6,90 --camera camera.json
+
+    Example: placegraph scene render house.scene -o out --estimate est.json --capture walk/
+
+    Example: placegraph scene render house.scene -o out --tum walk.tum --capture walk/ --frame 12
+    """
+    from placegraph.indoor.refine.render import Renderer
+    from placegraph.indoor.scene_map import SceneMap
+
+    source = Source(pose, tum, estimate, row, mode)
+    _check(source, camera=camera, capture=capture, frame=frame)
+    clip, picture_camera = _camera(camera, capture)
+    chosen = None if clip is None else _frame(clip, frame, source)
+    map_from_camera = _pose(source, chosen, asked=frame is not None)
+    scene = SceneMap.open(map_file)
+    drawn = Renderer(scene, device=device).render(map_from_camera, picture_camera, samples=samples)
+    files = _write(scene, drawn, map_from_camera, chosen, out)
+    told = _told(scene, drawn, map_from_camera, chosen, files)
+    if as_json:
+        typer.echo(json.dumps(told, ensure_ascii=False))
+    elif not quiet:
+        typer.echo(f"{out}: {', '.join(file.name for file in files)}.")
+        typer.echo(_seen(told))
+
+
+def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: int | None) -> None:
+    """Refuse options that contradict each other."""
+    given = [source.pose, source.tum, source.estimate]
+    if sum(value is not None for value in given) != 1:
+        raise OptionError("Give one of --pose, --tum and --estimate: where the camera is.")
+    if (camera is None) == (capture is None):
+        raise OptionError("Give one of --camera and --capture: what camera it is.")
+    if frame is not None and capture is None:
+        raise OptionError("--frame belongs to --capture; give both.")
+    if source.row is not None and source.tum is None:
+        raise OptionError("--row belongs to --tum; give both.")
+    if source.mode != 1 and source.estimate is None:
+        raise OptionError("--mode belongs to --estimate; give both.")
+
+
+def _camera(camera: Path | None, capture: Path | None) -> tuple[Capture | None, Camera]:
+    if capture is not None:
+        from placegraph.formats.capture.capture import open_capture
+
+        clip = open_capture(capture)
+        return clip, clip.camera
+    from placegraph.formats.capture.camera import read_camera
+
+    assert camera is not None  # noqa: S101  # `_check` saw to it
+    return None, read_camera(camera).camera
+
+
+def _frame(clip: Capture, number: int | None, source: Source) -> Frame:
+    """Frame that the pose is laid over: the one asked for, the estimate's last, or the last."""
+    if number is None:
+        number = -1
+        if source.estimate is not None:
+            number = read_estimate(source.estimate)[1][-1]
+    if not -len(clip) <= number < len(clip):
+        raise OptionError(
+            f"--frame is {number}, but {clip.path} has {len(clip)} frames; they are 0 to "
+            f"{len(clip) - 1}."
+        )
+    return clip[number]
+
+
+def _pose(source: Source, frame: Frame | None, *, asked: bool) -> Floats:
+    if source.pose is not None:
+        return map_from_camera_of(source.pose)
+    if source.tum is not None:
+        return _pose_of_tum(source.tum, source.row, frame if asked else None)
+    assert source.estimate is not None  # noqa: S101  # `_check` saw to it
+    return pose_of_estimate(source.estimate, source.mode, frame if asked else None)
+
+
+def _pose_of_tum(path: Path, row: int | None, frame: Frame | None) -> Floats:
+    from placegraph.formats.capture.tum import read_tum
+
+    track = read_tum(path)
+    if row is None and frame is not None:
+        row = int(np.abs(track.stamps - frame.stamp).argmin())
+        if abs(track.stamps[row] - frame.stamp) > 1e-6 * max(1.0, abs(frame.stamp)):
+            raise InputError(
+                f"{path} has no row with the stamp {frame.stamp:.10g} of frame {frame.index}; "
+                "choose one by --row."
+            )
+    row = -1 if row is None else row
+    if not -len(track) <= row < len(track):
+        raise OptionError(
+            f"--row is {row}, but {path} has {len(track)} rows; they are 0 to {len(track) - 1}."
+        )
+    pose: Floats = track.poses[row]
+    return pose
+
+
+def _write(
+    scene: SceneMap, drawn: Rendering, map_from_camera: Floats, frame: Frame | None, out: Path
+) -> list[Path]:
+    """Write all pictures; returns their files."""
+    from PIL import Image
+
+    from placegraph.view.scene.overlay import colours_of, overlay
+
+    if len(scene) >= _MOST:
+        raise OptionError(
+            f"The map has {len(scene):,} objects, but objects.png holds {_MOST - 1:,} at most."
+        )
+    normals = drawn.normals(scene.mesh, map_from_camera)
+    units = np.rint(np.nan_to_num(drawn.depth) * _UNITS)
+    units[units > _MOST] = 0
+    pictures = {
+        "colour": Image.fromarray(drawn.colour),
+        "depth": Image.fromarray(units.astype(np.uint16)),
+        "objects": Image.fromarray((drawn.objects + 1).astype(np.uint16)),
+        "objects_preview": Image.fromarray(colours_of(drawn.objects, normals)),
+    }
+    if frame is not None:
+        pictures["overlay"] = overlay(frame.rgb(), drawn, normals)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{out} cannot be made a folder ({error.strerror}); choose another --out."
+        ) from error
+    files = []
+    for name, picture in pictures.items():
+        files.append(out / f"{name}.png")
+        picture.save(files[-1])
+        if name == "objects":
+            files.append(out / "objects.json")
+            named = {str(o["value"]): o for o in _objects(scene, drawn)}
+            files[-1].write_text(
+                json.dumps(named, ensure_ascii=False, indent=1) + "\n", encoding="utf-8"
+            )
+    return files
+
+
+def _objects(scene: SceneMap, drawn: Rendering) -> list[dict[str, Any]]:
+    """Objects in the picture, those that fill most of it first."""
+    rows, counts = np.unique(drawn.objects[drawn.objects >= 0], return_counts=True)
+    graph, order = scene.graph, np.argsort(-counts, kind="stable")
+    return [
+        {
+            "value": int(rows[i]) + 1,
+            "id": graph.ids[rows[i]],
+            "label": graph.labels[rows[i]],
+            "name": graph.names[rows[i]] if graph.names else "",
+            "share": round(float(counts[i]) / drawn.objects.size, 6),
+        }
+        for i in order
+    ]
+
+
+def _told(
+    scene: SceneMap,
+    drawn: Rendering,
+    map_from_camera: Floats,
+    frame: Frame | None,
+    files: list[Path],
+) -> dict[str, Any]:
+    depth = drawn.depth[drawn.mask]
+    return {
+        "map_from_camera": map_from_camera.tolist(),
+        "frame": None if frame is None else frame.index,
+        "covered": round(float(drawn.mask.mean()), 6),
+        "depth_m": [round(float(v), 3) for v in (depth.min(), depth.max())] if depth.size else [],
+        "objects": _objects(scene, drawn),
+        "files": [str(file) for file in files],
+    }
+
+
+def _seen(told: dict[str, Any]) -> str:
+    """What the picture shows, in a sentence."""
+    if not told["objects"]:
+        return "The map is not to be seen from there: the picture is empty."
+    low, high = told["depth_m"]
+    named = [f"{o['label'] or o['id']} {o['share']:.0%}" for o in told["objects"][:6]]
+    return (
+        f"The map fills {told['covered']:.0%} of it, {low:.2f} to {high:.2f} m away: "
+        f"{', '.join(named)}."
+    )

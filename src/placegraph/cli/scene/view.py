@@ -1,0 +1,95 @@
+"""`placegraph scene view`: a scene map in the browser."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from placegraph.cli.scene.answer import progress_of
+from placegraph.cli.scene.export import CameraPaths, camera_paths
+from placegraph.cli.scene.query import (
+    Device,
+    Frames,
+    MapFile,
+    NoProgress,
+    Seed,
+    chosen_frames,
+)
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.estimate import PoseEstimate
+    from placegraph.indoor.scene_map import SceneMap
+
+
+def view(
+    map_file: MapFile,
+    capture: Annotated[
+        Path | None,
+        typer.Option(help="Capture to localize first; its way and particles are shown."),
+    ] = None,
+    frames: Frames = None,
+    run: Annotated[
+        Path | None,
+        typer.Option(help="Recorded run to show: `scene localize --record FILE` writes it."),
+    ] = None,
+    camera_path: CameraPaths = None,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other computers look, too.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port, or the next free one.")] = 8080,
+    seed: Seed = 0,
+    device: Device = "auto",
+    quiet: NoProgress = False,
+) -> None:
+    """Look at a scene map in the browser; needs `pip install 'placegraph[view]'`.
+
+    Objects can be clicked, listed and hidden, each with its label, attributes and relations;
+    relations are drawn by kind. With --capture, or --run of an earlier localization, a slider goes
+    through the particles of every frame and pass. The map is only read. Ctrl-C ends it.
+
+    Example: placegraph scene view house.scene --capture walk/ --frames 0:10
+    """
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.view.viewer.viewer import open_viewer
+
+    if capture is not None and run is not None:
+        raise OptionError("--capture and --run both bring particles; give one of them.")
+    if frames is not None and capture is None:
+        raise OptionError("--frames belongs to --capture; give both.")
+    paths = camera_paths(camera_path)
+    scene = SceneMap.open(map_file)
+    estimate = None
+    if run is not None:
+        from placegraph.indoor.pose.record import read_run
+
+        estimate = read_run(run)
+    elif capture is not None:
+        estimate = _localized(scene, capture, frames, seed=seed, device=device, quiet=quiet)
+    with open_viewer(scene, camera_paths=paths, run=estimate, host=host, port=port) as viewer:
+        typer.echo(f"{map_file} at {viewer.address} (Ctrl-C ends it)")
+        wait()
+
+
+def wait() -> None:
+    """Return when the user presses Ctrl-C."""
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        return
+
+
+def _localized(
+    scene: SceneMap, folder: Path, frames: str | None, *, seed: int, device: str, quiet: bool
+) -> PoseEstimate:
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.indoor.options import FilterOptions
+
+    chosen = chosen_frames(open_capture(folder), frames)
+    with progress_of(hidden=quiet) as tell:
+        return scene.localize(
+            chosen, options=FilterOptions(record=True), seed=seed, device=device, progress=tell
+        )

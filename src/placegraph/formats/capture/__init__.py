@@ -1,0 +1,1 @@
+"""Frames, cameras and odometry: captures in every plain layout."""

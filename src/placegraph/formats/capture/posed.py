@@ -1,0 +1,219 @@
+"""What readers of other recorders' captures share: poses checked, axes converted, frames made.
+
+They describe every frame as a `Shot`, with images, intrinsics and pose as they are stored, in a
+world with z up and camera axes as OpenCV has them; `capture_of` makes a `Capture` of them and
+turns a telephone's images upright.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame_files import posed_frame, upright_turns
+from placegraph.geometry import Camera, rotation_from_quaternion
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.formats.capture.frame_files import LazyImages
+
+MAP_FROM_Y_UP = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""From ARKit's and OpenGL's worlds, y up, to z up."""
+ARKIT_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Of a camera: ARKit's and OpenGL's look along -z, with y up."""
+
+SAME_MOMENT = 0.02
+"""Stamps that differ by less belong together [s]: half a frame of 30 a second, and some jitter."""
+_RIGID = 1e-2  # rotations are written with few digits
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A frame as it is stored."""
+
+    name: str
+    """File and field of its pose, for messages."""
+    stamp: float
+    """Seconds, or frame number."""
+    pose: NDArray[np.float64]
+    """(4, 4) world_from_camera [m], world z up, camera axes as OpenCV's."""
+    camera: Camera
+    images: LazyImages
+    depth_camera: Camera | None = None
+    """None where the capture has no depth."""
+
+
+def capture_of(
+    path: Path,
+    shots: Iterable[Shot],
+    *,
+    left_out: Counter[str] | None = None,
+    notes: Sequence[str] = (),
+) -> Capture:
+    """Capture of shots, sorted by time, turned upright by one number of quarter turns.
+
+    `left_out` counts frames that are not among them, by reason; `notes` are sentences for the user.
+    Raises `InputError` where there is no shot, a pose is not a rigid transform of finite numbers,
+    or two shots have one stamp.
+    """
+    held = sorted(shots, key=lambda shot: shot.stamp)
+    missing = left_out or Counter()
+    if not held:
+        why = "; ".join(f"{count}: {reason}" for reason, count in missing.items())
+        raise InputError(f"{path} holds no usable frame{f' ({why})' if why else ''}.")
+    for before, after in itertools.pairwise(held):
+        if before.stamp == after.stamp:
+            raise InputError(f"{after.name} has the stamp of {before.name}; keep one of them.")
+    poses = np.stack([exact_pose(shot.pose, shot.name) for shot in held])
+    turns = upright_turns(-poses[:, 2, :3])
+    frames = tuple(
+        posed_frame(
+            i,
+            shot.stamp,
+            pose,
+            shot.camera,
+            shot.images,
+            depth_camera=shot.depth_camera,
+            turns=turns,
+        )
+        for i, (shot, pose) in enumerate(zip(held, poses, strict=True))
+    )
+    said = list(notes)
+    if turns:
+        said.append(
+            f"Images are turned by {turns * 90} degrees counter-clockwise to stand upright."
+        )
+    return Capture(
+        path=path,
+        frames=frames,
+        camera=frames[0].camera,
+        depth_camera=frames[0].depth_camera,
+        label_camera=None,
+        label_kind=None,
+        label_names={},
+        notes=tuple(said),
+        left_out=missing,
+    )
+
+
+# ---------------------------------------------------------------------------------------- poses
+
+
+def exact_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Rigid transform (4, 4) of 12 or 16 numbers by rows, its rotation made exact.
+
+    `InputError`, which begins with `name`, where a number is not finite or it is no rotation.
+    """
+    pose = np.eye(4)
+    rows = np.asarray(matrix, np.float64).reshape(-1, 4)
+    pose[:3] = rows[:3]
+    last = rows[3] if len(rows) == 4 else pose[3]
+    if not (np.isfinite(pose).all() and np.isfinite(last).all()):
+        raise InputError(f"{name} holds a number that is not finite; leave that frame out.")
+    error = np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max()
+    mirrored = np.linalg.det(pose[:3, :3]) < 0
+    if error > _RIGID or mirrored or np.abs(last - pose[3]).max() > _RIGID:
+        raise InputError(f"{name} is no rotation and translation; it may be written by columns.")
+    u, _, vt = np.linalg.svd(pose[:3, :3])
+    pose[:3, :3] = u @ vt
+    return pose
+
+
+def pose_of(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Pose (4, 4) of a position (3,) [m] and a unit quaternion (4,); `InputError` as `exact_pose`."""
+    quaternion = np.asarray(xyzw, np.float64)
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) <= _RIGID:
+        raise InputError(f"{name}: the quaternion has length {length:.6g}, not 1.")
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_from_quaternion(quaternion)
+    pose[:3, 3] = position
+    return exact_pose(pose, name)
+
+
+def nearest_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> NDArray[np.intp]:
+    """Row (n,) of `stamps` (m,), in any order, nearest to each of `wanted` (n,); -1: none so near."""
+    known, asked = np.asarray(stamps, np.float64), np.asarray(wanted, np.float64)
+    if not known.size:
+        return np.full(asked.shape, -1, np.intp)
+    order = np.argsort(known, kind="stable")
+    ordered = known[order]
+    after = np.clip(np.searchsorted(ordered, asked), 0, len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    first = np.abs(ordered[before] - asked) <= np.abs(ordered[after] - asked)
+    best = np.where(first, before, after)
+    rows: NDArray[np.intp] = np.where(
+        np.abs(ordered[best] - asked) <= tolerance, order[best], -1
+    ).astype(np.intp)
+    return rows
+
+
+# -------------------------------------------------------------------------------------- cameras
+
+
+def camera_of(
+    name: str, size: tuple[int, int], intrinsics: Sequence[float], distortion: Sequence[float] = ()
+) -> Camera:
+    """Camera of width and height [px] and fx, fy, cx, cy; `InputError`, which begins with `name`."""
+    fx, fy, cx, cy = (float(v) for v in intrinsics)
+    try:
+        return Camera(*size, fx, fy, cx, cy, tuple(float(v) for v in distortion))
+    except OptionError as error:
+        raise InputError(f"{name}: {error}") from error
+
+
+def smaller_view(camera: Camera, size: tuple[int, int], name: object) -> Camera:
+    """Camera of images of another size that show the same; `InputError` where they cannot."""
+    width, height = size
+    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
+        raise InputError(
+            f"{name} has {width} x {height} pixels, which is not the view of the colour images, "
+            f"{camera.width} x {camera.height}, in another size; export depth of the same view."
+        )
+    return camera if size == (camera.width, camera.height) else camera.resized(*size)
+
+
+# ---------------------------------------------------------------------------------------- files
+
+
+def read_text(path: Path) -> str:
+    """Text of a file; `InputError` where it is missing, unreadable or not text."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read as text ({error}).") from error
+
+
+def numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list[float]:
+    """List of `count` numbers in a JSON object; `InputError` names the file and the field."""
+    values = content.get(field)
+    if not (
+        isinstance(values, list)
+        and len(values) == count
+        and all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    ):
+        what = "is missing" if values is None else f"is not a list of {count} numbers"
+        raise InputError(f"{path}: {field} {what}; export the capture again.")
+    try:
+        return [float(v) for v in values]
+    except OverflowError as error:
+        raise InputError(f"{path}: {field} holds a number beyond all bounds.") from error
+
+
+def number(path: Path, content: dict[str, Any], field: str) -> float:
+    """A number in a JSON object; `InputError` names the file and the field."""
+    return numbers(path, {field: [content[field]] if field in content else None}, field, 1)[0]

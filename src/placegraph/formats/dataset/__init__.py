@@ -1,0 +1,1 @@
+"""Scans and captures in the layouts of public data sets."""

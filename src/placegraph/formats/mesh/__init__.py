@@ -1,0 +1,1 @@
+"""Meshes and 3D scene graphs: glTF, OBJ, PLY, Spark-DSG."""

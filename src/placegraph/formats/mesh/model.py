@@ -1,0 +1,68 @@
+"""What readers of 3D files return: triangles that know their object, pictures, and no opinion.
+
+Floor, relations and the size of pictures are the builder's: `placegraph.indoor.mapping.build`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """One object of a model."""
+
+    id: str
+    label: str
+    name: str = ""
+    attributes: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Colour of a material: an encoded image times a factor, or a factor alone."""
+
+    data: bytes | None
+    """Image file (JPEG, PNG, WebP); None: white."""
+    factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Linear, 0 to 1."""
+    mirrored: tuple[bool, bool] = (False, False)
+    """Repeated mirror-wise along u, v. Texture coordinates are halved already where it is."""
+    name: str = "a picture"
+    """For messages: file and picture."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A 3D file, in the map's axes (z up, metres)."""
+
+    path: Path
+    things: tuple[Thing, ...]
+    vertices: NDArray[np.float64]
+    """(V, 3) [m]; may hold NaN, which the builder refuses."""
+    triangles: NDArray[np.int64]
+    """(T, 3) rows of vertices."""
+    thing_of: NDArray[np.int64]
+    """(T,) rows of things."""
+    colours: NDArray[np.uint8]
+    """(V, 3) sRGB; 255 where there are none."""
+    uv: NDArray[np.float64]
+    """(V, 2) texture coordinates, v down; 0 where there are none."""
+    picture_of: NDArray[np.int64]
+    """(T,) rows of pictures."""
+    pictures: tuple[Picture, ...]
+    """At least one."""
+    left_out: Counter[str] = field(default_factory=Counter)
+    """What of the file could not be used, by reason."""
+    relations: tuple[tuple[int, str, int], ...] = ()
+    """(row of a thing, relation, row of another) where the file says so."""
+    floor: float | None = None
+    """Height of the floor [m] where the file says so."""

@@ -1,7 +1,0 @@
-"""A small texture atlas for a simplified mesh, so that few triangles carry sharp colour."""
-
-from placegraph.indoor.atlas.baking import ColourOf, bake
-from placegraph.indoor.atlas.frames import frame_colours
-from placegraph.indoor.atlas.surfaces import mesh_colours, surface_colours
-
-__all__ = ["ColourOf", "bake", "frame_colours", "mesh_colours", "surface_colours"]

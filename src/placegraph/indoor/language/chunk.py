@@ -1,0 +1,206 @@
+"""Chunks: the words of a text, grouped into the terminals of the grammar, and cut into clauses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from placegraph.indoor.language.lexicon import english
+from placegraph.indoor.map.floor import label_words
+from placegraph.language.islands import Chunk
+from placegraph.language.measures import COUNTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from placegraph.language.words import Word
+
+VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))
+_DETERMINERS = frozenset(("DET", "A", "NUM", "NO", "SOME"))
+_NOUNS = frozenset(("WORD", *_DETERMINERS))
+_BEFORE_NOUN = frozenset(("NOT", *_DETERMINERS))
+_PLACES = frozenset(("REL", "DIR", "BETWEEN", "FAR", "HERE", "FACE", "AWAY", "DIST"))
+_AMBIGUOUS = frozenset(("STAND", "PART", "FACE", "HERE", "SIGHT", "SEE", "HAVE", "SKIP", "WITH"))
+"""Types whose single words may be part of what a thing is called: "standing lamp"."""
+_STANDS = frozenset(("stands", "sits", "hangs", "lies"))
+_LONGEST = 60
+"""Chunks in a clause; nobody speaks in longer ones."""
+_MOST = 1000
+"""More of a thing than this, nobody counts."""
+UNSURE = 0.6
+"""Certainty of what is said to be "maybe" so."""
+
+
+def chunks(sentence: Sequence[Word], text: str) -> list[Chunk]:
+    """Chunks of a sentence, in order; what says nothing about a place is left out."""
+    lower = [_plain(word) for word in sentence]
+    found: list[Chunk] = []
+    i = 0
+    while i < len(sentence):
+        n = _take(sentence, lower, i, text, found)
+        i += n
+    return _paired(list(_settled(found)))
+
+
+def _plain(word: Word) -> str:
+    """A word without a possessive: "the kitchen's door" is the kitchen door."""
+    lower = word.lower.replace("`", "'").replace("´", "'")
+    owner = lower.removesuffix("'s")
+    return lower if owner in ("it", "there", "that", "here") or owner == lower else owner
+
+
+def _take(sentence: Sequence[Word], lower: list[str], i: int, text: str, found: list[Chunk]) -> int:
+    """Append what begins at word i; returns how many words it takes."""
+    word = sentence[i]
+    if word.kind == "measure":
+        found.append(Chunk("DIST", word.start, word.end, word.lower, word.metres))
+        return 1
+    if word.kind == "comma":
+        found.append(Chunk("AND", word.start, word.end, text[word.start : word.end].strip()))
+        return 1
+    known = None if word.kind == "label" else english().longest(lower, i)
+    if known and known[0] == 1 and _hyphenated(sentence, i, text):
+        known = None  # "built-in wardrobe"
+    n, terminals = known or (1, ())
+    words = " ".join(lower[i : i + n])
+    end = sentence[i + n - 1].end
+    if known:
+        found.extend([Chunk(t.type, word.start, end, words, t.value) for t in terminals])
+    elif words in COUNTS or words.isdecimal():
+        count = COUNTS.get(words) or min(int(words), _MOST)
+        found.append(
+            Chunk("SOME" if words in ("few", "several") else "NUM", word.start, end, words, count)
+        )
+    else:
+        # "KitchenTable" is two words, and so is "kitchen_table"
+        written = text[word.start : word.start + len(words)]
+        parts = [] if written[:-1].isupper() else label_words(written)  # "TVs" is one
+        found.append(Chunk("WORD", word.start, end, " ".join(parts) or words))
+    return n
+
+
+def _hyphenated(sentence: Sequence[Word], i: int, text: str) -> bool:
+    """Whether a hyphen ties word i to its neighbour."""
+    before = i > 0 and text[sentence[i - 1].end : sentence[i].start] == "-"
+    after = i + 1 < len(sentence) and text[sentence[i].end : sentence[i + 1].start] == "-"
+    return before or after
+
+
+def _settled(found: list[Chunk]) -> Iterator[Chunk]:
+    """Decide what ambiguous chunks are by their neighbours; drop those that say nothing."""
+    before: Chunk | None = None
+    for i, chunk in enumerate(found):
+        after = found[i + 1].type if i + 1 < len(found) else ""
+        settled = _settle(chunk, before.type if before else "", after)
+        if settled is not None and settled.words in _STANDS and _counted(found[:i]):
+            settled = replace(settled, type="WORD")  # "two tv stands in the kitchen"
+        if settled is None:
+            continue
+        if settled.type == "DIR" and before is not None and before.type == "DIR":
+            # "behind me on my left": between the two
+            before.value = _middle(before.value, settled.value)
+            before.end = settled.end
+            continue
+        before = settled
+        yield settled
+
+
+def _counted(found: Sequence[Chunk]) -> bool:
+    """Whether chunks end in more than one of a thing: no verb in the singular follows."""
+    end = next((k for k in range(len(found), 0, -1) if found[k - 1].type != "WORD"), 0)
+    return end > 0 and found[end - 1].type in ("NUM", "SOME") and found[end - 1].value != 1
+
+
+def _paired(found: list[Chunk]) -> list[Chunk]:
+    """Mark the "and" of "between the table and the fridge": it joins no clauses."""
+    for i, chunk in enumerate(found):
+        if chunk.type != "BETWEEN":
+            continue
+        for k in range(i + 1, len(found) - 1):
+            if found[k].type == "AND" and k > i + 1:
+                if found[k].words in ("and", "&") and found[k + 1].type in _NOUNS:
+                    found[k] = replace(found[k], type="BOTH")
+                break
+            if found[k].type not in _NOUNS | {"OF", "PART"}:
+                break
+    return found
+
+
+def _middle(one: float, other: float) -> float:
+    """The direction between two [rad]."""
+    from math import atan2, cos, sin
+
+    return atan2(sin(one) + sin(other), cos(one) + cos(other))
+
+
+def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
+    kind = chunk.type
+    single = " " not in chunk.words
+    if kind in _AMBIGUOUS and single and after == "WORD" and before in _BEFORE_NOUN:
+        return replace(chunk, type="WORD")  # "a standing lamp", "the side table"
+    if kind == "PART" and before == "WORD":
+        return replace(chunk, type="WORD")
+    if kind in ("STAND", "SKIP", "THAT"):
+        return None
+    if kind == "REL" and chunk.words in ("behind", "before") and after in ("", "AND", "BE"):
+        return replace(
+            chunk, type="DIR", value=3.141592653589793 if chunk.words == "behind" else 0.0
+        )
+    if kind == "REL" and chunk.words == "around" and after not in _NOUNS | {"ME", "IT"}:
+        return replace(chunk, type="SIGHT")
+    if kind == "DIR" and chunk.words == "in front" and after == "OF":
+        return replace(chunk, type="REL", value="in front of")
+    if kind == "DIR" and before in ("DET", "A") and single:
+        return replace(chunk, type="WORD")
+    if kind == "BE" and chunk.words in _STANDS and after not in _PLACES:
+        return replace(chunk, type="WORD")  # "two tv stands"
+    if kind == "BE" and before in _DETERMINERS:
+        return None
+    return chunk
+
+
+def clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
+    """Cut the chunks of a sentence into clauses, each with its certainty.
+
+    A joint (a comma, "and") cuts where a finite verb follows before the next one, and what came
+    before it has a verb of its own or says where something is.
+    """
+    current: list[Chunk] = []
+    certainty, verb = 1.0, False
+    for i, chunk in enumerate(found):
+        starts = verb and chunk.type == "EXISTS"
+        if (
+            chunk.type == "CUT"
+            or len(current) >= _LONGEST
+            or (chunk.type == "AND" and _cuts(current, found[i + 1 :], verb=verb))
+            or starts
+        ):
+            if current:
+                yield current, certainty
+            current, certainty, verb = [], 1.0, False
+            if chunk.type in ("CUT", "AND"):
+                continue
+        if chunk.type == "UNSURE":
+            certainty = UNSURE
+            continue
+        verb = verb or chunk.type in VERBS
+        current.append(chunk)
+    if current:
+        yield current, certainty
+
+
+def _cuts(current: Sequence[Chunk], rest: Sequence[Chunk], *, verb: bool) -> bool:
+    """Whether the joint after `current` begins a clause of its own."""
+    group = []
+    for chunk in rest:
+        if chunk.type in ("AND", "CUT"):
+            break
+        group.append(chunk.type)
+    if not any(kind in VERBS for kind in group):
+        return False
+    if verb:
+        return True
+    placed = sum(chunk.type in _PLACES for chunk in current)
+    # "on my left, there is a plant": one place, said of what comes
+    leads = placed == 1 and current[0].type in _PLACES
+    return placed > 0 and not (leads and not {"EXISTS", "SEE"}.isdisjoint(group))

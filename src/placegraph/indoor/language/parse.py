@@ -1,0 +1,165 @@
+"""The grammar at work: chunks of a clause become things, places, and a verb between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache, partialmethod
+from importlib.resources import files
+from math import pi
+from typing import TYPE_CHECKING, Any
+
+from lark import Transformer
+
+from placegraph.language.islands import Chunk, Islands
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_SKIPPED = ("WORD", "AND", "OF", "FROM", "NOT", "DET", "A", "NO", "NUM", "SOME", "PART", "SIGHT")
+"""Chunks that may be left out where the grammar expects something else."""
+
+
+@dataclass(slots=True)
+class Thing:
+    """Somebody or something spoken of, in one place of the text."""
+
+    kind: str
+    """``ME IT SPOT PART`` or ``thing``."""
+    start: int
+    end: int
+    determiners: tuple[Chunk, ...] = ()
+    words: tuple[Chunk, ...] = ()
+    owner: Thing | None = None
+    """Of what it is: "the door of the kitchen"."""
+
+
+@dataclass(slots=True)
+class Place:
+    """What is said of where something is."""
+
+    how: str
+    """Rule of the grammar: ``related towards between faces far here sight with_``."""
+    start: int
+    end: int
+    things: tuple[Thing, ...] = ()
+    relation: str = ""
+    bearing: float = 0.0
+    distance: float | None = None
+    negated: bool = False
+
+
+Joint = Chunk
+"""A comma, or "and"."""
+Item = Thing | Place | Joint
+
+
+@dataclass(slots=True)
+class Clause:
+    """One clause: a verb, what stands before it and after it."""
+
+    verb: str
+    """Rule of the grammar: ``fragment is_ exists sees has``."""
+    before: list[Item] = field(default_factory=list)
+    after: list[Item] = field(default_factory=list)
+
+
+@cache
+def _grammar() -> Islands[Clause]:
+    text = files(__package__).joinpath("sentence.lark").read_text("utf-8")
+    return Islands(text, "clause", _Build(), Clause, _SKIPPED)
+
+
+def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause | None, list[Chunk]]]:
+    """Parse the chunks of one clause by islands: what was read, and the chunks that were not."""
+    for clause, _, left_out in _grammar().parse(chunks):
+        yield clause, left_out
+
+
+class _Build(Transformer[Any, Any]):
+    """Callbacks of the grammar's rules, called as soon as a rule is complete."""
+
+    # clauses
+    def clause(self, children: list[Any]) -> Clause:
+        return children[0]
+
+    def fragment(self, children: list[Any]) -> Clause:
+        return Clause("fragment", after=children[0])
+
+    def _clause(self, children: list[Any], *, verb: str) -> Clause:
+        said = Clause(verb)
+        at_verb = next(i for i, child in enumerate(children) if isinstance(child, Chunk))
+        for i, child in enumerate(children):
+            if isinstance(child, list):
+                if i < at_verb:
+                    said.before = child
+                else:
+                    said.after = child
+        return said
+
+    is_ = partialmethod(_clause, verb="is_")
+    exists = partialmethod(_clause, verb="exists")
+    sees = partialmethod(_clause, verb="sees")
+    has = partialmethod(_clause, verb="has")
+
+    def body(self, children: list[Any]) -> list[Item]:
+        return list(children)
+
+    # places
+    def not_(self, children: list[Any]) -> Place:
+        children[1].negated = True
+        return children[1]
+
+    def _place(self, children: list[Any], *, how: str) -> Place:
+        place = Place(how, children[0].start, children[-1].end)
+        place.things = tuple(child for child in children if isinstance(child, Thing))
+        for child in children:
+            if isinstance(child, Thing):
+                continue
+            if child.type == "REL":
+                place.relation = child.value
+            elif child.type == "DIR":
+                place.bearing = child.value
+            elif child.type == "DIST":
+                place.distance = child.value
+        return place
+
+    related = partialmethod(_place, how="related")
+    towards = partialmethod(_place, how="towards")
+    between = partialmethod(_place, how="between")
+    faces = partialmethod(_place, how="faces")
+    far = partialmethod(_place, how="far")
+    here = partialmethod(_place, how="here")
+    sight = partialmethod(_place, how="sight")
+    with_ = partialmethod(_place, how="with_")
+
+    def back_to(self, children: list[Any]) -> Place:
+        place = self._place(children, how="faces")
+        place.bearing = pi
+        return place
+
+    # things
+    def no_thing(self, children: list[Any]) -> Thing:
+        negation, thing = children
+        thing.determiners = (Chunk("NO", negation.start, negation.end), *thing.determiners)
+        return thing
+
+    def _who(self, children: list[Any], *, kind: str) -> Thing:
+        return Thing(kind, children[0].start, children[0].end)
+
+    me = partialmethod(_who, kind="ME")
+    it = partialmethod(_who, kind="IT")
+    scene = partialmethod(_who, kind="SPOT")
+
+    def named(self, children: list[Any]) -> Thing:
+        words = tuple(child for child in children if child.type == "WORD")
+        determiners = tuple(child for child in children if child.type != "WORD")
+        return Thing("thing", children[0].start, children[-1].end, determiners, words)
+
+    def of(self, children: list[Any]) -> Thing:
+        thing, _, owner = children
+        return Thing("thing", thing.start, owner.end, thing.determiners, thing.words, owner)
+
+    def part(self, children: list[Any]) -> Thing:
+        if isinstance(children[-1], Thing):
+            return children[-1]  # the corner of the kitchen is in the kitchen
+        return Thing("PART", children[0].start, children[-1].end)

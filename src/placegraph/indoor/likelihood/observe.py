@@ -1,0 +1,341 @@
+"""Frames become views: what a camera saw at sample points, ready to be compared with rays.
+
+Query and map are sampled at the same points: every sample is the centre of a cell of the colour
+image, and depth, patches and rays are taken in exactly that direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import level_from_camera
+from placegraph.indoor.likelihood.score import COLOUR, DEPTH, Noise, View
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Camera
+    from placegraph.indoor.encode import MapEncoder, Patches
+    from placegraph.indoor.options import FilterOptions, Likelihood
+
+COARSE = 40.0
+"""Stride of what is looked up in the table and of the first round of the polish [px]."""
+FINE = 20.0
+"""Stride of the last round of the polish, and of what is judged [px]."""
+
+REFERENCE = 640.0
+"""Width of the image that strides are meant for [px]."""
+
+_TILE = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """One frame, read and encoded once; views at any stride are cut from it."""
+
+    frame: Frame
+    level: NDArray[np.float64]
+    """(3, 3) level_from_camera"""
+    patches: Patches | None
+    depth: NDArray[np.float32] | None
+    """(h, w) [m], NaN: no reading."""
+    rgb: NDArray[np.uint8] | None
+    """(H, W, 3)"""
+
+
+def sight(frame: Frame, encoder: MapEncoder | None, options: FilterOptions) -> Sighting:
+    """Read what the options ask for, and no more; raises `InputError` where an image is broken."""
+    depth = frame.depth() if options.depth else None
+    if depth is not None and not np.isfinite(depth).any():
+        depth = None
+    return Sighting(
+        frame=frame,
+        level=level_from_camera(frame.gravity),
+        patches=encoder.encode(frame) if encoder is not None and options.semantic else None,
+        depth=depth,
+        rgb=frame.rgb() if options.colour else None,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """What a camera sees in a map when nothing is known of where it is.
+
+    Every likelihood is a ratio against this: a floor seen at the depth where all floors are seen
+    says nothing, and a ray that leaves the map counts as much as it knows: nothing.
+    """
+
+    objects: NDArray[np.float64]
+    """(N,) share of each object among all rays of the visibility table that hit."""
+    ranges: NDArray[np.float64]
+    """(bands of elevation, bins) share of each range among the rays of a band that hit."""
+    distances: NDArray[np.float64]
+    """(bins,) range of each bin [m]."""
+    highest: float
+    """Elevation at which the bands end, above and below the horizon [rad]."""
+
+
+def views(
+    sightings: Sequence[Sighting], stride: float, options: FilterOptions, background: Background
+) -> list[View]:
+    """Views of frames of one sequence, `stride` pixels of the colour image between samples.
+
+    An object seen in many patches of the sequence is weighted down (`Likelihood.object_patches`),
+    which is why the frames come together.
+    """
+    weights = _patch_weights([s.patches for s in sightings], options.likelihood)
+    return [
+        _view(s, w, stride, options.likelihood, background)
+        for s, w in zip(sightings, weights, strict=True)
+    ]
+
+
+def _view(
+    sighting: Sighting,
+    weight: NDArray[np.float32],
+    stride: float,
+    likelihood: Likelihood,
+    background: Background,
+) -> View:
+    frame, patches = sighting.frame, sighting.patches
+    samples = _samples(frame.camera, float(stride))
+    inside = samples.inside
+    patch = np.where(inside, 0, -1).astype(np.int32)
+    semantic = np.ones((len(weight), len(background.objects) + 1), np.float32)
+    if patches is not None:
+        cell = samples.cells(patches.camera, *patches.grid)
+        patch = np.where(inside, np.where(cell >= 0, cell, len(patches.rows)), -1)
+        semantic = _semantic(patches, likelihood, background)
+    directions = samples.directions @ sighting.level.T
+    depth = np.zeros(len(inside), np.float32)
+    if sighting.depth is not None:
+        h, w = sighting.depth.shape
+        cell = samples.cells(frame.depth_camera or frame.camera, h, w)
+        readings = np.where(inside & (cell >= 0), sighting.depth.ravel()[cell], 0.0)
+        depth = np.nan_to_num(readings).astype(np.float32)
+    colour = np.zeros((len(inside), 3), np.float32)
+    if sighting.rgb is not None:
+        colour = _opponents(sighting.rgb, samples)
+    return View(
+        directions=directions.astype(np.float32),
+        patch=patch.astype(np.int32),
+        semantic=semantic,
+        weight=weight,
+        depth=depth,
+        usual_depth=usual_depth(depth, directions, likelihood, background),
+        colour=colour,
+        footprint=samples.footprint,
+        terms=np.array([patches is not None, sighting.depth is not None, sighting.rgb is not None]),
+    )
+
+
+def noise(likelihood: Likelihood) -> Noise:
+    """Parameters of the compiled observation model."""
+    return Noise(
+        gaussian=likelihood.kind == "gaussian",
+        depth_floor=likelihood.depth_floor,
+        depth_slope=likelihood.depth_slope,
+        depth_gain=likelihood.depth_gain,
+        near_cost=likelihood.near_cost,
+        far_cost=likelihood.far_cost,
+        depth_weight=likelihood.depth_weight,
+        colour_weight=likelihood.colour_weight,
+        depth_clip=likelihood.depth_clip,
+    )
+
+
+def combine(
+    scores: NDArray[np.float32], terms: NDArray[np.bool_], likelihood: Likelihood
+) -> NDArray[np.float64]:
+    """Log-likelihoods (N,) of scores (N, 3): their sum or, under ``gaussian``, Eq. 2."""
+    s = scores.astype(np.float64)
+    if likelihood.kind == "calibrated":
+        return np.asarray(s[:, terms].sum(axis=1))
+    factors = np.ones(3)
+    factors[DEPTH], factors[COLOUR] = likelihood.depth_lambda, likelihood.colour_lambda
+    factors *= terms
+    missing = 2.0 * factors.sum() - s @ factors
+    return np.asarray(-(missing**2) / (2.0 * likelihood.sigma**2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Sample points of a camera at one stride, in tiles of 4 x 4."""
+
+    uv: NDArray[np.float64]
+    """(R, 2) [px]"""
+    inside: NDArray[np.bool_]
+    """(R,) false for those that only fill up tiles."""
+    row: NDArray[np.int64]
+    """(R,) row of the sample's cell."""
+    column: NDArray[np.int64]
+    shape: tuple[int, int]
+    """Rows and columns of cells."""
+    directions: NDArray[np.float64]
+    """(R, 3) in the camera, z = 1."""
+    footprint: float
+    """Angle between neighbours [rad]."""
+    camera: Camera
+    stride: float
+
+    def cells(self, camera: Camera, rows: int, columns: int) -> NDArray[np.int64]:
+        """Cell (R,) of a rows x columns grid over another camera's image, -1 outside it."""
+        return _cells(self.camera, self.stride, camera, rows, columns)
+
+
+@lru_cache(maxsize=16)
+def _samples(camera: Camera, stride: float) -> _Samples:
+    """Samples at the centres of cells about `stride` pixels wide that fill the whole image.
+
+    Strides are for images up to `REFERENCE` wide; larger ones have larger pixels, not more samples.
+    """
+    asked = stride
+    stride *= max(1.0, max(camera.width, camera.height) / REFERENCE)
+    columns = max(_TILE, round(camera.width / stride))
+    rows = max(_TILE, round(camera.height / stride))
+    across, down = -(-columns // _TILE), -(-rows // _TILE)
+
+    def tiles(a: NDArray[np.int64]) -> NDArray[np.int64]:
+        return a.reshape(down, _TILE, across, _TILE).swapaxes(1, 2).ravel()
+
+    y, x = np.mgrid[: down * _TILE, : across * _TILE]
+    x, y = tiles(x), tiles(y)
+    inside = (x < columns) & (y < rows)
+    x, y = np.minimum(x, columns - 1), np.minimum(y, rows - 1)
+    uv = np.stack([(x + 0.5) * camera.width / columns, (y + 0.5) * camera.height / rows], axis=1)
+    directions = camera.directions(uv)
+    # where the distortion cannot be undone, there is no ray to compare
+    known = np.abs(camera.project(directions) - uv).max(axis=1) < 1.0
+    directions[~known] = (0.0, 0.0, 1.0)
+    inside &= known
+    return _Samples(
+        uv=uv,
+        inside=inside,
+        row=y,
+        column=x,
+        shape=(rows, columns),
+        directions=directions,
+        footprint=camera.width / columns / camera.fx,
+        camera=camera,
+        stride=asked,
+    )
+
+
+@lru_cache(maxsize=64)
+def _cells(
+    own: Camera, stride: float, camera: Camera, rows: int, columns: int
+) -> NDArray[np.int64]:
+    uv = camera.project(_samples(own, stride).directions)
+    with np.errstate(invalid="ignore"):
+        x = np.floor(uv[:, 0] * columns / camera.width)
+        y = np.floor(uv[:, 1] * rows / camera.height)
+        there = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+    cell = np.where(there, y, 0).astype(np.int64) * columns + np.where(there, x, 0).astype(np.int64)
+    return np.where(there, cell, -1)
+
+
+def _opponents(rgb: NDArray[np.uint8], samples: _Samples) -> NDArray[np.float32]:
+    """`surface.opponent` (R, 3) of the image averaged over each sample's cell."""
+    from PIL import Image
+
+    rows, columns = samples.shape
+    small = Image.fromarray(rgb).resize((columns, rows), Image.Resampling.BOX)
+    colour = np.asarray(small, np.float32)[samples.row, samples.column] / 255.0
+    red, green, blue = colour.T
+    total = colour.sum(axis=1)
+    shade = 1.0 / (total + 0.06)
+    out = np.stack([total, (red - blue) * shade, (2.0 * green - red - blue) * shade], axis=1)
+    return out.astype(np.float32)
+
+
+def reading_ratio(
+    error: NDArray[np.floating], sd: NDArray[np.floating], model: Likelihood | Noise
+) -> NDArray[np.floating]:
+    """Log-likelihood of readings whose map lies `error` [m] beyond them; `score._depth` in arrays."""
+    with np.errstate(invalid="ignore"):
+        good = 1.0 / (1.0 + (error / sd) ** 2)
+    cost = np.where(error > 0, model.near_cost, model.far_cost)
+    return np.asarray(good * model.depth_gain - (1.0 - good) * cost)
+
+
+def usual_depth(
+    depth: NDArray[np.float32],
+    directions: NDArray[np.float64],
+    likelihood: Likelihood,
+    background: Background,
+) -> NDArray[np.float32]:
+    """Log of the mean likelihood ratio (R,) of each reading over all places of the map."""
+    out = np.zeros(len(depth), np.float32)
+    rows = np.flatnonzero(depth > 0)
+    if likelihood.kind == "gaussian" or not rows.size:
+        return out
+    reach = np.linalg.norm(directions[rows], axis=1)
+    measured = (depth[rows] * reach)[:, None]
+    elevation = np.arcsin(directions[rows, 2] / reach)
+    bands = len(background.ranges)
+    band = ((elevation / background.highest + 1.0) / 2.0 * bands).astype(int)
+    # the floor of the deviation is a bin of the table: finer is not known of the usual
+    sd = likelihood.depth_floor + 0.1 + likelihood.depth_slope * measured
+    ratio = np.exp(reading_ratio(background.distances[None, :] - measured, sd, likelihood))
+    share = background.ranges[np.clip(band, 0, bands - 1)]
+    out[rows] = np.log(np.maximum((ratio * share).sum(axis=1), 1e-3))
+    return out
+
+
+def _semantic(
+    patches: Patches, likelihood: Likelihood, background: Background
+) -> NDArray[np.float32]:
+    """What each patch says of each object and, last column, of none: (P + 1, N + 1).
+
+    The last row is for samples that lie in no patch.
+    """
+    # only the rows that are said: a merged map's table has thousands
+    said, row = np.unique(patches.rows, return_inverse=True)
+    cosines = patches.table[said]
+    count = cosines.shape[1]
+    if likelihood.kind == "gaussian":
+        best = cosines >= cosines.max(axis=1, keepdims=True) - 1e-6
+        table = np.where(best, cosines + 1.0, 0.0)
+        nowhere = 0.0
+    else:
+        logits = cosines / (likelihood.sharpness or patches.temperature)
+        share = np.exp(logits - logits.max(axis=1, keepdims=True))
+        share /= share.sum(axis=1, keepdims=True)
+        table = (1.0 - likelihood.wrong) * share * count + likelihood.wrong
+        table /= (table @ background.objects)[:, None]
+        nowhere = 1.0
+    table = np.concatenate([table, np.full((len(table), 1), nowhere)], axis=1)
+    table = np.concatenate([table[row.ravel()], np.ones((1, count + 1))])
+    return np.ascontiguousarray(table, np.float32)
+
+
+def _patch_weights(
+    sequence: Sequence[Patches | None], likelihood: Likelihood
+) -> list[NDArray[np.float32]]:
+    """Weight (P + 1,) of each patch of each frame; zero where it says nothing."""
+    rows = [
+        np.zeros(1, np.int64) - 1
+        if p is None
+        else np.where(p.rows >= 0, p.table.argmax(axis=1)[p.rows], -1)
+        for p in sequence
+    ]
+    seen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
+    counts = np.bincount(seen[seen >= 0], minlength=1).astype(np.float64)
+    if likelihood.kind == "gaussian":
+        share = np.ones(len(counts))
+    else:
+        share = np.sqrt(np.minimum(1.0, likelihood.object_patches / np.maximum(counts, 1.0)))
+    return [np.append(np.where(r >= 0, share[r], 0.0), 0.0).astype(np.float32) for r in rows]
+
+
+def spread(count: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of `count` rows, evenly spread, the last among them."""
+    first = 0 if most > 1 else count - 1
+    return np.unique(np.linspace(first, count - 1, min(most, count)).round().astype(np.int64))

@@ -1,0 +1,79 @@
+"""Scores poses on the device asked for, and keeps count of what it cost."""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.geometry import compose
+from placegraph.indoor.likelihood.observe import combine, noise
+from placegraph.indoor.likelihood.score import score_few, score_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.likelihood.score import View
+    from placegraph.indoor.options import Likelihood
+    from placegraph.indoor.scene_map import SceneMap
+
+_FEW = 8
+
+
+class Scorer:
+    """Log-likelihoods of poses in one map, under one likelihood.
+
+    `device`: ``cpu``, ``cuda`` (or ``cuda:1``; extra ``gpu``), or ``auto``: the CPU, which for the
+    few hundred particles the visibility table leaves is as quick as a transfer.
+    """
+
+    def __init__(self, scene: SceneMap, likelihood: Likelihood, device: str = "auto") -> None:
+        self.scene = scene
+        self.likelihood = likelihood
+        self.noise = noise(likelihood)
+        self.rays = 0
+        self.poses = 0
+        self.seconds = 0.0
+        self.device = "cpu" if device == "auto" else device
+        self._warp = None
+        if self.device != "cpu":
+            if not self.device.startswith("cuda"):
+                raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
+            from placegraph.indoor.rays.warp.scorer import WarpScorer
+
+            self._warp = WarpScorer(scene, self.device)
+
+    def terms(self, poses: NDArray[np.float64], view: View) -> NDArray[np.float32]:
+        """Scores (N, 3) of poses (N, 4): semantic, depth, colour; see `score_poses`."""
+        start = perf_counter()
+        poses = np.ascontiguousarray(poses, np.float64)
+        if self._warp is not None:
+            scores = self._warp.score(poses, view, self.noise)
+        else:
+            scene = self.scene
+            score = score_few if len(poses) <= _FEW else score_poses
+            scores = score(scene.caster.tracer, scene.surface, poses, view, self.noise)
+        self.rays += len(poses) * len(view.directions)
+        self.poses += len(poses)
+        self.seconds += perf_counter() - start
+        return np.asarray(scores)
+
+    def __call__(self, poses: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+        """Log-likelihoods (N,) of poses (N, 4) against one view."""
+        return combine(self.terms(poses, view), view.terms, self.likelihood)
+
+    def together(
+        self, poses: NDArray[np.float64], views: Sequence[View], steps: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Log-likelihoods (N,) of poses (N, 4) of a reference frame against a whole sequence.
+
+        `steps`: (T, 4) from the reference frame to that of each view, by odometry.
+        """
+        total = np.zeros(len(poses))
+        for view, step in zip(views, steps, strict=True):
+            total += self(compose(poses, step), view)
+        return total

@@ -1,0 +1,1 @@
+"""What a scene map holds: objects, meshes, rooms, relations, what is seen from where."""

@@ -1,0 +1,111 @@
+"""Where the floor of a mesh is: its largest low level surface."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.map.mesh import Mesh
+
+LEVEL = 0.9
+"""A triangle is level where its normal's z is at least this, 26 degrees from upright."""
+_BIN = 0.05  # [m] of the histogram of heights
+_LOW = 0.25  # of the scene's height: where a floor without a label is looked for
+_LOW_METRES = 0.4  # or this far above its lowest surfaces [m]
+_SHARE = 0.05  # of the footprint that a floor without a label has to cover
+_LEAST = 0.5  # and this much in any case [m2]
+
+_LYING = 0.25  # of the area of what is labelled floor is level, else it stands upright
+
+_FLOORS = {"floor", "floors", "ground"}
+
+
+def label_words(label: str) -> list[str]:
+    """Words of a label in lower case: "HouseWall", "house_wall" and "house wall" are two words."""
+    return [w.lower() for w in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+(?![^\W\d_A-Z])", label)]
+
+
+def is_floor(label: str) -> bool:
+    """Whether a label says that the object is a floor: its last word does."""
+    words = label_words(label)
+    return bool(words) and words[-1] in _FLOORS
+
+
+def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
+    """Height of the floor [m, map], or None where the mesh shows none.
+
+    Objects labelled as floor that lie level come first, with what looks up where that is about half
+    of them or more. Without one, it is the largest surface that looks up among the lowest quarter of the
+    scene, if it covers a twentieth of the footprint; where nothing there looks up (a mesh turned
+    inside out), what looks down counts.
+    """
+    normals = mesh.normals()
+    areas = np.linalg.norm(normals, axis=1) / 2.0
+    heights = mesh.vertices[:, 2][mesh.triangles].mean(axis=1, dtype=np.float64)
+    upward = normals[:, 2] / np.maximum(2.0 * areas, 1e-300)
+    floors, standing = labelled_floors(mesh, labels)
+    labelled = (np.abs(upward) > LEVEL) & (floors & ~standing)[mesh.object_of]
+    whole = float(areas[labelled].sum())
+    if whole > 0:
+        top = labelled & (upward > 0)  # of a slab; half of its area looks down
+        if areas[top].sum() >= 0.4 * whole:
+            labelled = top
+        return _level(heights[labelled], areas[labelled])[0]
+    low, high = _quantiles(heights, areas, (0.02, 0.98))
+    near = heights <= low + max(_LOW * (high - low), _LOW_METRES)
+    box = mesh.bounds()
+    footprint = float(np.prod((box[1] - box[0])[:2]))
+    for side in (upward, -upward):
+        level = near & (side > LEVEL)
+        if not level.any():
+            continue
+        height, area = _level(heights[level], areas[level])
+        if area >= max(_LEAST, _SHARE * footprint):
+            return height
+    return None
+
+
+def labelled_floors(
+    mesh: Mesh, labels: Sequence[str]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(N,) objects that are labelled floor, and (N,) those of them that stand upright.
+
+    These show hardly any level area: the map lies on its side, or the label errs.
+    """
+    normals = mesh.normals()
+    areas = np.linalg.norm(normals, axis=1)
+    level = np.abs(normals[:, 2]) > LEVEL * areas
+    floors = np.array([is_floor(label) for label in labels], np.bool_)
+    whole, lying = (np.bincount(mesh.object_of, a, len(labels)) for a in (areas, areas * level))
+    return floors, floors & (lying < _LYING * whole)
+
+
+def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[float, float]:
+    """Height and area of the largest level: the area-weighted median of what lies near its bin."""
+    bins, inverse = np.unique(np.floor(heights / _BIN).astype(np.int64), return_inverse=True)
+    alone = np.bincount(inverse, areas)
+    around = alone.copy()  # with the neighbouring bins: noise and tilt of a scan
+    close = np.flatnonzero(np.diff(bins) == 1)
+    around[close] += alone[close + 1]
+    around[close + 1] += alone[close]
+    best = int(np.argmax(around))
+    own = np.abs(inverse - best) <= 1
+    own &= np.abs(bins[inverse] - bins[best]) <= 1
+    (height,) = _quantiles(heights[own], areas[own], (0.5,))
+    return height, float(around[best])
+
+
+def _quantiles(
+    values: NDArray[np.float64], weights: NDArray[np.float64], shares: tuple[float, ...]
+) -> list[float]:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    rows = np.searchsorted(total, np.array(shares) * total[-1])
+    return [float(v) for v in values[order[np.minimum(rows, len(order) - 1)]]]

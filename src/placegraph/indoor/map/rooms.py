@@ -1,0 +1,344 @@
+"""Rooms of a scene that names none: free floor, cut at doors and narrow passages.
+
+On a grid of cells seen from above,
+
+1. *ground* is where something level lies at the floor or stands on it; gaps of a scan are closed;
+2. *walls* are cut by level planes between 0.3 and 1.9 m: what is built (walls, windows, doors, by
+   their labels) wherever it is cut, what has no label where it is cut at nearly all heights. Where
+   no object is called a wall, anything may be one. Above a doorway the wall goes on: what is free
+   below and built above, no wider than 2.2 m, is a door, and closed;
+3. each cell of free ground has a half-width, its distance to what is not free. Flooded from the
+   widest cells down, basins that meet stay apart if the pass between them is narrow: at most 0.6 of
+   the narrower basin's width, or 0.75 if it is no wider than 1 m;
+4. a *room* is a basin of at least 2 m2; what is smaller belongs to the next one.
+
+An object is in the room above whose floor, or within 0.5 m of it, most of its surface lies. Walls,
+floors, ceilings are in a room only where two thirds of them lie there: what lies between rooms, or
+around several, is in none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.rooms_kernels import areas_within, cover, cut, flood, nearest, pieces
+from placegraph.indoor.map.structure import NAMELESS, structure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from placegraph.indoor.map.mesh import Mesh
+
+CELL = 0.05
+"""Side of a cell [m], where the map is no larger than `_MOST_CELLS` of them."""
+LEAST_AREA = 2.0
+"""Of a room [m2]."""
+LEAST_WIDTH = 0.8
+"""Of a room, at its widest place [m]."""
+NARROW, NARROW_DOOR = 0.6, 0.75
+"""Width of a pass that ends a room, as a share of the room's; where it is as narrow as a door."""
+DOOR = 1.0
+"""Widest door [m] in a wall that is not known above it."""
+LINTEL = 2.2
+"""Widest door [m] below a wall."""
+REACH = 0.5
+"""What is no farther from a room's floor belongs to it [m]: what hangs on its walls, the walls."""
+
+_WALLS = np.array([0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.7, 1.9])  # above the floor [m]
+_LINTELS = np.array([2.2, 2.3, 2.4])
+_BUILT, _TALL, _OVER = (
+    2,
+    7,
+    2,
+)  # of how many of these planes cut what is built, a tall thing, a lintel
+_GAP = 0.5  # a gap of the ground this wide is closed [m], or
+_HOLE = 6.0  # one with ground all around, up to this size [m2]
+_MOSTLY, _PARTLY = 2.0 / 3.0, 1.0 / 3.0  # of a wall, or of a thing, that lies in its room
+_STOREY = 3.5  # what begins higher above the floor is in another storey [m]
+_BELOW = 0.3  # ground may lie this much lower than the floor [m]
+_WIDEST = 6.0  # wider rooms are taken for this wide: no pass wider than 0.6 of it is narrow [m]
+_LEVEL = 0.15  # the floor itself is no higher [m]
+_SEEN = 0.5  # of a room's floor is in the map [m2]; a table in nowhere is no room
+_MOST_CELLS = 1_000_000
+_COARSEST = 0.2  # a map so large that cells are wider has no rooms that could be found [m]
+_DOORS = frozenset({"door", "doors", "curtain", "curtains", "gate", "partition", "shutter"})
+_WALL_WORDS = frozenset({"wall", "walls"})
+
+Cells = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Corners = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rooms:
+    """R rooms, the largest first."""
+
+    room_of: NDArray[np.int32]
+    """(N,) int32, room of each object; -1: none."""
+    areas: Floats
+    """(R,) free floor [m2], under furniture too."""
+    cells: Cells
+    """(nx, ny) int32, room of each cell of the floor; -1: none."""
+    origin: Floats
+    """(2,) lower corner of cell (0, 0) [m]."""
+    cell: float
+    """Side of a cell [m]."""
+
+    def __len__(self) -> int:
+        return len(self.areas)
+
+    def __repr__(self) -> str:
+        areas = ", ".join(f"{area:.1f}" for area in self.areas)
+        return f"Rooms({len(self)} of {areas} m2)" if len(self) else "Rooms(none)"
+
+    def at(self, points: ArrayLike) -> NDArray[np.int32]:
+        """Room (K,) of the floor under points (K, 2 or 3) [m]; -1: none."""
+        xy = np.asarray(points, np.float64)[:, :2]
+        x, y = np.floor((xy - self.origin) / self.cell).astype(np.int64).T
+        inside = (x >= 0) & (y >= 0) & (x < self.cells.shape[0]) & (y < self.cells.shape[1])
+        room = np.full(len(xy), -1, np.int32)
+        room[inside] = self.cells[x[inside], y[inside]]
+        return room
+
+    def attributes(self) -> list[dict[str, str]]:
+        """(N,) what a map's attributes say: the number of each object's room, from "1" on."""
+        return [{"room": str(room + 1)} if room >= 0 else {} for room in self.room_of.tolist()]
+
+
+def with_rooms(
+    mesh: Mesh, labels: Sequence[str], floor: float, attributes: Sequence[Mapping[str, str]]
+) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
+    """Room of each object (N,), -1 none, and attributes (N,) that say so under "room".
+
+    As the attributes name rooms already, if any does; else as `rooms_of` finds them.
+    """
+    named = [a.get("room", "") for a in attributes]
+    if any(named):
+        number = {name: i for i, name in enumerate(sorted({*named} - {""}))}
+        given = np.array([number.get(name, -1) for name in named], np.int32)
+        return given, [dict(a) for a in attributes]
+    rooms = rooms_of(mesh, labels, floor)
+    both = zip(attributes, rooms.attributes(), strict=True)
+    return rooms.room_of, [{**old, **new} for old, new in both]
+
+
+class _Grid(NamedTuple):
+    origin: Floats
+    cell: float
+    shape: tuple[int, int]
+
+
+def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
+    """Rooms of a mesh of N objects.
+
+    Parameters
+    ----------
+    mesh
+        Triangles of the objects, z up, metres.
+    labels
+        Of the N objects.
+    floor
+        Height of the floor [m, map]. Of several storeys it is this one's rooms that are found.
+
+    """
+    corners, normals = mesh.vertices[mesh.triangles], mesh.normals()
+    corners[:, :, 2] -= floor
+    near = (corners[:, :, 2].min(axis=1, initial=np.inf) < _STOREY) & (
+        corners[:, :, 2].max(axis=1, initial=-np.inf) > -_BELOW
+    )
+    grid = _grid(corners[near])
+    if grid is None:
+        return _no_rooms(len(labels))
+    walls = _walls(mesh, labels, corners, grid)
+    floor_cells, ground = _ground(normals, corners, walls, grid)
+    cells = _cut(ground & ~walls, floor_cells, grid)
+    areas = np.bincount(cells[cells >= 0], minlength=int(cells.max(initial=-1)) + 1)
+    order = np.argsort(-areas, kind="stable")
+    rank = np.empty(len(order) + 1, np.int32)
+    rank[order], rank[-1] = np.arange(len(order)), -1
+    rooms = Rooms(
+        room_of=np.full(len(labels), -1, np.int32),
+        areas=areas[order].astype(np.float64) * grid.cell**2,
+        cells=rank[cells],
+        origin=grid.origin,
+        cell=grid.cell,
+    )
+    if len(rooms):
+        areas = np.linalg.norm(normals, axis=1) / 2.0 * near
+        rooms.room_of[:] = _rooms_of_objects(mesh.object_of, labels, corners, areas, rooms)
+    return rooms
+
+
+def _no_rooms(count: int) -> Rooms:
+    none = np.full(count, -1, np.int32)
+    return Rooms(none, np.zeros(0), np.full((1, 1), -1, np.int32), np.zeros(2), CELL)
+
+
+def _grid(corners: Corners) -> _Grid | None:
+    """Grid around triangles, with a margin in which gaps can be closed."""
+    if not len(corners):
+        return None
+    flat = corners[:, :, :2].astype(np.float64)
+    low, high = flat.min(axis=(0, 1)) - 2.0 * _GAP, flat.max(axis=(0, 1)) + 2.0 * _GAP
+    cell = max(CELL, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
+    if cell > _COARSEST:
+        return None
+    nx, ny = np.ceil((high - low) / cell).astype(int).tolist()
+    return _Grid(low, cell, (nx, ny))
+
+
+def _walls(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: _Grid) -> Mask:
+    """Cells (nx, ny) that no room goes through."""
+    words = [(label_words(label) or [""])[-1] for label in labels]
+    built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
+    nameless = np.array([not word or word in NAMELESS for word in words], np.bool_)
+    if not any(word in _WALL_WORDS for word in words):
+        nameless |= ~built
+    kind = np.where(built, 0, np.where(nameless, 1, -1))
+    found = np.zeros((2, *grid.shape), np.uint32)
+    planes = np.concatenate([_WALLS, _LINTELS])
+    cut(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
+    own = found & np.uint32((1 << len(_WALLS)) - 1)
+    tall = (own[1] > 0) & (_bits(_around(own[1])) >= _TALL)
+    walls = (_bits(own[0]) >= _BUILT) | tall
+    over = (found[0] | found[1]) >> np.uint32(len(_WALLS))
+    return walls | _doors(_bits(_around(over)) >= _OVER, walls, (over > 0), grid)
+
+
+def _doors(lintel: Mask, walls: Mask, over: Mask, grid: _Grid) -> Mask:
+    """Cells below a wall, where they are no wider than a door."""
+    open_below = lintel & over & ~(_around(walls.astype(np.uint32)) > 0)
+    part, count = pieces(open_below)
+    if not count:
+        return open_below
+    x, y = np.nonzero(open_below)
+    own = part[x, y]
+    ends = np.empty((4, count))
+    for row, values in enumerate((x, -x, y, -y)):
+        ends[row] = -np.inf
+        np.maximum.at(ends[row], own, values)
+    # with the cells beside the walls, which were taken off
+    wide = (np.maximum(ends[0] + ends[1], ends[2] + ends[3]) + 3.0) * grid.cell > LINTEL
+    closed = np.zeros_like(walls)
+    closed[x, y] = ~wide[own]
+    # to the walls on both sides
+    return (_around(closed.astype(np.uint32)) > 0) & lintel & over
+
+
+def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    """How many bits are set."""
+    count = np.zeros(cells.shape, np.uint8)
+    for k in range(len(_WALLS) + len(_LINTELS)):
+        count += ((cells >> np.uint32(k)) & np.uint32(1)).astype(np.uint8)
+    return count
+
+
+def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Bits of each cell and its eight neighbours."""
+    out = cells.copy()
+    for axis in (0, 1):
+        rows = np.moveaxis(out, axis, 0)
+        before = rows.copy()
+        rows[1:] |= before[:-1]
+        rows[:-1] |= before[1:]
+    return out
+
+
+def _ground(normals: Floats, corners: Corners, walls: Mask, grid: _Grid) -> tuple[Mask, Mask]:
+    """Cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
+    level = np.abs(normals[:, 2]) > 0.7 * np.linalg.norm(normals, axis=1)
+    level &= corners[:, :, 2].min(axis=1) > -_BELOW
+    level &= corners[:, :, 2].max(axis=1) < _WALLS[-1]
+    floor, ground = np.zeros((2, *grid.shape), np.bool_)
+    cover(corners, level, grid.origin, grid.cell, ground)
+    cover(corners, level & (corners[:, :, 2].max(axis=1) < _LEVEL), grid.origin, grid.cell, floor)
+    radius = int(_GAP / 2.0 / grid.cell)
+    grown = nearest(ground, radius)[1] >= 0
+    ground |= nearest(~grown, radius)[1] < 0
+    part, count = pieces(~ground & ~walls)
+    if count:
+        sizes = np.bincount(part[part >= 0], minlength=count) * grid.cell**2
+        hole = sizes <= _HOLE
+        for edge in (part[0], part[-1], part[:, 0], part[:, -1]):
+            hole[edge[edge >= 0]] = False
+        ground |= (part >= 0) & hole[part]
+    return floor, ground
+
+
+def _cut(free: Mask, floor: Mask, grid: _Grid) -> Cells:
+    """Number (nx, ny) of the room of each free cell; -1: none."""
+    squared = nearest(~free, int(_WIDEST / 2.0 / grid.cell))[0]
+    width = np.sqrt(squared) * grid.cell
+    chosen = np.flatnonzero(free)
+    # numbers of 16 bits are sorted by their digits
+    order = chosen[np.argsort(-squared.reshape(-1)[chosen].astype(np.int16), kind="stable")]
+    basin, meetings = flood(width, order, LEAST_WIDTH / 2.0, NARROW, DOOR / 2.0, NARROW_DOOR)
+    flat = basin.reshape(-1)
+    roots = np.flatnonzero(flat == np.arange(flat.size))
+    index = np.full(flat.size, -1)
+    index[roots] = np.arange(len(roots))
+    own = np.where(flat >= 0, index[flat], -1)
+    sizes = _sizes(own, len(roots), grid)
+    owner = _joined(sizes, list(dict.fromkeys(map(tuple, index[meetings].tolist()))))
+    wide = width.reshape(-1)[roots] >= LEAST_WIDTH / 2.0
+    seen = np.bincount(owner, _sizes(own[floor.reshape(-1)], len(roots), grid), len(roots))
+    kept = wide & (sizes >= LEAST_AREA) & (seen >= _SEEN) & (owner == np.arange(len(owner)))
+    number = np.append(np.where(kept, np.cumsum(kept) - 1, -1)[owner], -1)
+    return number[own].reshape(basin.shape).astype(np.int32)
+
+
+def _sizes(own: NDArray[np.int64], count: int, grid: _Grid) -> Floats:
+    """Area (count,) [m2] of cells by their number; -1: of none."""
+    cells = np.bincount(own[own >= 0], minlength=count)
+    return cells.astype(np.float64) * grid.cell**2
+
+
+def _joined(sizes: Floats, meetings: list[tuple[int, ...]]) -> NDArray[np.int64]:
+    """Basin that each basin becomes part of; `sizes` [m2] are added up.
+
+    What is too small joins the one that it has the widest pass to, the smallest first.
+    """
+    owner = np.arange(len(sizes))
+    for i in np.argsort(sizes, kind="stable").tolist():
+        if sizes[i] >= LEAST_AREA:
+            continue
+        for pair in meetings:
+            one, other = (_owner(owner, k) for k in pair)
+            if i in (one, other) and one != other:
+                into = other if one == i else one
+                owner[i] = into
+                sizes[into] += sizes[i]
+                break
+    return np.array([_owner(owner, i) for i in range(len(owner))], np.int64)
+
+
+def _owner(owner: NDArray[np.int64], i: int) -> int:
+    while owner[i] != i:
+        i = int(owner[i])
+    return i
+
+
+def _rooms_of_objects(
+    object_of: NDArray[np.int32],
+    labels: Sequence[str],
+    corners: Corners,
+    areas: Floats,
+    rooms: Rooms,
+) -> NDArray[np.int32]:
+    """Room (N,) over whose floor most of an object's triangles lie, by their areas [m2]; -1: none."""
+    number = nearest(rooms.cells >= 0, int(REACH / rooms.cell))[1]
+    within = np.where(number >= 0, rooms.cells.reshape(-1)[number], np.int32(-1))
+    votes = np.zeros((len(labels), len(rooms) + 1))
+    areas_within(corners, areas, object_of, rooms.origin, rooms.cell, within, votes)
+    best = votes[:, :-1].argmax(axis=1)
+    share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
+    needed = np.where(structure(labels), _MOSTLY, _PARTLY)
+    return np.where(share >= needed, best, -1).astype(np.int32)

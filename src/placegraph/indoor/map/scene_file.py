@@ -1,0 +1,188 @@
+"""The columns of a scene map file; what they mean stands in `docs/formats.md`."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MapError, OptionError
+from placegraph.graph import SceneGraph
+from placegraph.indoor.map import textures
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.mesh_order import from_high_water, high_water
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.store import pack_strings, read_header
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.store import MapFile
+
+
+PARTS = {
+    "surface": ("vertices", "triangles", "object_of", "texture_of"),
+    "colour": ("colours", "uv", "textures", "texture_bytes"),
+    "embeddings": ("embeddings", "embedding_scales"),
+}
+"""Columns of a map file by what they are for; all others are the graph's."""
+
+
+def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Metadata and arrays of a scene map."""
+    graph, mesh = scene.graph, scene.mesh
+    grain, uv_grain = mesh.steps()
+    kinds = sorted(set(graph.relations))
+    code = {kind: i for i, kind in enumerate(kinds)}
+    meta = {
+        "source": scene.source,
+        "scenes": list(scene.scenes),
+        "floors": scene.floors.tolist(),
+        "scene_from_map": scene.scene_from_map.tolist(),
+        "grain": grain,
+        "uv_grain": uv_grain,
+        "encoder": scene.encoder,
+    }
+    arrays: dict[str, NDArray[Any]] = {
+        "ids": pack_strings(graph.ids),
+        "labels": pack_strings(graph.labels),
+        "names": pack_strings(graph.names),
+        "attributes": pack_strings([_json(a) for a in scene.attributes]),
+        "scene_of": scene.scene_of,
+        "positions": graph.positions,
+        "extents": np.zeros((len(graph), 3)) if graph.extents is None else graph.extents,
+        "sources": graph.sources.astype(np.int32),
+        "targets": graph.targets.astype(np.int32),
+        "relation_of": np.array([code[r] for r in graph.relations], np.int32),
+        "relations": pack_strings(kinds),
+        "vertices": (mesh.vertices / np.float32(grain)).astype(np.int32),
+        "triangles": high_water(mesh.triangles),
+        "object_of": mesh.object_of,
+        "texture_of": mesh.texture_of,
+        "uv": (mesh.uv / np.float32(uv_grain)).astype(np.int32),
+        "colours": mesh.colours,
+        "textures": np.frombuffer(b"".join(scene.encoded), np.uint8),
+        "texture_bytes": np.array([len(b) for b in scene.encoded], np.int64),
+    }
+    if graph.embeddings is not None:
+        arrays["embeddings"], arrays["embedding_scales"] = in_8_bits(graph.embeddings)
+    return meta, arrays
+
+
+def scene_map(file: MapFile) -> SceneMap:
+    """Scene map of a file's columns; `MapError` where they contradict each other."""
+    path = file.header.path
+    try:
+        blobs = _blobs(file)
+        return SceneMap(
+            graph=_graph(file),
+            mesh=_mesh(file, textures.decode(blobs, path)),
+            attributes=tuple(_attributes(a) for a in file.strings("attributes")),
+            floors=np.array(file.meta["floors"], np.float64),
+            scenes=tuple(str(name) for name in file.meta["scenes"]),
+            scene_of=file.array("scene_of", "<i4"),
+            scene_from_map=np.array(file.meta["scene_from_map"], np.float64),
+            source=str(file.meta["source"]),
+            encoded=blobs,
+            encoder=str(file.meta.get("encoder", "")),
+        )
+    except (OptionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise MapError(
+            f"{path}: its columns contradict each other ({error}). Build it again."
+        ) from (error)
+
+
+def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
+    """Bytes of a map file's parts: graph, surface, colour, embeddings.
+
+    Raises `InputError` and `MapError` as `placegraph.store.read_header` does.
+    """
+    part_of = {column: part for part, columns in PARTS.items() for column in columns}
+    header = read_header(path)
+    total: Counter[str] = Counter({"graph": 0})
+    for block in header.blocks:
+        total[part_of.get(block.name, "graph")] += block.length
+    total["graph"] += header.file_size - sum(total.values())
+    return dict(total)
+
+
+def _graph(file: MapFile) -> SceneGraph:
+    kinds = file.strings("relations")
+    code = file.array("relation_of", "<i4")
+    if code.size and not 0 <= int(code.min()) <= int(code.max()) < len(kinds):
+        raise ValueError("relation_of points outside relations")
+    return SceneGraph(
+        ids=file.strings("ids"),
+        labels=file.strings("labels"),
+        names=file.strings("names"),
+        positions=file.array("positions", "<f8", 2),
+        extents=file.array("extents", "<f8", 2),
+        sources=file.array("sources", "<i4").astype(np.int64),
+        targets=file.array("targets", "<i4").astype(np.int64),
+        relations=tuple(kinds[i] for i in code.tolist()),
+        embeddings=_embeddings(file) if "embeddings" in file.arrays else None,
+    )
+
+
+def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
+
+    Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
+    """
+    most = np.abs(vectors).max(axis=1, initial=0.0).astype(np.float64)
+    mantissa, exponent = np.frexp(most / 127.0)
+    # few bits, so that products are exact
+    scales = np.ldexp(np.ceil(mantissa * 4096.0) / 4096.0, exponent).astype(np.float32)
+    divisor = np.where(scales > 0, scales, np.float32(1.0))
+    return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
+
+
+def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Vectors (N, E) of `in_8_bits`."""
+    return numbers.astype(np.float32) * scales[:, None]
+
+
+def _embeddings(file: MapFile) -> NDArray[np.float32]:
+    numbers, scales = file.array("embeddings", "|i1", 2), file.array("embedding_scales", "<f4")
+    if len(scales) != len(numbers) or not np.isfinite(scales).all() or (scales < 0).any():
+        raise ValueError("embedding_scales do not fit the embeddings")
+    return from_8_bits(numbers, scales)
+
+
+def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
+    grain, uv_grain = (float(file.meta[key]) for key in ("grain", "uv_grain"))
+    if not (0 < grain < 1e6 and 0 < uv_grain < 1e6):
+        raise ValueError(f"grain {grain}, uv_grain {uv_grain}")
+    return Mesh(
+        vertices=file.array("vertices", "<i4", 2).astype(np.float32) * np.float32(grain),
+        triangles=from_high_water(file.array("triangles", "<i4")),
+        object_of=file.array("object_of", "<i4"),
+        colours=file.array("colours", "|u1", 2),
+        uv=file.array("uv", "<i4", 2).astype(np.float32) * np.float32(uv_grain),
+        texture_of=file.array("texture_of", "<i4"),
+        textures=decoded,
+    )
+
+
+def _blobs(file: MapFile) -> tuple[bytes, ...]:
+    data = file.array("textures", "|u1").tobytes()
+    lengths = file.array("texture_bytes", "<i8")
+    ends = np.cumsum(lengths)
+    if not lengths.size or int(lengths.min()) < 0 or int(ends[-1]) != len(data):
+        raise ValueError("texture_bytes do not add up")
+    return tuple(
+        data[end - length : end]
+        for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)
+    )
+
+
+def _json(attributes: dict[str, str]) -> str:
+    return json.dumps(attributes, ensure_ascii=False, sort_keys=True) if attributes else ""
+
+
+def _attributes(text: str) -> dict[str, str]:
+    return {str(k): str(v) for k, v in dict(json.loads(text)).items()} if text else {}

@@ -1,0 +1,177 @@
+"""Textures of a scene map: pictures made small, encoded for the file, decoded for use.
+
+A map holds exactly what its file will hold: the encoded bytes are the truth, arrays are decoded
+from them, so that a map just built and the same map opened give the same colours.
+"""
+
+from __future__ import annotations
+
+import io
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MapError
+from placegraph.formats.capture.images import opened
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+    from PIL.Image import Image
+
+    from placegraph.formats.mesh.model import Picture
+    from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.mapping.simplify.detail import Detail
+
+QUALITY = 90
+"""WebP quality of textures for which none is asked."""
+FINEST = 0.25
+"""Share of a texture's surface that may ask for smaller texels than it gets."""
+KEPT = ("WEBP", "PNG", "JPEG")
+"""Formats of textures in a map file."""
+_FEW = 256  # colours of a drawing, that PNG may hold better
+_SLACK = 2.0  # what PNG's best may save of its quickest
+_LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
+
+
+def linear_from_srgb(colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear intensities 0 to 1 of sRGB values 0 to 1 (IEC 61966-2-1)."""
+    high = ((np.maximum(colours, 0.0) + 0.055) / 1.055) ** 2.4
+    out: NDArray[np.float64] = np.where(colours <= 0.04045, colours / 12.92, high)
+    return out
+
+
+def srgb_from_linear(intensities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """SRGB values 0 to 1 of linear intensities 0 to 1 (IEC 61966-2-1)."""
+    high = 1.055 * np.maximum(intensities, 0.0) ** (1 / 2.4) - 0.055
+    out: NDArray[np.float64] = np.where(intensities <= 0.0031308, intensities * 12.92, high)
+    return out
+
+
+def encode_pictures(
+    pictures: Sequence[Picture],
+    detail: Detail,
+    needed: NDArray[np.float64] | None = None,
+) -> tuple[bytes, ...]:
+    """Encoded textures of a model's pictures: made small, base colour folded in.
+
+    `needed` (K, 2): width and height in texels that each picture needs at most on its surface
+    (`needed_texels`). With quality 0 a JPEG or PNG that needs nothing done is kept as it is. Raises
+    `InputError` where a picture is broken.
+    """
+    limits = np.full((len(pictures), 2), np.inf) if needed is None else needed
+    with ThreadPoolExecutor(2) as pool:  # Pillow works outside the interpreter's lock
+        return tuple(
+            pool.map(
+                lambda i: _encode_picture(pictures[i], detail, limits[i]), range(len(pictures))
+            )
+        )
+
+
+def encode_arrays(
+    textures: Iterable[NDArray[np.uint8]], quality: int = QUALITY
+) -> tuple[bytes, ...]:
+    """Encoded textures of arrays (h, w, 3) uint8."""
+    from PIL import Image
+
+    return tuple(_encode(Image.fromarray(np.asarray(a)), quality) for a in textures)
+
+
+def needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
+    """Width and height (K, 2) in texels at which each texture's texels are `texel` [m] long.
+
+    By the finest quarter of the surface that bears it; infinite where nothing does, or texel is 0.
+    """
+    needed = np.full((len(mesh.textures), 2), np.inf)
+    place, uv = (column[mesh.triangles].astype(np.float64) for column in (mesh.vertices, mesh.uv))
+    (e1, e2), (d1, d2) = ((c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in (place, uv))
+    det = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    good = np.abs(det) > 1e-12
+    along_u = np.linalg.norm(e1 * d2[:, 1:] - e2 * d1[:, 1:], axis=1)  # times det
+    along_v = np.linalg.norm(e2 * d1[:, :1] - e1 * d2[:, :1], axis=1)
+    area = np.linalg.norm(np.cross(e1, e2), axis=1)
+    for k in np.unique(mesh.texture_of[good]).tolist() if texel > 0 else ():
+        rows = np.flatnonzero(good & (mesh.texture_of == k) & (area > 0))
+        for axis, along in enumerate((along_u, along_v)):
+            length = along[rows] / np.abs(det[rows])  # of one unit of the coordinate [m]
+            order = np.argsort(length)
+            total = np.cumsum(area[rows][order])
+            if rows.size:
+                metres = length[order[np.searchsorted(total, FINEST * total[-1])]]
+                needed[k, axis] = max(np.ceil(metres / texel), 1.0)
+    return needed
+
+
+def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:
+    """Textures (h, w, 3) uint8 of encoded ones; `MapError` naming `path` where one is no image."""
+    with ThreadPoolExecutor(2) as pool:
+        return tuple(
+            pool.map(lambda i: _decode(blobs[i], f"{path}: texture {i}"), range(len(blobs)))
+        )
+
+
+def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64]) -> bytes:
+    from PIL import Image
+
+    factor = np.clip(np.array(picture.factor, np.float64), 0.0, 1.0)
+    if picture.data is None:
+        flat = np.rint(255.0 * srgb_from_linear(factor)).astype(np.uint8)
+        return _encode(Image.fromarray(flat.reshape(1, 1, 3)), detail.quality)
+    with opened(io.BytesIO(picture.data), picture.name) as image:
+        width, height = _size(image.size, detail.max_texture, needed)
+        whole = image.format in KEPT and image.mode == "RGB" and (width, height) == image.size
+        image.draft("RGB", (width, height))  # JPEG's own halving: quick
+        image.load()
+        if whole and not detail.quality and (factor == 1.0).all() and not any(picture.mirrored):
+            return picture.data
+        small = image.convert("RGB")
+    if small.size != (width, height):
+        small = small.resize((width, height), Image.Resampling.BOX)
+    texels = np.asarray(small)
+    if (factor != 1.0).any():
+        steps = linear_from_srgb(np.arange(256) / 255.0)
+        table = np.rint(255.0 * srgb_from_linear(steps[:, None] * factor)).astype(np.uint8)
+        texels = np.stack([table[texels[:, :, c], c] for c in range(3)], axis=2)
+    for axis, mirrored in ((1, picture.mirrored[0]), (0, picture.mirrored[1])):
+        if mirrored:  # twice as large, then to be repeated: the coordinates were halved
+            texels = np.concatenate([texels, np.flip(texels, axis)], axis=axis)
+    return _encode(Image.fromarray(texels), detail.quality)
+
+
+def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> tuple[int, int]:
+    """Width and height [texels] that a picture is brought to; never more than it has."""
+    scale = min(largest / max(size), 1.0)
+    width, height = (
+        max(1, round(min(side * scale, most))) for side, most in zip(size, needed, strict=True)
+    )
+    return width, height
+
+
+def _encode(image: Image, quality: int) -> bytes:
+    """PNG where that is smaller, as for flat colours and drawings; else WebP."""
+    if image.width * image.height <= 64:
+        return _bytes(image, "PNG", optimize=True)
+    webp = _bytes(image, "WEBP", quality=quality or QUALITY, method=4)
+    if len(_bytes(image, "PNG", compress_level=1)) > _SLACK * len(webp):
+        return webp  # PNG's best takes long
+    return min(webp, _bytes(image, "PNG", optimize=True), key=len)
+
+
+def _bytes(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  # of Pillow's encoder
+    file = io.BytesIO()
+    image.save(file, form, **options)
+    return file.getvalue()
+
+
+def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
+    from placegraph.errors import InputError
+
+    try:
+        with opened(io.BytesIO(blob), name) as image:
+            if max(image.size) > _LARGEST or image.format not in KEPT:
+                raise MapError(f"{name} is no WebP, PNG or JPEG of up to {_LARGEST} texels a side.")
+            return np.asarray(image.convert("RGB"))
+    except InputError as error:
+        raise MapError(f"{error} Build the map again.") from error

@@ -1,0 +1,315 @@
+"""From whatever the user has to a scene map: read, clean, simplify, colour, relate, store."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.files import real_path
+from placegraph.indoor.map import textures
+from placegraph.indoor.map.floor import floor_height, is_floor
+from placegraph.indoor.map.mesh import UV_GRAIN
+from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
+from placegraph.indoor.map.rooms import with_rooms
+from placegraph.indoor.mapping.clean import check, cleaned, in_metres, snapped, upright
+from placegraph.indoor.mapping.simplify.detail import Detail, detail_named
+from placegraph.indoor.mapping.simplify.simplify import simplify
+from placegraph.indoor.mapping.sources import FromCapture, Progress, Source, Up, read_source
+from placegraph.indoor.scene_map import SceneMap
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.mesh.model import Model, Picture, Thing
+    from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.mapping.atlas import ColourOf
+
+VIVID = 0.1
+"""Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
+PATTERNED = 0.03
+"""Where more than this share of the edges have a pattern, colours are baked into textures."""
+BAKED = 2.0
+"""Triangles of fewer texels than this have colours enough at their vertices."""
+MOST_BAKED = 1_000_000
+"""Meshes of more triangles keep the colours of their vertices, to save memory."""
+FAR = 5000.0
+"""Farther from the origin [m] coordinates lose what can be seen, and this is told."""
+MOST_TEXELS = 1 << 24
+"""Larger surfaces are coloured by larger texels, to save memory and time."""
+_SOME = 500_000  # triangles that are looked at for it
+
+
+def build_scene(
+    source: str | PathLike[str],
+    out_path: str | PathLike[str] | None,
+    *,
+    labels: Mapping[str, str] | str | PathLike[str] | None = None,
+    floor: float | None = None,
+    up: Up = "auto",
+    scale: float | None = None,
+    detail: str | Detail = "default",
+    object_property: str | None = None,
+    segment: bool | Literal["auto"] = "auto",
+    capture: FromCapture | None = None,
+    reader: Mapping[str, Any] | None = None,
+    left_out: Counter[str] | None = None,
+    notes: list[str] | None = None,
+    progress: Progress | None = None,
+) -> SceneMap:
+    """Build a scene map from what the user has, and write it to `out_path`.
+
+    Parameters
+    ----------
+    source
+        A mesh with objects (GLB with one node an object; PLY or OBJ with ids or groups), a scan's
+        folder of 3RScan or ScanNet, a graph of SceneGraphFusion or Spark-DSG, or an RGB-D capture
+        with poses of any recorder that `open_capture` knows: `docs/sources.md`.
+    out_path
+        Map file to write (atomically); None writes nothing.
+    labels
+        Label of each object by its id or its name: a mapping, or a JSON file as
+        `placegraph.formats.capture.labels.label_table` reads it. It wins over what the source says.
+    floor
+        Height of the floor [m, map]; found where not given.
+    up
+        Axis of a mesh that points up; auto: y of GLB, as glTF has it, else z; unless the object
+        labelled floor says otherwise.
+    scale
+        Metres in one unit of a mesh: 0.001 for millimetres. If not given the unit is the metre, and
+        what cannot be in metres is refused.
+    detail
+        How much is kept: "full", "fine", "default", "small", "tiny", or a `Detail`.
+    object_property
+        Property of a PLY's vertices or faces that holds object ids; the known ones if not given.
+    segment
+        Whether a mesh is cut into objects by geometry and colour; auto: if its file names none.
+    capture
+        How a capture becomes a mesh.
+    reader
+        Options of the source's own reader, as `reference_frame` of `read_scan3r`, `label_column` of
+        `read_scannet`, or `scale` and `up` of `read_colmap`.
+    left_out
+        Is told what of the source could not be used, by reason.
+    notes
+        Is told what was found out or taken for granted, in sentences.
+    progress
+        Is told a stage, how much of it is done, and of how much.
+
+    Raises
+    ------
+    InputError
+        The source cannot be read, holds no triangle, vertices that are no numbers, or cannot be in
+        metres; or no floor is found, and `floor` is not given.
+    OptionError
+        An option is out of range.
+    MapError, MapLockedError
+        The map cannot be written.
+
+    """
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"scale is {scale}; it must be greater than 0.")
+    if up not in {"auto", "y", "z"}:
+        raise OptionError(f"up is {up!r}; it is 'auto', 'y' or 'z'.")
+    detail = detail_named(detail)
+    counts = Counter() if left_out is None else left_out
+
+    def made() -> SceneMap:
+        read = read_source(
+            source, labels=labels, up=up, scale=scale, object_property=object_property,
+            segment=segment, capture=capture, reader=reader, left_out=counts, progress=progress,
+        )  # fmt: skip
+        return scene_of(
+            read, floor=floor, up=up, scale=scale, detail=detail, left_out=counts, notes=notes,
+            progress=progress,
+        )  # fmt: skip
+
+    if out_path is None:
+        return made()
+    target = real_path(out_path)
+    for given in (source, labels):
+        if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
+            raise OptionError(f"{given} would be overwritten by its map; name another file.")
+    from placegraph.indoor.map.scene_file import columns
+    from placegraph.indoor.scene_map import KIND, VERSION
+    from placegraph.store import writing
+
+    with writing(out_path) as write:
+        scene = made()
+        write(KIND, VERSION, *columns(scene))
+    return scene
+
+
+def scene_of_model(model: Model, **options: Any) -> SceneMap:  # noqa: ANN401  # of `scene_of`
+    """Scene map of a model in memory; options and errors as of `scene_of`."""
+    return scene_of(Source(model), **options)
+
+
+def scene_of(
+    source: Source,
+    *,
+    floor: float | None = None,
+    up: Up = "z",
+    scale: float | None = None,
+    detail: str | Detail = "default",
+    left_out: Counter[str] | None = None,
+    notes: list[str] | None = None,
+    progress: Progress | None = None,
+) -> SceneMap:
+    """Scene map of a source in memory; parameters and errors as of `build_scene`."""
+    detail = detail_named(detail)
+    told: list[str] = [] if notes is None else notes
+    told.extend(source.notes)
+    check(source.model)
+    model = upright(in_metres(source.model, scale, told), up, told)
+    if source.finish is not None:
+        source = source.finish(model)
+        model = source.model
+        told.extend(source.notes)
+    left = model.left_out if left_out is None else left_out
+    mesh, things, pictures, row = cleaned(model, left)
+    labels = [t.label for t in things]
+    height = _floor(model, mesh, labels, floor)
+    if progress is not None:
+        progress("simplifying", 0, 1)
+    coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left, told)
+    _tell_odd(coarse, things, told)
+    room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
+    return SceneMap.create(
+        coarse,
+        [t.id for t in things],
+        labels,
+        floor=height,
+        names=[t.name for t in things],
+        attributes=attributes,
+        relations=_relations(model, row, relate(coarse, labels, room_of)),
+        scene=model.path.stem or "scene",
+        source=model.path.name,
+        encoded=blobs,
+    )
+
+
+def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:
+    known = floor if floor is not None else model.floor
+    height = floor_height(mesh, labels) if known is None else float(known)
+    if height is None:
+        why = "no object is labelled floor"
+        if any(map(is_floor, labels)):
+            why = "what is labelled floor is not level (does another axis point up? --up)"
+        raise InputError(
+            f"{model.path} shows no floor: {why}, and no level surface lies low and wide enough; pass "
+            "its height (floor=0.0, or --floor 0)."
+        )
+    return height
+
+
+def _reduced(
+    mesh: Mesh,
+    pictures: Sequence[Picture],
+    colour_of: ColourOf | None,
+    detail: Detail,
+    left_out: Counter[str],
+    notes: list[str],
+) -> tuple[Mesh, tuple[bytes, ...]]:
+    """Mesh and encoded textures with as much detail as wanted."""
+    if detail.error is None:
+        blobs = textures.encode_pictures(pictures, detail)
+        return snapped(mesh, detail.grain, detail.uv_grain), blobs
+    plain = all(p.data is None for p in pictures)
+    if plain and (colour_of is not None or _patterned(mesh)):
+        coarse = simplify(mesh, error=detail.error, left_out=left_out)
+        coarse = snapped(coarse, detail.grain, UV_GRAIN)
+        if len(coarse) <= MOST_BAKED and _area(coarse) > BAKED * len(coarse) * detail.baked**2:
+            return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
+        return coarse, textures.encode_pictures(pictures, detail)
+    needed = textures.needed_texels(mesh, detail.texel)
+    blobs = textures.encode_pictures(pictures, detail, needed)
+    coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
+    return snapped(coarse, detail.grain, detail.uv_grain), blobs
+
+
+def _looks(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
+    """Colours of a mesh's vertices and flat materials."""
+    from placegraph.indoor.mapping.atlas import mesh_colours
+
+    flat = textures.decode(textures.encode_pictures(pictures, detail), "a material")
+    return mesh_colours(replace(mesh, textures=flat))
+
+
+def _baked(
+    mesh: Mesh, colour_of: ColourOf, detail: Detail, notes: list[str]
+) -> tuple[Mesh, tuple[bytes, ...]]:
+    """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
+    from placegraph.indoor.mapping.atlas import bake
+
+    area = _area(mesh)
+    texel = max(detail.baked, float(np.sqrt(area / MOST_TEXELS)))
+    if texel > detail.baked:
+        notes.append(
+            f"Its surface of {area:,.0f} m2 is coloured by texels of {100 * texel:.2g} cm instead of "
+            f"{100 * detail.baked:.2g} cm: there would be too many."
+        )
+    painted = bake(mesh, colour_of, texel=texel)
+    return painted, textures.encode_arrays(painted.textures, detail.quality)
+
+
+def _area(mesh: Mesh) -> float:
+    """Area [m2]."""
+    return float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
+
+
+def _patterned(mesh: Mesh) -> bool:
+    """Whether the colours of vertices are a pattern that fewer vertices would lose."""
+    some = mesh.triangles[:: len(mesh) // _SOME + 1]
+    shades = mesh.colours[some].astype(np.int16)
+    steps = np.abs(shades - np.roll(shades, 1, axis=1)).max(axis=2)
+    return bool((steps > 255 * VIVID).mean() > PATTERNED)
+
+
+def _relations(
+    model: Model, row: NDArray[np.int64], computed: list[tuple[int, str, int]]
+) -> list[tuple[int, str, int]]:
+    """The source's own relations, and those computed between pairs that it says nothing of.
+
+    `same room` stands beside any other: its edges are a tree, which no branch may be missing of.
+    """
+    own = [
+        (int(row[a]), name, int(row[b]))
+        for a, name, b in model.relations
+        if row[a] >= 0 and row[b] >= 0 and a != b
+    ]
+    said = {frozenset((a, b)) for a, _, b in own}
+    return sorted(
+        {*own, *(e for e in computed if e[1] == SAME_ROOM or frozenset(e[::2]) not in said)}
+    )
+
+
+def _tell_odd(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:
+    """Note an object that is nearly everything, very many of them, and coordinates from afar."""
+    reach = float(np.abs(mesh.bounds()).max())
+    if reach > FAR:
+        notes.append(
+            f"It lies {reach:,.0f} m from its origin, where coordinates are exact to "
+            f"{1e3 * mesh.steps()[0]:.0f} mm only: subtract a corner of it, in whole metres."
+        )
+    if len(things) > MOST_OBJECTS:
+        notes.append(
+            f"It has {len(things):,} objects; more than {MOST_OBJECTS:,} get no relations. Are these "
+            "ids those of objects (--object-property)?"
+        )
+    area = np.bincount(mesh.object_of, np.linalg.norm(mesh.normals(), axis=1), len(things))
+    most = int(area.argmax())
+    share = float(area[most] / max(area.sum(), 1e-12))
+    if share > 0.9 and len(mesh) > 1000:
+        thing = things[most]
+        notes.append(
+            f"Object {thing.name or thing.id!r} is {100 * share:.0f} % of the surface: what is one "
+            "object can tell no places apart by what they are. Cut it (--segment), or label it."
+        )

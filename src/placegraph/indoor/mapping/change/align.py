@@ -1,0 +1,239 @@
+"""From one map's axes to another's of the same place, by walls and floors, and by things alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.geometry import rotation_z
+from placegraph.indoor.map.structure import structure
+from placegraph.indoor.mapping.change.register import (
+    inverse,
+    moved,
+    register,
+    rigid,
+    sample,
+    touching,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.mapping.change.register import Sampled
+    from placegraph.indoor.scene_map import SceneMap
+
+POINTS = 20_000
+"""On each map."""
+DENSITY = 60.0
+"""Most points a square metre."""
+LEAST = 0.5
+"""Share of the smaller map's surface, and of what is upright in it, that has to lie on the other's:
+floors and ceilings of any two rooms do."""
+SURE = 0.8
+"""With less an estimate is doubtful: two looks at one place that share half of it, or two rooms."""
+LEAST_GIVEN = 0.2
+"""The same of a transform that is given."""
+_BINS = 180
+_TURNS = 8
+_SHIFTS = 3
+_CELL = 0.1
+_COARSE = 0.3
+"""What a start may be off [m]."""
+_FINE = 0.4
+"""Share of `within` by which motions that fit are compared."""
+_BUILDING = 0.2
+"""What is built in has to be this share of a map's surface, if the map is to be aligned by it: in a
+map of unlabelled objects it is the rest that no object has."""
+_UPRIGHT = 0.3
+"""What is upright has normals no steeper than this."""
+_FEW = 0.05
+"""A smaller share of upright surface tells nothing."""
+_SOME = 1500
+"""Points by which starts are compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """Rigid transform between two maps, and how well it fits."""
+
+    b_from_a: Floats
+    """(4, 4)"""
+    said: str
+    """In a sentence."""
+    doubtful: bool = False
+    """The two may be different places; nothing that follows from it is sure."""
+
+
+def align(a: SceneMap, b: SceneMap, options: DiffOptions) -> Alignment:
+    """Transform from a's axes to b's: the one that is given, checked, or one that is found.
+
+    Raises `OptionError` where none is found, or the one given fits nowhere.
+    """
+    rng = np.random.default_rng(options.seed)
+    ours, theirs = _building(a, rng), _building(b, rng)
+    if options.b_from_a is not None:
+        share = _overlap(a, b, ours, theirs, options.b_from_a, options.within)
+        if share < LEAST_GIVEN:
+            raise OptionError(
+                f"b_from_a: only {share:.0%} of {_name(a)} lies on {_name(b)} by it; is it the way "
+                "from the first map's axes to the second's, and not back? Leave it out to have one "
+                "found."
+            )
+        return Alignment(options.b_from_a, f"given; {_said(share, options)}")
+    few = ours.some(_SOME), theirs.some(_SOME)
+    best, motion = -1.0, np.eye(4)
+    for start in _starts(a, b, ours, theirs):
+        share = _overlap(a, b, *few, start, 0.5 * _COARSE)
+        share += _alike(a, b, start)
+        if share > best + 0.02:  # of starts as good as each other the first: the axes as they are
+            best, motion = share, start
+    # from the map that shows less no point is drawn to a surface that it does not show
+    forth = register(ours.points, theirs, motion, reach=_COARSE, within=options.within).motion
+    back = register(theirs.points, ours, inverse(motion), reach=_COARSE, within=options.within)
+    found = max(
+        (forth, inverse(back.motion), motion),
+        key=lambda m: _overlap(a, b, ours, theirs, m, _FINE * options.within),
+    )
+    share = _overlap(a, b, ours, theirs, found, options.within)
+    agreed = _overlap(a, b, ours, theirs, found, options.within, upright=True)
+    if agreed < LEAST:
+        raise OptionError(
+            f"{_name(a)} and {_name(b)}: no way is found to lay one on the other ({agreed:.0%} of "
+            "their walls agree at best); are they of one place, and in one unit? If so, give "
+            "b_from_a."
+        )
+    moved_by = np.linalg.norm(found[:3, 3])
+    turn = np.degrees(np.arctan2(found[1, 0], found[0, 0]))
+    said = (
+        f"found: turned by {turn:.1f} degrees and shifted by {moved_by:.2f} m; "
+        f"{_said(share, options)}"
+    )
+    if agreed < SURE:
+        said += (
+            f", but only {agreed:.0%} of what is upright; that is doubtful, and so is every change: "
+            "they may be of two places, or share a part of one. If they are of one, give b_from_a"
+        )
+    return Alignment(found, said, doubtful=agreed < SURE)
+
+
+def _said(share: float, options: DiffOptions) -> str:
+    return (
+        f"{share:.0%} of the smaller map's surface lies within {options.within:g} m of the other's"
+    )
+
+
+def _building(scene: SceneMap, rng: np.random.Generator) -> Sampled:
+    """Points on walls, floors and ceilings; on everything where few of them are labelled."""
+    built_in = structure(scene.graph.labels)[scene.mesh.object_of]
+    chosen = np.flatnonzero(built_in)
+    areas = np.linalg.norm(scene.mesh.normals(), axis=1)
+    if areas[chosen].sum() < _BUILDING * areas.sum():
+        chosen = np.arange(len(scene.mesh))
+    return sample(scene.mesh, chosen, POINTS, rng, DENSITY)
+
+
+def _overlap(
+    a: SceneMap,
+    b: SceneMap,
+    ours: Sampled,
+    theirs: Sampled,
+    motion: Floats,
+    within: float,
+    *,
+    upright: bool = False,
+) -> float:
+    """Share of one map's points that lie on the other, of that of which more do.
+
+    `upright`: of all points or of those on what is upright, whichever is less.
+    """
+    shares = []
+    for points, scene, way in ((ours, b, motion), (theirs, a, inverse(motion))):
+        there = points.moved(way)
+        one, other = touching(there.points, there.normals, scene.caster, within)
+        lies = (one >= 0) | (other >= 0)
+        walls = lies[np.abs(there.normals[:, 2]) < _UPRIGHT]
+        few = not upright or len(walls) < _FEW * len(lies)
+        shares.append(float(lies.mean() if few else min(lies.mean(), walls.mean())))
+    return max(shares)
+
+
+def _alike(a: SceneMap, b: SceneMap, motion: Floats) -> float:
+    """Share, halved, of a's things that have one of their label near by in b."""
+    movable = np.flatnonzero(~structure(a.graph.labels))
+    if not movable.size:
+        return 0.0
+    there = moved(motion, a.graph.positions[movable])
+    gaps = np.linalg.norm(there[:, None] - b.graph.positions[None], axis=2)
+    labels = np.array(a.graph.labels, np.str_)[movable, None] == np.array(b.graph.labels, np.str_)
+    return 0.5 * float((np.where(labels, gaps, np.inf).min(axis=1) < _COARSE).mean())
+
+
+def _starts(a: SceneMap, b: SceneMap, ours: Sampled, theirs: Sampled) -> list[Floats]:
+    """Transforms worth a try: axes as they are, then by turns and shifts of the walls."""
+    lift = float(b.floors[0] - a.floors[0])
+    starts = [np.eye(4), rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
+    upright = [np.abs(s.normals[:, 2]) < _UPRIGHT for s in (ours, theirs)]
+    if not (upright[0].any() and upright[1].any()):
+        return starts
+    headings = [
+        np.bincount(
+            np.floor(
+                np.arctan2(s.normals[u, 1], s.normals[u, 0]) % (2 * np.pi) / (2 * np.pi) * _BINS
+            ).astype(int)
+            % _BINS,
+            minlength=_BINS,
+        )
+        for s, u in zip((ours, theirs), upright, strict=True)
+    ]
+    match = np.fft.irfft(np.conj(np.fft.rfft(headings[0])) * np.fft.rfft(headings[1]), _BINS)
+    for turn in _peaks(match + np.roll(match, 1) + np.roll(match, -1)):
+        rotation = rotation_z(turn * 2 * np.pi / _BINS)
+        walls = ours.points[upright[0]] @ rotation.T
+        slides = _slides(walls[:, :2], theirs.points[upright[1], :2])
+        starts += [rigid(rotation, np.array([*shift, lift])) for shift in slides]
+    return starts
+
+
+def _peaks(values: Floats) -> list[int]:
+    """Places of the highest values on a ring, 10 degrees apart at least."""
+    left, found = np.array(values, np.float64), []
+    gap = round(_BINS * 10 / 360)
+    for _ in range(_TURNS):
+        best = int(left.argmax())
+        found.append(best)
+        left[np.arange(best - gap, best + gap + 1) % _BINS] = -np.inf
+    return found
+
+
+def _slides(walls: Floats, others: Floats) -> list[Floats]:
+    """Shifts (2,) [m] by which walls seen from above lie on each other, the best few."""
+    size = np.ceil((np.ptp(walls, axis=0) + np.ptp(others, axis=0)) / _CELL).astype(int) + 8
+    size = np.minimum(size, 4096)
+    rasters = []
+    for points in (walls, others):
+        cells = np.floor((points - points.min(axis=0)) / _CELL).astype(int) + 2
+        cells = np.minimum(cells, size - 1)
+        raster = np.zeros(tuple(size))
+        raster[cells[:, 0], cells[:, 1]] = 1.0
+        spread = sum(np.roll(raster, s, axis=k) for k in (0, 1) for s in (-1, 1))
+        rasters.append(raster + 0.5 * np.minimum(spread, 1.0))
+    match = np.fft.irfft2(np.conj(np.fft.rfft2(rasters[0])) * np.fft.rfft2(rasters[1]), tuple(size))
+    base = others.min(axis=0) - walls.min(axis=0)
+    found = []
+    for _ in range(_SHIFTS):
+        at = np.array(np.unravel_index(int(match.argmax()), match.shape))
+        signed: NDArray[np.int64] = np.where(at > size // 2, at - size, at)
+        found.append(base + signed * _CELL)
+        for i in range(-3, 4):
+            for j in range(-3, 4):
+                match[(at[0] + i) % size[0], (at[1] + j) % size[1]] = -np.inf
+    return found
+
+
+def _name(scene: SceneMap) -> str:
+    return scene.source or scene.scenes[0]

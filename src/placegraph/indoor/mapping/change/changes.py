@@ -1,0 +1,248 @@
+"""What differs between a scene map and a later look at the same place: the result of a diff."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.camera import read_json
+from placegraph.geometry import vector_from_rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+
+Kind = Literal["moved", "appeared", "vanished", "relabelled"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """Surface of what appeared, in the axes of the first map."""
+
+    vertices: NDArray[np.float64]
+    """(V, 3) [m]"""
+    triangles: NDArray[np.int64]
+    """(T, 3) rows of vertices."""
+    colours: NDArray[np.uint8]
+    """(V, 3) sRGB"""
+
+    def __post_init__(self) -> None:
+        count = len(self.vertices)
+        shapes = [a.ndim == 2 and a.shape[1] == 3 for a in (self.vertices, self.triangles)]
+        inside = self.triangles.size and 0 <= self.triangles.min() <= self.triangles.max() < count
+        if not (all(shapes) and inside and self.colours.shape == self.vertices.shape):
+            raise OptionError("piece: its vertices, triangles and colours do not fit each other.")
+        if not np.isfinite(self.vertices).all():
+            raise OptionError("piece: a vertex is not a number.")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers; vertices to a tenth of a millimetre."""
+        return {
+            "vertices": np.round(self.vertices, 4).tolist(),
+            "triangles": self.triangles.tolist(),
+            "colours": self.colours.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, told: dict[str, Any]) -> Piece:
+        """Undo `to_dict`; raises `OptionError`, or as `numpy.array` does."""
+        return cls(
+            np.array(told["vertices"], np.float64).reshape(-1, 3),
+            np.array(told["triangles"], np.int64).reshape(-1, 3),
+            np.array(told["colours"], np.uint8).reshape(-1, 3),
+        )
+
+    @classmethod
+    def box(cls, low: Floats, high: Floats, colour: NDArray[np.uint8]) -> Piece:
+        """Box (12 triangles, wound outwards) of one colour (3,)."""
+        bits = np.array([(i >> 2 & 1, i >> 1 & 1, i & 1) for i in range(8)])
+        quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+        faces = [corners for a, b, c, d in quads for corners in ((a, b, c), (a, c, d))]
+        return cls(np.where(bits, high, low), np.array(faces), np.tile(colour, (8, 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """One object that is not as the map has it. All geometry is in the first map's axes."""
+
+    kind: Kind
+    label: str
+    """As the first map has it; of what appeared as the second says, or "unknown"."""
+    confidence: float
+    """0 to 1, how often such a finding is taken to be right."""
+    reason: str
+    """What speaks for it."""
+    id: str = ""
+    """In the first map; empty for what appeared."""
+    name: str = ""
+    other: str = ""
+    """Id in the second map, where that is a map."""
+    after_from_before: Floats | None = None
+    """(4, 4) rigid [m], of what moved: where a point of it was, to where it is now."""
+    new_label: str = ""
+    """Of what was relabelled."""
+    box: Floats | None = None
+    """(2, 3) lower and upper corner [m]: where it is now; of what vanished, where it was."""
+    piece: Piece | None = field(default=None, repr=False)
+    """Surface of what appeared."""
+    centre: Floats | None = None
+    """(3,) centre of its box before [m], of what moved."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise OptionError(f"kind is {self.kind!r}; it is one of {', '.join(KINDS)}.")
+        if not 0.0 <= self.confidence <= 1.0:
+            raise OptionError(f"confidence is {self.confidence}; it lies between 0 and 1.")
+        for name, shape in (("after_from_before", (4, 4)), ("box", (2, 3)), ("centre", (3,))):
+            value = getattr(self, name)
+            if value is not None and (value.shape != shape or not np.isfinite(value).all()):
+                raise OptionError(f"{name}: {shape} finite numbers belong.")
+        if self.kind == "moved" and self.after_from_before is None:
+            raise OptionError("after_from_before: what moved needs a motion.")
+        if self.kind == "appeared" and self.piece is None:
+            raise OptionError("piece: what appeared needs a surface.")
+
+    @property
+    def shift_m(self) -> float:
+        """How far the middle of it moved [m]; 0 of what did not."""
+        if self.after_from_before is None:
+            return 0.0
+        middle = np.zeros(3) if self.centre is None else self.centre
+        motion = self.after_from_before
+        return float(np.linalg.norm(motion[:3, :3] @ middle + motion[:3, 3] - middle))
+
+    @property
+    def turn_deg(self) -> float:
+        """By how much it turned, about any axis [deg]; 0 of what did not move."""
+        if self.after_from_before is None:
+            return 0.0
+        vector = vector_from_rotation(self.after_from_before[:3, :3])
+        return float(np.degrees(np.linalg.norm(vector)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings; what is not known is left out."""
+        told: dict[str, Any] = {
+            "kind": self.kind, "id": self.id, "name": self.name, "label": self.label,
+            "confidence": round(self.confidence, 3), "reason": self.reason,
+        }  # fmt: skip
+        told |= {k: v for k in ("other", "new_label") if (v := getattr(self, k))}
+        if self.after_from_before is not None:
+            told["shift_m"], told["turn_deg"] = round(self.shift_m, 3), round(self.turn_deg, 2)
+            told["after_from_before"] = self.after_from_before.tolist()
+        for key in ("box", "centre"):
+            value = getattr(self, key)
+            if value is not None:
+                told[key] = np.round(value, 4).tolist()
+        return told | ({"piece": self.piece.to_dict()} if self.piece is not None else {})
+
+    @classmethod
+    def from_dict(cls, told: dict[str, Any]) -> Change:
+        """Undo `to_dict`; raises `OptionError`, KeyError, TypeError or ValueError."""
+        arrays: dict[str, Any] = {
+            key: np.array(told[key], np.float64)
+            for key in ("after_from_before", "box", "centre")
+            if key in told
+        }
+        piece = Piece.from_dict(told["piece"]) if "piece" in told else None
+        words: dict[str, Any] = {
+            key: str(told.get(key, "")) for key in ("id", "name", "other", "new_label")
+        }
+        return cls(
+            kind=told["kind"], label=str(told["label"]), confidence=float(told["confidence"]),
+            reason=str(told["reason"]), piece=piece, **words, **arrays,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDiff:
+    """What changed from a map to a later look at the same place."""
+
+    changes: tuple[Change, ...]
+    """Surest first."""
+    same: tuple[str, ...]
+    """Ids of the map's objects that were seen again where they were."""
+    unseen: tuple[str, ...]
+    """Ids of the map's objects of which the later look shows too little to tell."""
+    b_from_a: Floats
+    """(4, 4) rigid [m], from the first map's axes to the second's; the identity for a capture."""
+    alignment: str
+    """How `b_from_a` came about, and how well it fits."""
+    before: str = ""
+    after: str = ""
+    """What was compared."""
+
+    def __iter__(self) -> Iterator[Change]:
+        return iter(self.changes)
+
+    def __len__(self) -> int:
+        return len(self.changes)
+
+    def of(self, kind: Kind) -> list[Change]:
+        """Changes of one kind, surest first."""
+        return [change for change in self.changes if change.kind == kind]
+
+    def __repr__(self) -> str:
+        counts = Counter(change.kind for change in self.changes)
+        said = ", ".join(f"{counts[kind]} {kind}" for kind in KINDS if counts[kind])
+        return f"SceneDiff({said or 'nothing changed'}; {len(self.same)} the same, {len(self.unseen)} unseen)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`."""
+        return {
+            "version": VERSION,
+            "before": self.before,
+            "after": self.after,
+            "alignment": self.alignment,
+            "b_from_a": self.b_from_a.tolist(),
+            "changes": [change.to_dict() for change in self.changes],
+            "same": list(self.same),
+            "unseen": list(self.unseen),
+        }
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the diff as JSON, for `read_diff` and `placegraph scene update`."""
+        text = json.dumps(self.to_dict(), ensure_ascii=False)
+        Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def read_diff(path: str | PathLike[str]) -> SceneDiff:
+    """Read a diff that `SceneDiff.save` or `placegraph scene diff --json` wrote.
+
+    Raises `InputError` where the file is missing, no JSON, or no such diff.
+    """
+    path = Path(path)
+    told = read_json(path)
+    try:
+        return _diff(told)
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise InputError(
+            f"{path} is not what `placegraph scene diff --json` prints "
+            f"({type(error).__name__}: {error}); make it again."
+        ) from error
+
+
+def _diff(told: Any) -> SceneDiff:  # noqa: ANN401  # whatever the file holds
+    """Undo `SceneDiff.to_dict`; raises OptionError, KeyError, TypeError or ValueError."""
+    if told["version"] != VERSION:
+        raise ValueError(f"version {told['version']}, and {VERSION} is known")
+    return SceneDiff(
+        changes=tuple(Change.from_dict(change) for change in told["changes"]),
+        same=tuple(map(str, told["same"])),
+        unseen=tuple(map(str, told["unseen"])),
+        b_from_a=np.array(told["b_from_a"], np.float64).reshape(4, 4),
+        alignment=str(told["alignment"]),
+        before=str(told["before"]),
+        after=str(told["after"]),
+    )

@@ -1,0 +1,204 @@
+"""A model made sound: units and up axis told, broken parts refused, empty ones left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError
+from placegraph.formats.mesh.glb import Z_UP
+from placegraph.indoor.map.floor import is_floor
+from placegraph.indoor.map.mesh import GRAIN, Mesh, portions
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.mesh.model import Model, Picture, Thing
+
+TALLEST = 60.0
+"""What is higher than this is not in metres, unless a scale is given [m]."""
+FLATTEST, WIDEST = 0.3, 300.0
+"""What is neither wide nor high by this, or wider, is told [m]."""
+TINIEST = 0.02
+"""What is smaller is refused, unless a scale is given [m]."""
+ROOM = 2.0, 4.0
+"""Rooms are this high [m]."""
+LARGEST = 1e5
+"""Coordinates beyond this [m] are another unit, or damage."""
+_SOME = 200_000  # triangles that are looked at to tell unit and axis
+
+
+def check(model: Model) -> None:
+    """Raise `InputError` where a model has no triangle, or one with vertices that are no numbers."""
+    if not len(model.triangles):
+        what = "is empty" if not len(model.vertices) else "holds points, but no triangle"
+        raise InputError(f"{model.path} {what}; a scene map needs a mesh.")
+    used = np.zeros(len(model.vertices), np.bool_)
+    used[model.triangles.ravel()] = True
+    for name, values in (("vertices", model.vertices), ("texture coordinates", model.uv)):
+        bad = ~np.isfinite(values).all(axis=1) & used
+        if bad.any():
+            triangle = int(np.flatnonzero(bad[model.triangles].any(axis=1))[0])
+            thing = model.things[int(model.thing_of[triangle])]
+            raise InputError(
+                f"{model.path}: {int(bad.sum())} {name} are not numbers, the first in object "
+                f"{thing.name or thing.id!r}; repair the mesh, or delete them."
+            )
+
+
+def in_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
+    """Model in metres; one whose size cannot be metres is refused where no scale is given."""
+    if scale is not None:
+        return model if scale == 1.0 else _times(model, scale)
+    low, high = np.quantile(_some(model).reshape(-1, 3), (0.01, 0.99), axis=0)
+    sides = high - low
+    size = " x ".join(f"{side:,.4g}" for side in sides)
+    if sides[2] > TALLEST:
+        tiny = sides[2] > 10 * TALLEST or sides.max() > 200 * TALLEST
+        unit, factor = ("millimetres", 0.001) if tiny else ("centimetres", 0.01)
+        raise InputError(
+            f"{model.path} is {size} units large: it looks like {unit}. Pass scale={factor} "
+            f"(--scale {factor}; inches: 0.0254); or scale=1 (--scale 1), if it is that many metres."
+        )
+    if sides.max() < TINIEST:
+        raise InputError(
+            f"{model.path} is only {size} units large, as no scene is. Pass how many metres its unit "
+            "is, such as scale=1000 (--scale 1000); or scale=1, if it is that small."
+        )
+    if sides.max() < FLATTEST or sides.max() > WIDEST:
+        only = "only " if sides.max() < FLATTEST else ""
+        notes.append(f"It is {only}{size} m large; if its unit is not the metre, pass --scale.")
+    return model
+
+
+def upright(model: Model, up: str, notes: list[str]) -> Model:
+    """Model whose labelled floor is level: where `up` is "auto" and it stands, model is turned."""
+    if up != "auto":
+        return model
+    rows = np.array([is_floor(t.label) for t in model.things], np.bool_)[model.thing_of]
+    if not rows.any():
+        _tell_side(model, notes)
+        return model
+    corners = model.vertices[model.triangles]
+    a, b, c = np.moveaxis(corners[rows], 1, 0)
+    along = np.abs(np.cross(b - a, c - a)).sum(axis=0)
+    if not along[1] > 2.0 * max(along[0], along[2]):
+        return model
+    below = corners[rows, :, 1].mean() < corners[:, :, 1].mean()
+    notes.append(
+        f"Its floor stands upright as the file has it; it was turned, so that {'+' if below else '-'}y "
+        "points up. Pass up (--up) to have your way."
+    )
+    turn = Z_UP if below else Z_UP.T
+    return replace(model, vertices=model.vertices @ turn.T, floor=None)
+
+
+def _tell_side(model: Model, notes: list[str]) -> None:
+    """Note a model that is as high along y as rooms are, and much longer along z."""
+    low, high = np.quantile(_some(model).reshape(-1, 3), (0.01, 0.99), axis=0)
+    x, y, z = high - low
+    if ROOM[0] < y < ROOM[1] and z > ROOM[1] and y < 0.75 * min(x, z):
+        notes.append(
+            f"It is {z:.1f} m high, and {y:.1f} m along y, as rooms are high: if it lies on its side, "
+            "pass --up y."
+        )
+
+
+def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], list[Picture], Any]:
+    """Mesh without triangles that have no area, and without what no triangle needs.
+
+    Textures are placeholders of one texel. Returns also the things and pictures that are left, and
+    the new row (N,) of every thing of the model, -1 of those that are left out.
+    """
+    used, _ = _used(model.triangles, len(model.vertices))
+    reach = float(np.abs(model.vertices[used]).max())
+    if reach > LARGEST:
+        span = float(np.ptp(model.vertices[used], axis=0).max())
+        mend = (
+            "its coordinates are a country's grid's: subtract a corner of it, in whole metres"
+            if span < 0.1 * reach
+            else "is it in millimetres? Then pass scale=0.001; else move it to its origin"
+        )
+        raise InputError(f"{model.path} reaches {reach:.3g} m from its origin; {mend}.")
+    flat = dispensable(model.vertices, model.triangles, model.thing_of)
+    if flat.any():
+        left_out["triangles without area"] += int(flat.sum())
+    rows = np.flatnonzero(~flat)
+    if (np.diff(model.thing_of[rows]) < 0).any():
+        rows = rows[np.argsort(model.thing_of[rows], kind="stable")]
+    triangles, thing_of, picture_of = (
+        column[rows] for column in (model.triangles, model.thing_of, model.picture_of)
+    )
+    corner, compact = _used(triangles, len(model.vertices))
+    thing, things = _used(thing_of, len(model.things))
+    picture, pictures = _used(picture_of, len(model.pictures))
+    missing = len(model.things) - len(thing)
+    if missing:
+        left_out["objects without a triangle"] += missing
+    mesh = Mesh(
+        vertices=model.vertices[corner].astype(np.float32),
+        triangles=compact,
+        object_of=things,
+        colours=model.colours[corner],
+        uv=model.uv[corner].astype(np.float32),
+        texture_of=pictures,
+        textures=(np.zeros((1, 1, 3), np.uint8),) * len(picture),
+    )
+    row = np.full(len(model.things), -1)
+    row[thing] = np.arange(len(thing))
+    return (
+        mesh.snapped(),
+        [model.things[i] for i in thing.tolist()],
+        [model.pictures[i] for i in picture.tolist()],
+        row,
+    )
+
+
+def dispensable(
+    vertices: NDArray[Any], triangles: NDArray[Any], object_of: NDArray[Any], grain: float = GRAIN
+) -> NDArray[np.bool_]:
+    """Triangles (T,) without area once their corners are snapped, but for the last of an object."""
+    flat = np.zeros(len(triangles), np.bool_)
+    for part in portions(len(triangles)):
+        a, b, c = np.moveaxis(np.rint(vertices[triangles[part]].astype(np.float64) / grain), 1, 0)
+        flat[part] = ~np.cross(b - a, c - a).any(axis=1)
+    bare = np.setdiff1d(object_of, object_of[~flat])
+    flat &= ~np.isin(object_of, bare)  # an object that is nothing but a line stays one
+    return flat
+
+
+def snapped(mesh: Mesh, grain: float, uv_grain: float) -> Mesh:
+    """Mesh on its grid, without the triangles that lose their area there."""
+    mesh = mesh.snapped(grain, uv_grain)
+    keep = ~dispensable(mesh.vertices, mesh.triangles, mesh.object_of)
+    if keep.all():
+        return mesh
+    return replace(
+        mesh,
+        triangles=mesh.triangles[keep],
+        object_of=mesh.object_of[keep],
+        texture_of=mesh.texture_of[keep],
+    )
+
+
+def _some(model: Model) -> NDArray[np.float64]:
+    step = max(len(model.triangles) // _SOME, 1)
+    corners: NDArray[np.float64] = model.vertices[model.triangles[::step]]
+    return corners
+
+
+def _times(model: Model, scale: float) -> Model:
+    floor = None if model.floor is None else model.floor * scale
+    return replace(model, vertices=model.vertices * scale, floor=floor)
+
+
+def _used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Rows that are used, ascending, and `rows` in terms of these."""
+    used = np.zeros(count, np.bool_)
+    used[rows.ravel()] = True
+    place = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return np.flatnonzero(used), place[rows]

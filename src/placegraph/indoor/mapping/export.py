@@ -1,0 +1,296 @@
+"""A scene map as a file for other programs: GLB, PLY, or Spark-DSG's JSON."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.files import write_file
+from placegraph.formats.mesh.glb import OWN
+from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
+from placegraph.formats.mesh.ply_write import write_ply
+from placegraph.formats.mesh.spark_dsg_write import MOST_PATHS, encode_spark_dsg
+from placegraph.indoor.map.textures import linear_from_srgb
+from placegraph.indoor.mapping.paint import painted
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.scene_map import SceneMap
+
+    Paths = Mapping[str, ArrayLike]
+
+ENDINGS = (".glb", ".ply", ".json")
+MARK = "placegraph scene export"
+"""Stands in the head of every file written here, by which it may be overwritten."""
+QUALITY = 92
+"""Of JPEG, for textures that a map has in WebP."""
+EYE = 0.12
+"""Length of the pyramid that shows a camera in a .glb [m]."""
+MOST_EYES = 60
+"""Pyramids along one path."""
+_HEAD = 1 << 12
+
+
+def export(
+    scene: SceneMap,
+    path: str | PathLike[str],
+    *,
+    camera_paths: Paths | None = None,
+    overwrite: bool = False,
+) -> tuple[Path, ...]:
+    """Write a map as a file for other programs; what it becomes is told by the ending.
+
+    - ``.glb``: a node for each object, named as it is or by its label, with id, label and attributes
+      in `extras` (attributes called as one of these: under `extras.placegraph`) and textures as the
+      map has them, WebP as JPEG. `build_scene` makes the same map of it again, with
+      ``detail="full"`` triangle by triangle; of several scenes one.
+    - ``.ply``: one mesh with colours by vertex (textures are averaged around each vertex) and
+      `objectId` by face; beside it ``NAME.labels.json`` says what the ids are called. An id that is
+      no number becomes one, and the attribute ``id`` (or ``map id``) keeps it.
+    - ``.json``: a scene graph as Spark-DSG saves it, for Hydra and its kin: objects with boxes,
+      labels and their part of the mesh, rooms (of the attribute ``room``, or the merged scenes).
+
+    What a file has no place for is told by `losses`. The old file stays until the new one is complete.
+
+    Parameters
+    ----------
+    scene
+        What to write.
+    path
+        File, ending in .glb, .ply or .json.
+    camera_paths
+        Names and (T, 4, 4) map_from_camera of cameras' ways: lines in a .glb, agents in a .json.
+    overwrite
+        Whether to replace a file that was not written by this function.
+
+    Returns
+    -------
+    The files that were written.
+
+    Raises
+    ------
+    OptionError
+        The ending is another, camera paths do not fit, or `path` holds something else already.
+    MapError, MapLockedError
+        The file cannot be written.
+
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise OptionError(f"{path} has an unknown ending; a map becomes {', '.join(ENDINGS)}.")
+    paths = _checked(camera_paths or {})
+    files = [path] if ending != ".ply" else [path, path.with_suffix(".labels.json")]
+    for file in files:
+        if not overwrite and not _ours(file):
+            raise OptionError(
+                f"{file} is there already, and is no earlier export; name another file, or allow it "
+                "to be overwritten (overwrite=True, or --force)."
+            )
+    if ending == ".glb":
+        write_file(path, [_glb(scene, paths)])
+    elif ending == ".json":
+        if len(paths) > MOST_PATHS:
+            raise OptionError(f"camera_paths: {len(paths)}; a .json holds {MOST_PATHS} at most.")
+        write_file(path, [_spark_dsg(scene, paths)])
+    else:
+        if paths:
+            raise OptionError("camera_paths: a .ply has no place for them; export .glb or .json.")
+        _ply(scene, path, files[1])
+    return tuple(files)
+
+
+def losses(scene: SceneMap, path: str | PathLike[str]) -> tuple[str, ...]:
+    """What of a map a file of this ending has no place for, in sentences."""
+    ending, lost = Path(path).suffix.lower(), []
+    relations = len(scene.graph.relations)
+    if ending == ".ply" and relations:
+        lost.append(f"Relations ({relations}) have no place in a .ply; a .glb or .json keeps them.")
+    if ending == ".ply" and any(texture.shape[:2] != (1, 1) for texture in scene.mesh.textures):
+        lost.append("Textures have no place in a .ply; they are averaged around each vertex.")
+    if ending != ".json" and len(scene.scenes) > 1:
+        lost.append(
+            f"A map that is built of a {ending} is one scene: {len(scene.scenes)} scenes become one."
+        )
+    return tuple(lost)
+
+
+def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
+    """Surfaces of each of `count` objects, one a texture: what GLB wants."""
+    order = np.lexsort([mesh.texture_of, mesh.object_of])
+    keys = np.stack([mesh.object_of[order], mesh.texture_of[order]])
+    starts = np.flatnonzero(np.diff(keys, axis=1, prepend=-1).any(axis=0))
+    found: list[list[Surface]] = [[] for _ in range(count)]
+    coloured = bool((mesh.colours != 255).any())
+    plain = [texture.shape[:2] == (1, 1) for texture in mesh.textures]
+    for rows in np.split(order, starts[1:]):
+        used, corners = np.unique(mesh.triangles[rows], return_inverse=True)
+        texture = int(mesh.texture_of[rows[0]])
+        surface = Surface(
+            vertices=mesh.vertices[used],
+            triangles=corners.reshape(-1, 3),
+            material=texture,
+            uv=None if plain[texture] else mesh.uv[used],
+            colours=mesh.colours[used] if coloured else None,
+        )
+        found[int(mesh.object_of[rows[0]])].append(surface)
+    return found
+
+
+def materials(scene: SceneMap, *, webp: bool = False) -> list[Material]:
+    """A material for each texture of a map: the encoded image, or the colour of a single texel.
+
+    `webp`: keep images in WebP, which browsers show and some programs do not; else they become JPEG.
+    """
+    made = []
+    for texture, blob in zip(scene.mesh.textures, scene.encoded, strict=True):
+        if texture.shape[:2] == (1, 1):
+            r, g, b = linear_from_srgb(texture[0, 0] / 255.0).tolist()
+            made.append(Material(factor=(r, g, b)))
+        elif blob.startswith(b"RIFF") and not webp:
+            made.append(Material(_jpeg(texture)))
+        else:
+            made.append(Material(blob))
+    return made
+
+
+def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, 2, 3) segments [m] of a camera's way (T, 4, 4), with pyramids that look where it does."""
+    at = poses[:, :3, 3]
+    way = np.stack([at[:-1], at[1:]], axis=1)
+    corners = EYE * np.array([(-0.5, -0.4, 1), (0.5, -0.4, 1), (0.5, 0.4, 1), (-0.5, 0.4, 1)])
+    some = np.linspace(0, len(poses) - 1, min(len(poses), MOST_EYES)).round().astype(np.int64)
+    eyes = np.einsum("tij,cj->tci", poses[some, :3, :3], corners) + at[some, None]
+    rims = np.stack([eyes, np.roll(eyes, -1, axis=1)], axis=2)
+    rays = np.stack([np.broadcast_to(at[some, None], eyes.shape), eyes], axis=2)
+    return np.concatenate([way, rims.reshape(-1, 2, 3), rays.reshape(-1, 2, 3)])
+
+
+def _glb(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
+    graph = scene.graph
+    parts = [
+        Part(graph.names[i] or graph.labels[i], surfaces, _extras(scene, i))
+        for i, surfaces in enumerate(object_surfaces(scene.mesh, len(graph)))
+    ]
+    parts += [Part(name, lines=path_lines(poses)) for name, poses in paths.items()]
+    return encode_glb(parts, materials(scene), extras=_note(scene), generator=MARK)
+
+
+def _extras(scene: SceneMap, row: int) -> dict[str, Any]:
+    """What a node says of its object; attributes whose names are taken stand under a key of ours."""
+    label, attributes = scene.graph.labels[row], scene.attributes[row]
+    hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
+    own: dict[str, Any] = {"attributes": hidden} if hidden else {}
+    if not scene.graph.names[row]:
+        own["name"] = ""
+    plain = {key: value for key, value in attributes.items() if key not in hidden}
+    return {**plain, "label": label, "id": scene.graph.ids[row], **({OWN: own} if own else {})}
+
+
+def _jpeg(texture: NDArray[np.uint8]) -> bytes:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(texture).save(file, "JPEG", quality=QUALITY, subsampling=0)
+    return file.getvalue()
+
+
+def _note(scene: SceneMap) -> dict[str, Any]:
+    """What readers want to know of a map beside its objects."""
+    graph = scene.graph
+    scenes = [
+        {"name": name, "floor": floor}
+        for name, floor in zip(scene.scenes, scene.floors.tolist(), strict=True)
+    ]
+    rows = zip(graph.sources, graph.relations, graph.targets, strict=True)
+    return {
+        "scenes": scenes,
+        "relations": [[graph.ids[s], relation, graph.ids[t]] for s, relation, t in rows],
+    }
+
+
+def _spark_dsg(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
+    model = painted(scene)
+    several = len(scene.scenes) > 1
+    rooms = []
+    for thing, row in zip(model.things, scene.scene_of.tolist(), strict=True):
+        room, within = thing.attributes.get("room", ""), scene.scenes[row]
+        rooms.append(" ".join(filter(None, [within if several or not room else "", room])))
+    note: dict[str, Any] = {"written by": MARK, "source": scene.source}
+    if model.floor is not None:
+        note["floor"] = model.floor
+    return encode_spark_dsg(model, rooms, camera_paths=paths, note=note)
+
+
+def _ply(scene: SceneMap, path: Path, table: Path) -> None:
+    model = painted(scene)
+    numbers = _numbers([t.id for t in model.things])
+    entries = []
+    for number, thing in zip(numbers, model.things, strict=True):
+        kept = {} if str(number) == thing.id else {_free("id", thing.attributes): thing.id}
+        entry = {"id": number, "label": thing.label, "name": thing.name}
+        entries.append(entry | {"attributes": {**thing.attributes, **kept}})
+    told = {"written by": MARK, "objects": entries}
+    write_file(table, [json.dumps(told, ensure_ascii=False, indent=1).encode()])
+    write_ply(
+        path,
+        model.vertices,
+        model.triangles,
+        model.colours,
+        objects=np.array(numbers, np.int64)[model.thing_of],
+        comments=(MARK,),
+    )
+
+
+def _free(key: str, taken: Mapping[str, str]) -> str:
+    """The key, or `map key`, `map map key`, ... where an object has an attribute of that name."""
+    return key if key not in taken else _free(f"map {key}", taken)
+
+
+def _numbers(ids: list[str]) -> list[int]:
+    """Whole numbers for ids: the id itself where it is one, else the next beyond all of them."""
+    own = {id_ for id_ in ids if id_.isdecimal() and id_.isascii() and str(int(id_)) == id_}
+    own = {id_ for id_ in own if int(id_) < 1 << 30}
+    last = max((int(id_) for id_ in own), default=-1)
+    numbers = []
+    for id_ in ids:
+        last += id_ not in own
+        numbers.append(int(id_) if id_ in own else last)
+    return numbers
+
+
+def _checked(paths: Paths) -> dict[str, NDArray[np.float64]]:
+    checked = {}
+    for name, values in paths.items():
+        poses = np.asarray(values, np.float64)
+        if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+            raise OptionError(
+                f"camera_paths: {name!r} has shape {poses.shape}; poses (T, 4, 4) belong."
+            )
+        if not np.isfinite(poses).all():
+            raise OptionError(f"camera_paths: {name!r} holds a pose that is not finite.")
+        checked[str(name)] = poses
+    return checked
+
+
+def _ours(path: Path) -> bool:
+    """Whether a file may be written over: it is not there, is empty, or was written here."""
+    try:
+        if not os.path.lexists(path):
+            return True
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except (OSError, ValueError):
+        return True  # a folder, or unreadable: writing says why
+    return not head or MARK.encode() in head

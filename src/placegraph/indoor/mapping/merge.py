@@ -1,0 +1,167 @@
+"""Several scenes side by side in one map: a building, or the large environments of App. D."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.graph import SceneGraph
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.scene_map import KIND, VERSION, SceneMap
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+GAP = 2.0
+"""Free space between the boxes of neighbouring scenes [m]."""
+
+
+def merge_scenes(
+    scenes: Mapping[str, SceneMap], out_path: str | PathLike[str] | None = None
+) -> SceneMap:
+    """Map that holds all these scenes, in a row along x with a gap of 2 m, floors at z = 0.
+
+    Scenes are shifted, never turned. Ids become `scene/id`; relations stay within their scenes.
+    `scene_from_map` of the result leads back into each scene's own frame. A scene that was merged
+    of several itself is moved as a whole, and its parts are named `scene/part`.
+
+    Parameters
+    ----------
+    scenes
+        Scene maps by name; names hold no slash.
+    out_path
+        Map file to write (atomically); None writes nothing.
+
+    Raises
+    ------
+    OptionError
+        There is no scene, a name is empty or holds a slash, or only some have embeddings, or of
+        different lengths.
+    MapError, MapLockedError
+        The map cannot be written.
+
+    """
+    _check(scenes)
+    shifts = _shifts(list(scenes.values()))
+    moved = [_moved(name, m, s) for (name, m), s in zip(scenes.items(), shifts, strict=True)]
+    first_objects = _starts([len(m) for m in moved])
+    first_scenes = _starts([len(m.scenes) for m in moved])
+    merged = SceneMap(
+        graph=_graph([m.graph for m in moved], first_objects),
+        mesh=_mesh([m.mesh for m in moved], first_objects),
+        attributes=_joined([m.attributes for m in moved]),
+        floors=np.concatenate([m.floors for m in moved]),
+        scenes=_joined([m.scenes for m in moved]),
+        scene_of=np.concatenate([m.scene_of + n for m, n in zip(moved, first_scenes, strict=True)]),
+        scene_from_map=np.concatenate([m.scene_from_map for m in moved]),
+        source=", ".join(scenes),
+        encoded=_joined([m.encoded for m in moved]),
+        encoder=moved[0].encoder,
+    )
+    if out_path is not None:
+        from placegraph.indoor.map.scene_file import columns
+        from placegraph.store import write_map
+
+        write_map(out_path, KIND, VERSION, *columns(merged))
+    return merged
+
+
+def _check(scenes: Mapping[str, SceneMap]) -> None:
+    if not scenes:
+        raise OptionError("scenes: there is none; give at least one scene map.")
+    for name in scenes:
+        if not name or "/" in name:
+            raise OptionError(f"scenes: {name!r} is no name; use one without a slash.")
+    widths = {
+        None if m.graph.embeddings is None else m.graph.embeddings.shape[1] for m in scenes.values()
+    }
+    if len(widths) > 1:
+        raise OptionError(
+            f"embeddings: their lengths are {sorted(map(str, widths))}; embed all scenes alike."
+        )
+    encoders = {m.encoder for m in scenes.values()}
+    if len(encoders) > 1:
+        raise OptionError(
+            f"embeddings: they are of the encoders {', '.join(sorted(encoders))}; embed all scenes alike."
+        )
+
+
+def _shifts(maps: Sequence[SceneMap]) -> list[NDArray[np.float64]]:
+    """Shift (3,) of each scene: boxes in a row along x from 0, centred in y, lowest floor at 0."""
+    shifts, x = [], 0.0
+    for scene in maps:
+        low, high = scene.bounds
+        shift = np.array([x - low[0], -(low[1] + high[1]) / 2.0, -scene.floors.min()])
+        # Whole steps of the finest mesh keep its coordinates as they are; floors are exact.
+        shift[:2] = np.round(shift[:2] * 16.0) / 16.0
+        shifts.append(shift)
+        x += high[0] - low[0] + GAP
+    return shifts
+
+
+def _moved(name: str, scene: SceneMap, shift: NDArray[np.float64]) -> SceneMap:
+    """Scene shifted, with its name in front of ids and parts."""
+    back = np.eye(4)
+    back[:3, 3] = -shift
+    parts = [f"{name}/{part}" for part in scene.scenes] if len(scene.scenes) > 1 else [name]
+    graph = replace(
+        scene.graph,
+        ids=tuple(f"{name}/{id_}" for id_ in scene.graph.ids),
+        positions=scene.graph.positions + shift,
+    )
+    return replace(
+        scene,
+        graph=graph,
+        mesh=scene.mesh.moved(shift),
+        floors=scene.floors + shift[2],
+        scenes=tuple(parts),
+        scene_from_map=scene.scene_from_map @ back,
+    )
+
+
+def _graph(graphs: list[SceneGraph], starts: list[int]) -> SceneGraph:
+    embeddings = [g.embeddings for g in graphs if g.embeddings is not None]
+    extents = [np.zeros_like(g.positions) if g.extents is None else g.extents for g in graphs]
+    return SceneGraph(
+        ids=_joined([g.ids for g in graphs]),
+        labels=_joined([g.labels for g in graphs]),
+        names=_joined([g.names for g in graphs]),
+        positions=np.concatenate([g.positions for g in graphs]),
+        extents=np.concatenate(extents),
+        embeddings=np.concatenate(embeddings) if embeddings else None,
+        sources=np.concatenate([g.sources + n for g, n in zip(graphs, starts, strict=True)]),
+        targets=np.concatenate([g.targets + n for g, n in zip(graphs, starts, strict=True)]),
+        relations=_joined([g.relations for g in graphs]),
+    )
+
+
+def _mesh(meshes: list[Mesh], first_objects: list[int]) -> Mesh:
+    first_vertices = _starts([len(m.vertices) for m in meshes])
+    first_textures = _starts([len(m.textures) for m in meshes])
+    return Mesh(
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        triangles=_shifted([m.triangles for m in meshes], first_vertices),
+        object_of=_shifted([m.object_of for m in meshes], first_objects),
+        colours=np.concatenate([m.colours for m in meshes]),
+        uv=np.concatenate([m.uv for m in meshes]),
+        texture_of=_shifted([m.texture_of for m in meshes], first_textures),
+        textures=_joined([m.textures for m in meshes]),
+    ).snapped()
+
+
+def _shifted(columns: list[NDArray[np.int32]], starts: list[int]) -> NDArray[np.int32]:
+    return np.concatenate([c + np.int32(n) for c, n in zip(columns, starts, strict=True)])
+
+
+def _starts(counts: list[int]) -> list[int]:
+    return [0, *np.cumsum(counts).tolist()[:-1]]
+
+
+def _joined(columns: list[tuple[Any, ...]]) -> tuple[Any, ...]:
+    return tuple(entry for column in columns for entry in column)

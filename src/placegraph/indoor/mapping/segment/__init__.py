@@ -1,0 +1,142 @@
+"""From one unlabelled coloured mesh to objects: by geometry and colour, or by label images."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.mapping.segment.faces import Faces
+from placegraph.indoor.mapping.segment.geometry import cut_by_geometry
+from placegraph.indoor.mapping.segment.instances import cut_by_labels
+from placegraph.indoor.mapping.segment.options import SegmentOptions
+from placegraph.indoor.mapping.segment.segments import Segments, as_segments
+from placegraph.indoor.mapping.segment.votes import collect
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.formats.capture.frame import Frame
+
+__all__ = ["SegmentOptions", "Segments", "segment"]
+
+_STAGES = ("faces", "planes", "patches", "objects")
+_VOTES = "votes"
+
+
+def segment(
+    vertices: ArrayLike,
+    triangles: ArrayLike,
+    colours: ArrayLike | None = None,
+    *,
+    frames: Sequence[Frame] | None = None,
+    poses: ArrayLike | None = None,
+    options: SegmentOptions | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    left_out: Counter[str] | None = None,
+) -> Segments:
+    """Cut a mesh into floor, ceiling, walls and objects, along edges of its triangles.
+
+    By geometry and colour: large planes are the building, and the rest falls into objects where it
+    bends inwards, changes colour or leaves a gap. Where frames with label images are given, they
+    vote: connected regions of one label become objects, and what no label speaks of stays as
+    geometry has it. The same mesh and frames give the same objects, in whatever order the
+    triangles come.
+
+    Parameters
+    ----------
+    vertices
+        (V, 3) [m, map]: z up.
+    triangles
+        (T, 3) rows of vertices.
+    colours
+        (V, 3) uint8 sRGB; none: the mesh is of one colour.
+    frames
+        Frames with `labels()`: ids of labels with names, or ids of objects. Others are passed over.
+    poses
+        (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not given.
+    options
+        How to cut.
+    progress
+        Is told a stage, how much of it is done, and of how much.
+    left_out
+        Is told what could not be used, by reason.
+
+    Raises
+    ------
+    OptionError
+        Arrays do not fit each other, or a triangle refers to vertices that are not there.
+    InputError
+        An image of a frame cannot be read.
+
+    """
+    options = options or SegmentOptions()
+    spots, rows, shades = _checked(vertices, triangles, colours)
+
+    def tell(stage: str) -> None:
+        if progress is not None:
+            progress(stage, _STAGES.index(stage), len(_STAGES))
+
+    tell("faces")
+    faces = Faces.of(spots, rows, shades)
+    lost = int((faces.of_triangle < 0).sum())
+    counts = Counter() if left_out is None else left_out
+    if lost:
+        counts["triangles without area"] += lost
+    if not len(faces):
+        return as_segments(faces, spots, rows, np.zeros(0, np.int64), {}, None)
+    cut = cut_by_geometry(faces, options, tell)
+    votes = None
+    if frames:
+
+        def count(done: int, whole: int) -> None:
+            if progress is not None:
+                progress(_VOTES, done, whole)
+
+        votes = collect(faces, frames, _poses(frames, poses), count, counts)
+    if votes is not None:
+        named = cut_by_labels(faces, cut, votes, options)
+        return as_segments(
+            faces, spots, rows, named.groups, named.labels, cut.structure.floor, named.ids
+        )
+    group = cut.groups[cut.patches.of_face]
+    labels = {
+        int(g): cut.structure.labels[p] for g, p in enumerate(cut.patches.plane.tolist()) if p >= 0
+    }
+    return as_segments(faces, spots, rows, group, labels, cut.structure.floor)
+
+
+def _poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float64]:
+    """Poses (T, 4, 4) map_from_camera of frames."""
+    given = [f.odometry for f in frames] if poses is None else poses
+    matrices = np.asarray(given, np.float64)
+    if matrices.shape != (len(frames), 4, 4):
+        raise OptionError(f"poses: {matrices.shape}; ({len(frames)}, 4, 4) belong, one a frame.")
+    return matrices
+
+
+def _checked(
+    vertices: ArrayLike, triangles: ArrayLike, colours: ArrayLike | None
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
+    """Arrays of a mesh in the types that cutting works with."""
+    spots, rows = np.asarray(vertices), np.asarray(triangles)
+    spots = spots.reshape(-1, 3) if not spots.size else spots
+    rows = rows.reshape(-1, 3).astype(np.int64) if not rows.size else rows
+    if spots.ndim != 2 or spots.shape[1] != 3 or spots.dtype.kind not in "iuf":
+        raise OptionError(f"vertices: {spots.dtype} {spots.shape}; give numbers (V, 3).")
+    if rows.ndim != 2 or rows.shape[1] != 3 or rows.dtype.kind not in "iu":
+        raise OptionError(f"triangles: {rows.dtype} {rows.shape}; give whole numbers (T, 3).")
+    if rows.size and (int(rows.min()) < 0 or int(rows.max()) >= len(spots)):
+        raise OptionError(
+            f"triangles: vertices {rows.min()} to {rows.max()}, but there are {len(spots)}."
+        )
+    shades = np.full(spots.shape, 255, np.uint8) if colours is None else np.asarray(colours)
+    if shades.shape != spots.shape or shades.dtype != np.uint8:
+        raise OptionError(
+            f"colours: {shades.dtype} {shades.shape}; {spots.shape} uint8 belong, one a vertex."
+        )
+    return spots.astype(np.float64), rows.astype(np.int64), shades

@@ -1,0 +1,193 @@
+"""The mesh as cutting sees it: welded corners, each face once, pairs of faces that share an edge.
+
+Rows are in an order that depends on the geometry alone, so that the order of triangles in a file
+changes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.mapping.segment.segment_kernels import smooth
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+
+_WELD = 1e-4
+"""Corners closer than about this are one [m]: seams of textures come as two."""
+_FARTHEST = 1e9 * _WELD
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faces:
+    """F faces with W corners and P pairs of neighbours."""
+
+    points: Floats
+    """(W, 3) [m]"""
+    corners: Ints
+    """(F, 3) rows of points."""
+    normals: Floats
+    """(F, 3) unit."""
+    areas: Floats
+    """(F,) [m2]"""
+    centres: Floats
+    """(F, 3) [m]"""
+    lab: Floats
+    """(F, 3) CIELAB."""
+    pairs: Ints
+    """(P, 2) rows of faces that share an edge."""
+    lengths: Floats
+    """(P,) of that edge [m]."""
+    turned: NDArray[np.bool_]
+    """(P,) whether the two are wound against each other."""
+    of_triangle: Ints
+    """(T,) row of each triangle of the mesh; -1: it has no area, or is no triangle at all."""
+
+    def __len__(self) -> int:
+        return len(self.areas)
+
+    @classmethod
+    def of(cls, vertices: ArrayLike, triangles: ArrayLike, colours: ArrayLike) -> Faces:
+        """Faces of a mesh: vertices (V, 3) [m], triangles (T, 3), colours (V, 3) uint8."""
+        spots, rows = np.asarray(vertices, np.float64), np.asarray(triangles, np.int64)
+        of_triangle = np.full(len(rows), -1, np.int64)
+        with np.errstate(invalid="ignore"):
+            good = np.asarray((np.abs(spots) < _FARTHEST).all(axis=1))
+        sound = np.flatnonzero(good[rows].all(axis=1)) if len(rows) else np.zeros(0, np.int64)
+        points, corner_of = _welded(spots, rows[sound])
+        corners = corner_of[rows[sound]]
+        crossed = _cross(points, corners)
+        whole = (np.linalg.norm(crossed, axis=1) > 0) & (_least_side(corners) > 0)
+        sound, corners = sound[whole], corners[whole]
+        first, face_of = _once(corners)
+        of_triangle[sound] = face_of
+        sums = np.zeros((len(first), 3))
+        shades = np.asarray(colours, np.float64)[rows[sound]].sum(axis=1) if len(sound) else sums
+        counts = np.maximum(3.0 * np.bincount(face_of, minlength=len(first)), 1.0)
+        for axis in range(3):  # whole numbers: their sums do not depend on the order
+            sums[:, axis] = np.bincount(face_of, shades[:, axis], len(first)) / counts
+        corners = corners[first]
+        crossed = _cross(points, corners)
+        doubled = np.linalg.norm(crossed, axis=1)
+        pairs, lengths, turned = _neighbours(points, corners)
+        return cls(
+            points=points,
+            corners=corners,
+            normals=crossed / doubled[:, None],
+            areas=doubled / 2.0,
+            centres=points[corners].mean(axis=1) if len(corners) else np.zeros((0, 3)),
+            lab=lab_of(sums),
+            pairs=pairs,
+            lengths=lengths,
+            turned=turned,
+            of_triangle=of_triangle,
+        )
+
+    def smoothed(self, rounds: int) -> tuple[Floats, Floats]:
+        """Normals (F, 3) and colours (F, 3) CIELAB, levelled over neighbours that bend little."""
+        return smooth(self.normals, self.lab, self.areas, self.pairs, self.turned, rounds)
+
+    def bends(self, normals: Floats) -> Floats:
+        """Angles (P,) between neighbours [rad]: above 0 concave, below convex, by these normals."""
+        a, b = self.pairs.T
+        other = np.where(self.turned[:, None], -normals[b], normals[b])
+        cosine = np.clip(np.einsum("ij,ij->i", normals[a], other), -1.0, 1.0)
+        way = self.centres[b] - self.centres[a]
+        inward = np.einsum("ij,ij->i", way, normals[a] - other) > 0
+        angle = np.arccos(cosine)
+        out: Floats = np.where(inward, angle, -angle)
+        return out
+
+
+def lab_of(rgb: Floats) -> Floats:
+    """CIELAB (N, 3), D65, of sRGB colours (N, 3), 0 to 255."""
+    share = np.asarray(rgb, np.float64) / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    # rows of the sRGB matrix, divided by the white point
+    matrix = np.array(
+        [
+            [0.4339533, 0.3762192, 0.1898275],
+            [0.2126729, 0.7151522, 0.0721750],
+            [0.0177566, 0.1094687, 0.8727747],
+        ]
+    )
+    # element by element: a product of matrices may round otherwise in other places of the array
+    xyz = np.stack([sum(linear[:, k] * row[k] for k in range(3)) for row in matrix], axis=1)
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    x, y, z = f.T
+    out: Floats = np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
+    return out
+
+
+def _cross(points: Floats, corners: Ints) -> Floats:
+    a, b, c = points[corners[:, 0]], points[corners[:, 1]], points[corners[:, 2]]
+    out: Floats = np.cross(b - a, c - a).reshape(-1, 3)
+    return out
+
+
+def _least_side(corners: Ints) -> Ints:
+    """0 where two corners (T, 3) are one."""
+    a, b, c = corners.T
+    out: Ints = np.minimum(np.minimum(np.abs(a - b), np.abs(b - c)), np.abs(c - a))
+    return out
+
+
+def _welded(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Points (W, 3) in the order of their coordinates, and the row of each vertex (V,)."""
+    used = np.zeros(len(vertices), np.bool_)
+    used[triangles.ravel()] = True
+    rows = np.flatnonzero(used)
+    spots = vertices[rows]
+    grid = np.rint(spots / _WELD).astype(np.int64)
+    order = np.lexsort((*spots.T, *grid.T))
+    changes = np.zeros(len(rows), np.bool_)
+    if len(rows):
+        changes[0] = True
+        changes[1:] = (np.diff(grid[order], axis=0) != 0).any(axis=1)
+    corner_of = np.zeros(len(vertices), np.int64)
+    corner_of[rows[order]] = np.cumsum(changes) - 1
+    return spots[order[changes]], corner_of
+
+
+def _once(corners: Ints) -> tuple[Ints, Ints]:
+    """First triangle (F,) of each set of corners, and the set of each triangle (T,).
+
+    What is modelled from both sides comes twice, wound both ways; the same winding comes first
+    whatever the order of the file.
+    """
+    low_first = np.sort(corners, axis=1)
+    turns = (np.argmin(corners, axis=1) + np.array([[0], [1], [2]])) % 3
+    a, b, c = (np.take_along_axis(corners, t[:, None], axis=1)[:, 0] for t in turns)
+    odd = b > c
+    order = np.lexsort((odd, low_first[:, 2], low_first[:, 1], a))
+    changes = np.zeros(len(corners), np.bool_)
+    if len(corners):
+        changes[0] = True
+        changes[1:] = (np.diff(low_first[order], axis=0) != 0).any(axis=1)
+    face_of = np.empty(len(corners), np.int64)
+    face_of[order] = np.cumsum(changes) - 1
+    return order[changes], face_of
+
+
+def _neighbours(points: Floats, corners: Ints) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+    """Pairs of faces (P, 2) with a common edge, its length (P,), and whether both run along it alike.
+
+    At an edge of more than two faces each is paired with the next.
+    """
+    count = len(corners)
+    start = corners[:, [0, 1, 2]].ravel()
+    end = corners[:, [1, 2, 0]].ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    key = low * max(len(points), 1) + high
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(np.diff(key[order]) == 0) if count else np.zeros(0, np.int64)
+    one, two = order[same], order[same + 1]
+    pairs = np.stack([one // 3, two // 3], axis=1)
+    along = points[low[one]] - points[high[one]]
+    return pairs, np.sqrt((along * along).sum(axis=1)), start[one] == start[two]

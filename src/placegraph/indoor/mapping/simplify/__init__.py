@@ -1,0 +1,1 @@
+"""Smaller meshes and textures within a bound on the distance."""

@@ -1,0 +1,173 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled loops of mesh simplification: colours and texture coordinates where vertices meet.
+
+A wedge is what the faces around a vertex that look alike there share; where a texture jumps, at a
+seam, a vertex has several. Lists of corners: `placegraph.indoor.mapping.simplify.collapse_kernels`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def face_normal(points, faces, f):
+    """Normal of a face as three numbers, its length twice the area."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    x, y, z = points[a, 0], points[a, 1], points[a, 2]
+    u0, u1, u2 = points[b, 0] - x, points[b, 1] - y, points[b, 2] - z
+    v0, v1, v2 = points[c, 0] - x, points[c, 1] - y, points[c, 2] - z
+    return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+
+
+@njit(cache=True, nogil=True)
+def shares_at(f, x, y, z, points, faces):
+    """Weights of corners 1 and 2 of a face, continued linearly to a point; NaN without area."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    x0, y0, z0 = points[a, 0], points[a, 1], points[a, 2]
+    u0, u1, u2 = points[b, 0] - x0, points[b, 1] - y0, points[b, 2] - z0
+    v0, v1, v2 = points[c, 0] - x0, points[c, 1] - y0, points[c, 2] - z0
+    w0, w1, w2 = x - x0, y - y0, z - z0
+    uu, uv, vv = (
+        u0 * u0 + u1 * u1 + u2 * u2,
+        u0 * v0 + u1 * v1 + u2 * v2,
+        v0 * v0 + v1 * v1 + v2 * v2,
+    )
+    wu, wv = w0 * u0 + w1 * u1 + w2 * u2, w0 * v0 + w1 * v1 + w2 * v2
+    det = uu * vv - uv * uv
+    if det <= 1e-10 * uu * vv:
+        return np.nan, np.nan
+    return (vv * wu - uv * wv) / det, (uu * wv - uv * wu) / det
+
+
+@njit(cache=True, nogil=True)
+def metres_per_uv(f, points, faces, wedges, values):
+    """Length on the surface of one unit of texture coordinates of face f [m]; 0 where it has none."""
+    n0, n1, n2 = face_normal(points, faces, f)
+    a, b, c = wedges[f, 0], wedges[f, 1], wedges[f, 2]
+    d0, d1 = values[b, 0] - values[a, 0], values[b, 1] - values[a, 1]
+    e0, e1 = values[c, 0] - values[a, 0], values[c, 1] - values[a, 1]
+    twice = abs(d0 * e1 - d1 * e0)
+    return np.sqrt(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / twice) if twice > 1e-12 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def wedges_meeting(a, b, faces, wedges, head, after, own, group):
+    """Write the wedges of vertices a and b, and which become one as their edge vanishes.
+
+    `own` gets wedges, `group` the row in `own` of each one's first fellow. Returns how many there
+    are, or -1 where there are more than fit.
+    """
+    n = 0
+    for v in (a, b):
+        corner = head[v]
+        while corner >= 0:
+            w = wedges[corner // 3, corner % 3]
+            known = False
+            for i in range(n):
+                known |= own[i] == w
+            if not known:
+                if n == len(own):
+                    return -1
+                own[n] = w
+                group[n] = n
+                n += 1
+            corner = after[corner]
+    corner = head[a]
+    while corner >= 0:  # faces that vanish tie a wedge of a to one of b
+        f = corner // 3
+        for k in range(3):
+            if faces[f, k] == b:
+                i, j = 0, 0
+                while own[i] != wedges[f, corner % 3]:
+                    i += 1
+                while own[j] != wedges[f, k]:
+                    j += 1
+                low, high = min(group[i], group[j]), max(group[i], group[j])
+                for m in range(n):
+                    if group[m] == high:
+                        group[m] = low
+        corner = after[corner]
+    return n
+
+
+@njit(cache=True, nogil=True)
+def meeting_values(
+    a, b, x, y, z, points, faces, wedges, values, head, after, own, group, n, new, total, checked
+):
+    """Attributes of each group of wedges where its vertices meet, and how far the worst face slides.
+
+    A group that loses a face takes that face's values, continued to the point; another one the mean
+    of its faces' values. Returns the greatest shift of a texture on the surface [m] and of the
+    other attributes, if it is to be `checked`.
+    """
+    total[:n] = 0.0
+    new[:n] = 0.0
+    for vanishing in (True, False):
+        for v in (a, b):
+            corner = head[v]
+            while corner >= 0:
+                f = corner // 3
+                fellow = b if v == a else a
+                both = faces[f, 0] == fellow or faces[f, 1] == fellow or faces[f, 2] == fellow
+                i = 0
+                while own[i] != wedges[f, corner % 3]:
+                    i += 1
+                g = group[i]
+                # second round: only groups that lost no face are open
+                if both == vanishing and (vanishing or total[g] <= 0.0):
+                    s, t = shares_at(f, x, y, z, points, faces)
+                    if not np.isnan(s):
+                        n0, n1, n2 = face_normal(points, faces, f)
+                        weight = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
+                        for k in range(values.shape[1]):
+                            new[g, k] += weight * value_at(f, s, t, wedges, values, k)
+                        total[g] += weight if vanishing else -weight
+                corner = after[corner]
+        for g in range(n):
+            if total[g] != 0.0:
+                new[g] /= abs(total[g])
+                total[g] = 1.0
+    for i in range(n):
+        if total[group[i]] == 0.0:  # nothing but slivers
+            new[group[i]] = values[own[group[i]]]
+    if not checked:
+        return 0.0, 0.0
+    return shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new)
+
+
+@njit(cache=True, nogil=True)
+def value_at(f, s, t, wedges, values, k):
+    """Attribute k of face f where its corners 1 and 2 weigh s and t."""
+    first = values[wedges[f, 0], k]
+    return first + s * (values[wedges[f, 1], k] - first) + t * (values[wedges[f, 2], k] - first)
+
+
+@njit(cache=True, nogil=True)
+def shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new):
+    """How far the texture of faces that stay would slide [m], and other attributes change."""
+    slide, change = 0.0, 0.0
+    for v in (a, b):
+        corner = head[v]
+        while corner >= 0:
+            f = corner // 3
+            fellow = b if v == a else a
+            if faces[f, 0] != fellow and faces[f, 1] != fellow and faces[f, 2] != fellow:
+                s, t = shares_at(f, x, y, z, points, faces)
+                if not np.isnan(s):
+                    i = 0
+                    while own[i] != wedges[f, corner % 3]:
+                        i += 1
+                    g = group[i]
+                    du = value_at(f, s, t, wedges, values, 0) - new[g, 0]
+                    dv = value_at(f, s, t, wedges, values, 1) - new[g, 1]
+                    step = np.sqrt(du * du + dv * dv)
+                    if step > 0.0:
+                        step *= metres_per_uv(f, points, faces, wedges, values)
+                        slide = max(slide, step)
+                    for k in range(2, values.shape[1]):
+                        off = value_at(f, s, t, wedges, values, k) - new[g, k]
+                        change = max(change, abs(off))
+            corner = after[corner]
+    return slide, change

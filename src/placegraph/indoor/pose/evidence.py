@@ -1,0 +1,185 @@
+"""Why a pose is believed: what each object, the depth and the colours said of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from placegraph.estimate import Evidence, ObjectRef
+from placegraph.geometry import compose
+from placegraph.indoor.likelihood.observe import reading_ratio
+from placegraph.indoor.likelihood.score import COLOUR, DEPTH, SEMANTIC, aim
+from placegraph.indoor.rays.packets import (
+    FAR,
+    LANES,
+    TRIANGLE,
+    new_packet,
+    trace16,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.likelihood.score import View
+    from placegraph.indoor.likelihood.scorer import Scorer
+    from placegraph.indoor.rays.packets import Tracer
+    from placegraph.indoor.scene_map import SceneMap
+
+_MOST = 12  # objects named
+_TELLING = 1.0  # log-likelihood ratio below which an object says nothing [nat]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """How far a pose and what was seen agree, in numbers between 0 and 1."""
+
+    covered: float
+    """Share of the samples at which the map has something."""
+    semantic: float
+    """Of patches that see the map and say something, the share that fit; NaN: no patches."""
+    depth: float
+    """Of readings where the map has a surface, the share within one deviation; NaN: none."""
+    colour: float
+    """Mean log-likelihood of the colours per independent sample [nat]; NaN: no colours."""
+    weights: NDArray[np.float64]
+    """(N,) what the patches and readings that concern each object told for the pose [nat]."""
+    told: NDArray[np.float64]
+    """(N,) how many patches or readings concern each object."""
+
+
+def agreement(
+    scorer: Scorer, pose: NDArray[np.float64], views: Sequence[View], steps: NDArray[np.float64]
+) -> Agreement:
+    """Agreement of a pose (4,) of the reference frame with all frames of the sequence."""
+    scene, noise = scorer.scene, scorer.noise
+    count = len(scene)
+    weights, told = np.zeros(count), np.zeros(count)
+    samples = hits = 0
+    fits = {SEMANTIC: [0.0, 0.0], DEPTH: [0.0, 0.0], COLOUR: [0.0, 0.0]}
+    for view, step in zip(views, steps, strict=True):
+        at = compose(pose, step)
+        triangles, distances = look(scene.caster.tracer, at, view.directions)
+        used = view.patch >= 0
+        hit = used & (triangles >= 0)
+        samples, hits = samples + int(used.sum()), hits + int(hit.sum())
+        objects = np.where(triangles >= 0, scene.mesh.object_of[triangles], count)
+        if view.terms[SEMANTIC]:
+            size = len(view.weight)
+            ratio = view.semantic[view.patch, objects]
+            mean = np.bincount(view.patch[used], ratio[used], size)
+            shares = np.bincount(view.patch[used], minlength=size)
+            said = (view.weight > 0) & (np.bincount(view.patch[hit], minlength=size) > 0)
+            logs = np.log(np.maximum(mean[said] / shares[said], 1e-6))
+            fits[SEMANTIC][0] += float((logs > 0).sum())
+            fits[SEMANTIC][1] += float(said.sum())
+            about = _concerned(view.semantic[:, :count], view.patch[hit], objects[hit], said, logs)
+            np.add.at(weights, about, logs * view.weight[said])
+            np.add.at(told, about, 1.0)
+        if view.terms[DEPTH]:
+            read = hit & (view.depth > 0)
+            error = distances[read] - view.depth[read]
+            sd = noise.depth_floor + noise.depth_slope * view.depth[read]
+            ratio = reading_ratio(error, sd, noise) - view.usual_depth[read]
+            fits[DEPTH][0] += float((np.abs(error) < sd).sum())
+            fits[DEPTH][1] += float(read.sum())
+            share = noise.depth_weight / max(1, int(used.sum()))
+            np.add.at(weights, objects[read], ratio * share)
+            np.add.at(told, objects[read], share)
+        if view.terms[COLOUR]:
+            fits[COLOUR][0] += float(scorer.terms(at[None], view)[0, COLOUR])
+            fits[COLOUR][1] += max(1e-9, noise.colour_weight * float(hit.sum()) / used.sum())
+    semantic, depth, colour = (a / b if b else np.nan for a, b in fits.values())
+    return Agreement(hits / max(1, samples), semantic, depth, colour, weights, told)
+
+
+def _concerned(
+    semantic: NDArray[np.float32],
+    patch: NDArray[np.int32],
+    objects: NDArray[np.int32],
+    said: NDArray[np.bool_],
+    logs: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Object that each patch in `said` speaks for or against, by what it sees: `objects` of hits.
+
+    A patch that fits speaks for the object that it sees; one that does not, against the one that it
+    named. Where it named several (all chairs of a map), it speaks against what the map shows there.
+    """
+    size, count = semantic.shape
+    pairs = patch * np.int64(count) + objects
+    sums = np.bincount(pairs, semantic[patch, objects], size * count).reshape(size, count)
+    seen = np.bincount(pairs, minlength=size * count).reshape(size, count)
+    named = semantic.argmax(axis=1)
+    several = (semantic == semantic.max(axis=1, keepdims=True)).sum(axis=1) > 1
+    blamed = np.where(several, seen.argmax(axis=1), named)
+    return np.asarray(np.where(logs > 0, sums.argmax(axis=1)[said], blamed[said]))
+
+
+def explain(scene: SceneMap, agreed: Agreement) -> tuple[Evidence, ...]:
+    """Evidence in words, the heaviest first."""
+    order = np.argsort(-np.abs(agreed.weights), kind="stable")
+    rows = order[agreed.told[order] > 0][:_MOST].tolist()
+    out = [_of_object(scene, n, float(agreed.weights[n])) for n in rows]
+    if not np.isnan(agreed.depth):
+        out.append(
+            Evidence(
+                "depth",
+                "for" if agreed.depth > 0.5 else "against",
+                float(agreed.depth),
+                note=f"{agreed.depth:.0%} of the readings lie on the map's surfaces",
+            )
+        )
+    if not np.isnan(agreed.colour):
+        out.append(
+            Evidence(
+                "colour",
+                "for" if agreed.colour > 0.05 else "silent",
+                float(agreed.colour),
+                note="colours correlate with the map's"
+                if agreed.colour > 0.05
+                else "colours hardly correlate with the map's",
+            )
+        )
+    if agreed.covered < 0.75:
+        out.append(
+            Evidence(
+                "coverage", "silent", 0.0,
+                note=f"the map ends in {1.0 - agreed.covered:.0%} of what the frames see",
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _of_object(scene: SceneMap, n: int, weight: float) -> Evidence:
+    graph = scene.graph
+    verdict = "for" if weight > _TELLING else "against" if weight < -_TELLING else "silent"
+    name = graph.names[n] if graph.names else ""
+    return Evidence(
+        statement=f"{graph.labels[n]} {graph.ids[n]}",
+        verdict=verdict,
+        weight=weight,
+        objects=(ObjectRef(graph.ids[n], graph.labels[n], name),),
+        note="" if verdict != "against" else "not where the map has it",
+    )
+
+
+@njit(cache=True, nogil=True)
+def look(
+    tracer: Tracer, pose: NDArray[np.float64], directions: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Triangles (R,) int32, -1: none, and depths (R,) float32 [m] from one pose (4,)."""
+    n = len(directions)
+    triangles = np.empty(n, np.int32)
+    distances = np.empty(n, np.float32)
+    packet, ints, valid = new_packet()
+    for tile in range(n // LANES):
+        aim(packet, pose, directions, tile * LANES)
+        trace16(tracer, packet, ints, valid)
+        for lane in range(LANES):
+            triangles[tile * LANES + lane] = ints[TRIANGLE, lane]
+            distances[tile * LANES + lane] = packet[FAR, lane]
+    return triangles, distances

@@ -1,0 +1,149 @@
+"""The particle filter: propagate, reweight, resample; it reads as its equations (Sec. 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.pose.motion import propagate
+from placegraph.indoor.pose.particles import Particles, distinct, kld_count, log_sum, resample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.likelihood.score import View
+    from placegraph.indoor.likelihood.scorer import Scorer
+    from placegraph.indoor.options import FilterOptions
+
+FEWEST = 24
+"""Particles below which no resampling goes."""
+_ALIVE = 0.1  # share of particles that must stay effective when an observation is weighed
+_DROP = 25.0  # fall of the mean log-likelihood of a frame below its running mean: kidnapped [nat]
+_MEMORY = 0.2  # of the running mean
+
+
+@dataclass(eq=False)
+class ParticleFilter:
+    """Particles of the newest frame, and how they got there."""
+
+    scorer: Scorer
+    options: FilterOptions
+    rng: Generator
+    particles: Particles
+    most: int
+    """Most particles kept."""
+    usual: float | None = field(default=None)
+    """Running mean of the frames' log-likelihoods, None before the first."""
+    dropped: bool = field(default=False)
+    """The last frame was explained far worse than those before."""
+
+    def move(self, step: NDArray[np.float64]) -> None:
+        """Prediction (Sec. 3.2): all particles take the step (4,), each with its own error."""
+        poses = propagate(self.particles.poses, step, self.options.motion, self.rng)
+        self.particles = Particles(poses, self.particles.log_weights)
+
+    def weigh(self, view: View) -> None:
+        """Update (Sec. 3.3): weights times likelihoods, flattened where they would leave too few.
+
+        A likelihood sharper than the particles are dense makes the nearest particle win by chance;
+        it is tempered until a tenth of them stay effective. Eq. 2 (``gaussian``) is left as it is.
+        """
+        values = self.scorer(self.particles.poses, view)
+        flat = 1.0 if self.options.likelihood.kind == "gaussian" else self._flatten(values)
+        explained = float(values.max())
+        self.dropped = self.usual is not None and explained < self.usual - _DROP
+        self.usual = (
+            explained if self.usual is None else (1.0 - _MEMORY) * self.usual + _MEMORY * explained
+        )
+        self.particles, _ = self.particles.reweighted(flat * values)
+
+    def _flatten(self, values: NDArray[np.float64]) -> float:
+        """Exponent in (0, 1] of the likelihood that leaves enough particles effective."""
+        wanted = max(4.0, _ALIVE * len(values))
+        low, high = 0.0, 1.0
+
+        def effective(exponent: float) -> float:
+            logs = self.particles.log_weights + exponent * values
+            logs = logs - log_sum(logs)
+            return float(np.exp(-log_sum(2.0 * logs)))
+
+        if effective(1.0) >= wanted:
+            return 1.0
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if effective(middle) >= wanted else (low, middle)
+        return max(low, 1e-3)
+
+    def renew(self) -> None:
+        """Adaptive resampling (Sec. 3.5) by KLD, or to as many as before."""
+        count = len(self.particles)
+        if self.options.kld:
+            count = kld_count(self.particles, self.options)
+        self.particles = resample(self.particles, int(np.clip(count, FEWEST, self.most)), self.rng)
+
+    def inject(self, poses: NDArray[np.float64]) -> None:
+        """Poses from elsewhere take the place of others, at most half of them, evenly from all.
+
+        The particles were resampled, and hence are equal; but neighbours stand side by side, and a
+        mode whose particles came first would be lost.
+        """
+        old = self.particles.poses
+        left = max(len(old) - len(poses), len(old) // 2)
+        kept = old[np.linspace(0, len(old) - 1, left).round().astype(np.int64)]
+        self.particles = Particles.even(np.concatenate([poses[: self.most - left], kept]))
+
+    def modes(self) -> NDArray[np.float64]:
+        """Distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
+        rows = distinct(self.particles.poses, self.particles.log_weights, self.options.modes)
+        return self.particles.poses[rows]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What one pass over a sequence left."""
+
+    modes: NDArray[np.float64]
+    """(K, 4) poses of the last frame, heaviest first."""
+    particles: Particles
+    """Of the last frame, weighed."""
+    record: tuple[tuple[int, NDArray[np.float64], NDArray[np.float64]], ...]
+    """Index of the frame, poses (N, 4), weights (N,); empty unless recorded."""
+    counts: tuple[int, ...]
+    """Particles at each frame."""
+
+
+def run_pass(
+    filter_: ParticleFilter,
+    views: Sequence[View],
+    steps: NDArray[np.float64],
+    frames: Sequence[int],
+    elsewhere: Callable[[int, int], NDArray[np.float64]] | None = None,
+    tick: Callable[[], None] | None = None,
+) -> Run:
+    """Filter a sequence from its first frame to its last.
+
+    `steps`: (T, 4), step t leads from frame t - 1 to frame t; `elsewhere(t, n)` draws n poses of
+    frame t from the whole map, for a camera that was carried away.
+    """
+    record = []
+    counts = []
+    for t, view in enumerate(views):
+        if t:
+            filter_.renew()
+            if elsewhere is not None and filter_.dropped and filter_.options.injection:
+                share = int(filter_.options.injection * filter_.most) + 1
+                filter_.inject(elsewhere(t - 1, share))
+            filter_.move(steps[t])
+        filter_.weigh(view)
+        counts.append(len(filter_.particles))
+        if filter_.options.record:
+            weighed = filter_.particles
+            record.append((int(frames[t]), weighed.poses.copy(), weighed.weights))
+        if tick:
+            tick()
+    return Run(filter_.modes(), filter_.particles, tuple(record), tuple(counts))

@@ -1,0 +1,109 @@
+"""What is known of a pose before the frames are looked at: a sentence, and which scene it is in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.map.panoramas import AZIMUTHS, STEP
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.estimate import Evidence
+    from placegraph.indoor.language import Sentence
+    from placegraph.indoor.map.visibility import VisibilityTable
+    from placegraph.indoor.scene_map import SceneMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leaning:
+    """A log prior over the poses of a visibility table, and the shares of its merged scenes."""
+
+    scene: SceneMap
+    table: VisibilityTable
+    sentence: Sentence | None
+    logs: NDArray[np.float32]
+    """(K, A) log prior of every position and heading [nat]."""
+    parts: tuple[tuple[NDArray[np.int64], float], ...]
+    """Rows of positions that are searched together, and their share of the first particles."""
+
+    @classmethod
+    def of(
+        cls,
+        scene: SceneMap,
+        table: VisibilityTable,
+        description: str | Sentence | None,
+        shares: ArrayLike | None,
+    ) -> Leaning | None:
+        """Leaning of a description and of shares (S,) of the merged scenes; None of neither.
+
+        Raises
+        ------
+        OptionError
+            The description says nothing that this map could serve; shares are no probabilities.
+
+        """
+        if description is None and shares is None:
+            return None
+        sentence = _read(description, scene)
+        logs = np.zeros((len(table), AZIMUTHS), np.float32)
+        if sentence is not None:
+            logs += sentence.prior(scene, table)
+        return cls(scene, table, sentence, logs, _parts(scene, table, shares))
+
+    def at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log prior (N,) of poses (N, 4): of the nearest position and heading of the table."""
+        rows = [int(np.square(self.table.positions - p[:3]).sum(axis=1).argmin()) for p in poses]
+        headings = np.round(poses[:, 3] / STEP).astype(np.int64) % AZIMUTHS
+        return self.logs[rows, headings].astype(np.float64)
+
+    def evidence(self, pose: NDArray[np.float64]) -> tuple[Evidence, ...]:
+        """What each statement of the description says of a pose (4,)."""
+        if self.sentence is None:
+            return ()
+        return self.sentence.evidence(self.scene, self.table, pose)
+
+    def against(self, pose: NDArray[np.float64]) -> str:
+        """What of the description is not so at a pose (4,), if that outweighs what is."""
+        told = self.evidence(pose)
+        if sum(e.weight for e in told) >= 0:
+            return ""
+        return ", ".join(repr(e.statement) for e in told if e.verdict == "against")
+
+
+def _read(description: str | Sentence | None, scene: SceneMap) -> Sentence | None:
+    if description is None:
+        return None
+    from placegraph.indoor.language import read
+
+    sentence = read(description) if isinstance(description, str) else description
+    ignored = [*sentence.ignored, *sentence.unused(scene)]
+    if len(sentence.unused(scene)) == len(sentence.statements):
+        reasons = "; ".join(f"{i.text!r}: {i.reason}" for i in ignored)
+        raise OptionError(
+            f"description {sentence.text!r} says nothing of this map"
+            f"{f' ({reasons})' if reasons else ''}; name things that it has."
+        )
+    return sentence
+
+
+def _parts(
+    scene: SceneMap, table: VisibilityTable, shares: ArrayLike | None
+) -> tuple[tuple[NDArray[np.int64], float], ...]:
+    if shares is None:
+        return ((np.arange(len(table)), 1.0),)
+    share = np.asarray(shares, np.float64)
+    if share.shape != (len(scene.scenes),) or not (share >= 0).all() or not share.sum() > 0:
+        raise OptionError(
+            f"shares: {share.tolist()}; give one number from 0 for each of the map's "
+            f"{len(scene.scenes)} scenes."
+        )
+    part = np.array([scene.scene_at(p[:2]) for p in table.positions])
+    rows = [np.flatnonzero(part == s) for s in range(len(share))]
+    return tuple(
+        (r, float(s / share.sum())) for r, s in zip(rows, share, strict=True) if len(r) and s > 0
+    )

@@ -1,0 +1,285 @@
+"""One frame at a time: the same algorithm for a robot that wants a pose now, and again soon."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate, Status
+from placegraph.geometry import (
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+    wrap,
+)
+from placegraph.indoor.encode import for_map
+from placegraph.indoor.likelihood.observe import FINE, sight
+from placegraph.indoor.likelihood.scorer import Scorer
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.filter import ParticleFilter
+from placegraph.indoor.pose.particles import Particles, moments
+from placegraph.indoor.pose.polish import NARROWEST, Fit, refine
+from placegraph.indoor.pose.sequence import Sequence_, leveled, own_encoder, usable
+from placegraph.indoor.pose.verdict import verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Camera
+    from placegraph.indoor.encode import Encoder, MapEncoder
+    from placegraph.indoor.language import Sentence
+    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.scene_map import SceneMap
+
+KEPT = 10
+"""Keyframes remembered: what a search after the camera was lost has to go by."""
+FITTED = 5
+"""Newest of them that the pose is fitted to while it is known."""
+PARTICLES = 80
+APART, TURNED = 0.15, 0.12
+"""A new keyframe is this far on [m], or turned by this much [rad]."""
+WAIT = 5
+"""Frames after which a camera that stands still, and is lost, is looked up again."""
+PATIENCE = 3
+"""Frames that may contradict the pose before it is given up."""
+
+
+class Tracker:
+    """Localizes a stream of frames in one map; time and memory a frame are bounded.
+
+    Until the pose is known, the newest keyframes are looked up in the visibility table and polished
+    together; then a small particle cloud follows the camera and is fitted to the last keyframes. A
+    pose that the frames contradict for a while is given up, and searched for anew.
+
+    Parameters
+    ----------
+    scene
+        The map; only read.
+    camera
+        Camera of the frames; frames of another are refused.
+    options, encoder, seed, device
+        As of `localize`.
+    description, shares
+        As of `localize`, of where it begins: forgotten once the pose is known.
+
+    """
+
+    def __init__(
+        self,
+        scene: SceneMap,
+        camera: Camera | None = None,
+        *,
+        options: FilterOptions | None = None,
+        encoder: str | Encoder | MapEncoder | None = None,
+        seed: int = 0,
+        device: str = "auto",
+        description: str | Sentence | None = None,
+        shares: ArrayLike | None = None,
+    ) -> None:
+        self.scene = scene
+        self.camera = camera
+        self.options = usable(scene, options or FilterOptions())
+        self.encoder = None if encoder is None else for_map(encoder, scene)
+        self.description, self.shares = description, shares
+        self.rng = np.random.default_rng(seed)
+        self.scorer = Scorer(scene, self.options.likelihood, device)
+        self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
+        self._filter: ParticleFilter | None = None
+        self._last: Frame | None = None
+        self._answer: PoseEstimate | None = None
+        self._doubts = 0
+        self._waited = 0
+
+    @property
+    def following(self) -> bool:
+        """Whether the pose is known."""
+        return self._filter is not None
+
+    def update(self, frame: Frame) -> PoseEstimate:
+        """Estimate of this frame's pose.
+
+        Raises
+        ------
+        OptionError
+            The frame is of another camera; it has nothing that can be compared with the map.
+        InputError
+            Its images are broken; the tracker is as it was before.
+
+        """
+        if self.camera is not None and frame.camera != self.camera:
+            raise OptionError("frame: taken by another camera than the tracker was made for.")
+        if self.encoder is None:
+            self.encoder = own_encoder(self.scene, frame)
+        sighting = sight(frame, self.encoder, self.options)
+        if not (sighting.patches or sighting.depth is not None or sighting.rgb is not None):
+            raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
+        keyframe = self._is_keyframe(frame)
+        estimate = self._follow(sighting) if self.following else None
+        if keyframe:
+            self.keyframes.append(sighting)
+        if estimate is None:
+            self._waited += 1
+            due = keyframe or self._waited >= WAIT or self._answer is None
+            estimate = self._search(sighting) if due else self._carried(frame)
+        self._last, self._answer = frame, estimate
+        return estimate
+
+    def reset(self) -> None:
+        """Forget the pose and all frames."""
+        self.keyframes.clear()
+        self._filter, self._last, self._answer = None, None, None
+        self._doubts = self._waited = 0
+
+    # ------------------------------------------------------------------------------ following
+
+    def _follow(self, sighting: Sighting) -> PoseEstimate | None:
+        """Move, weigh and fit; None where the pose had to be given up."""
+        assert self._filter is not None and self._last is not None  # noqa: S101, PT018  following
+        frame = sighting.frame
+        window = [*list(self.keyframes)[-FITTED + 1 :], sighting]
+        sequence = self._sequence(window)
+        step = _steps([self._last, frame])[1]
+        self._filter.renew()
+        self._filter.move(step)
+        view = sequence.views(FINE)[-1]
+        self._filter.weigh(view)
+        mean, covariance = moments(self._filter.particles.poses, self._filter.particles.weights)
+        spread = np.clip(np.sqrt(np.diag(covariance)), 2.0 * NARROWEST, 10.0 * NARROWEST)
+        fit = refine(self.scorer, mean, spread, sequence.round(FINE, rounds=2), self.rng)
+        estimate = verdict(sequence, [fit])
+        self._doubts = 0 if estimate.status is Status.OK else self._doubts + 1
+        if self._doubts >= PATIENCE:
+            self._filter, self._doubts = None, 0
+            self.keyframes.clear()  # they led to a wrong belief
+            return replace(estimate, status=Status.LOST, reason=f"Lost: {estimate.reason}")
+        self._settle(fit)
+        return estimate
+
+    def _settle(self, fit: Fit) -> None:
+        """Gather the particles around a fit."""
+        self.description = self.shares = None
+        spread = np.maximum(fit.spread, 2.0 * NARROWEST)
+        poses = fit.pose + self.rng.normal(size=(PARTICLES, 4)) * spread
+        self._filter = ParticleFilter(
+            self.scorer, self.options, self.rng, Particles.even(poses), PARTICLES
+        )
+
+    # ------------------------------------------------------------------------------ searching
+
+    def _search(self, newest: Sighting) -> PoseEstimate:
+        """Look the keyframes, and the newest frame, up in the whole map."""
+        self._waited = 0
+        known = [s for s in self.keyframes if s is not newest]
+        sequence = self._sequence([*known[-KEPT + 1 :], newest])
+        estimate, fits = sequence.searched(self.rng)
+        if estimate.status is Status.OK:
+            self._doubts = 0
+            self._settle(fits[0])
+        return estimate
+
+    def _carried(self, frame: Frame) -> PoseEstimate:
+        """The last answer, carried on by odometry: a frame too near the last to tell more."""
+        assert self._answer is not None and self._last is not None  # noqa: S101, PT018
+        if not self._answer.modes:
+            return self._answer
+        step = _steps([self._last, frame])[1]
+        level = level_from_camera(frame.gravity)
+        modes = []
+        for mode in self._answer.modes:
+            pose = compose(mode.pose, step)
+            matrix = pose_matrix(pose, level)
+            into = mode.scene_from_camera @ np.linalg.inv(mode.map_from_camera)
+            modes.append(
+                replace(mode, pose=pose, map_from_camera=matrix, scene_from_camera=into @ matrix)
+            )
+        return replace(
+            self._answer,
+            modes=tuple(modes),
+            trajectory=modes[0].map_from_camera[None],
+            frames=np.array([frame.index]),
+        )
+
+    def _sequence(self, sightings: list[Sighting]) -> Sequence_:
+        poses = leveled([s.frame for s in sightings])
+        return Sequence_(
+            self.scene, self.options, self.scorer, sightings, poses, self.description, self.shares
+        )
+
+    def _is_keyframe(self, frame: Frame) -> bool:
+        if not self.keyframes:
+            return True
+        step = _steps([self.keyframes[-1].frame, frame])[1]
+        return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
+
+
+def _steps(frames: Sequence[Frame]) -> NDArray[np.float64]:
+    """(T, 4), step t from frame t - 1 to frame t; the first is none."""
+    poses = leveled(frames)
+    steps = np.zeros_like(poses)
+    steps[1:] = between(poses[:-1], poses[1:])
+    return steps
+
+
+def follow(
+    tracker: Tracker,
+    frames: Sequence[Frame],
+    progress: Callable[[str, int, int], None] | None,
+) -> PoseEstimate:
+    """`localize` for a long capture: its last pose, and a trajectory of poses as they were known.
+
+    Frames before the pose was first known are led back from there by odometry.
+    """
+    known: list[NDArray[np.float64] | None] = []
+    for i, frame in enumerate(frames):
+        estimate = tracker.update(frame)
+        sure = estimate.status is Status.OK and estimate.best is not None
+        known.append(estimate.best.map_from_camera if sure and estimate.best else None)
+        if progress:
+            progress("tracking", i + 1, len(frames))
+    rows = [i for i, matrix in enumerate(known) if matrix is not None]
+    stats = {
+        "known": len(rows),
+        "frames": len(frames),
+        "rays": tracker.scorer.rays,
+        "poses_scored": tracker.scorer.poses,
+        "seconds_scoring": round(tracker.scorer.seconds, 4),
+        "device": tracker.scorer.device,
+    }
+    if not rows:
+        return replace(estimate, stats=stats)
+    trajectory = _filled(known, rows, frames)
+    if estimate.best is not None:
+        trajectory[-1] = estimate.best.map_from_camera
+    return replace(
+        estimate,
+        trajectory=trajectory,
+        frames=np.array([f.index for f in frames]),
+        stats=stats,
+    )
+
+
+def _filled(
+    known: list[NDArray[np.float64] | None], rows: list[int], frames: Sequence[Frame]
+) -> NDArray[np.float64]:
+    """Matrices (T, 4, 4): unknown ones by odometry from the nearest known, the earlier of two."""
+    poses = leveled(frames)
+    out = np.empty((len(frames), 4, 4))
+    for i, matrix in enumerate(known):
+        if matrix is not None:
+            out[i] = matrix
+            continue
+        near = min(rows, key=lambda r: (abs(r - i), r))
+        anchor = known[near]
+        assert anchor is not None  # noqa: S101  rows are known
+        pose = compose(split_pose(anchor)[0], between(poses[near], poses[i]))
+        out[i] = pose_matrix(pose, level_from_camera(frames[i].gravity))
+    return out

@@ -1,0 +1,233 @@
+"""From fits to an estimate: probabilities, covariance, and a status that can be trusted."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.estimate import PoseEstimate, PoseMode, Status
+from placegraph.geometry import between, compose, pose_matrix
+from placegraph.indoor.likelihood.depth_unit import hint
+from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.pose.evidence import Agreement, agreement, explain
+from placegraph.indoor.pose.polish import covariance_of, probabilities
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import Evidence
+    from placegraph.geometry import Floats
+    from placegraph.indoor.pose.leaning import Leaning
+    from placegraph.indoor.pose.polish import Fit
+    from placegraph.indoor.pose.sequence import Sequence_
+    from placegraph.indoor.scene_map import SceneMap
+
+TEMPERATURE = 2.7
+"""Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
+that their sum is taken for worth sqrt(T) of them."""
+TEMPERATURE_DEPTH = 4.0
+"""The same where depth takes part: its errors are the map's, and go together."""
+SURE = 0.9
+"""Probability of the best mode from which on the answer is `OK`."""
+SURER = 0.999
+"""The same where depth alone speaks and the map ends in much of what is seen."""
+WIDENED = 3.0
+"""Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
+LOOSE = 0.35
+"""A pose whose position is not known better than this [m] is not `OK`."""
+
+_COVERED = 0.9
+_BLIND = 0.2
+_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
+_DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.8, 0.55
+_COLOURS_ALONE = 0.4
+_WITNESSES = 4
+_LENIENT = 0.15  # how much less the newest frame alone must agree
+_COLOURS_AGREE, _COLOURS_CONTRADICT = 0.12, 0.005
+
+
+def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
+    """Estimate of the last frame from fits, best first."""
+    scene = sequence.scene
+    last = len(sequence) - 1
+    looked = sequence.newest()
+    views_ = sequence.views(FINE)
+    steps = between(sequence.poses[last], sequence.poses)
+    levels = np.stack([s.level for s in sequence.sightings])
+
+    def agreed_at(fit: Fit) -> Agreement:
+        return agreement(sequence.scorer, fit.pose, [views_[i] for i in looked], steps[looked])
+
+    heat = TEMPERATURE if np.isnan(agreed_at(fits[0]).depth) else TEMPERATURE_DEPTH
+    gaussian = sequence.options.likelihood.kind == "gaussian"  # Eq. 2 is taken at its word
+    fits, shares = _shared(sequence, fits, 1.0 if gaussian else heat * np.sqrt(len(looked)))
+    agreed = [agreed_at(f) for f in fits[:_EXPLAINED]]
+    modes = []
+    for i, (fit, share) in enumerate(zip(fits, shares, strict=True)):
+        matrix = pose_matrix(fit.pose, levels[last])
+        row = scene.scene_at(fit.pose[:2])
+        modes.append(
+            PoseMode(
+                map_from_camera=matrix,
+                pose=fit.pose,
+                covariance=WIDENED * covariance_of(fit),
+                probability=float(share),
+                scene=scene.scenes[row],
+                scene_from_camera=scene.scene_from_map[row] @ matrix,
+                explain=partial(_explained, sequence.leaning, scene, agreed[i], fit.pose)
+                if i < len(agreed)
+                else tuple,
+            )
+        )
+    told = float(fits[0].log_likelihood) / len(looked)
+    status, reason = judge(agreed[0], modes, told)
+    if status is Status.OK and len(sequence) > 1:
+        newest = agreement(sequence.scorer, fits[0].pose, views_[last:], steps[last:])
+        against = disagreement(newest, _PATCHES_TELL, _LENIENT)
+        if against:
+            status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
+    looks = any(s.patches is not None and not s.patches.named for s in sequence.sightings)
+    if status is Status.OK and looks and not _seen_otherwise(agreed[0]):
+        status = Status.AMBIGUOUS
+        reason = "One place fits best, but what patches look like says too little of it alone."
+    if status is Status.OK and sequence.leaning is not None:
+        against = sequence.leaning.against(fits[0].pose)
+        if against:
+            status, reason = Status.AMBIGUOUS, f"{reason} But that is not what was said: {against}."
+    if status is not Status.OK:
+        reason = f"{reason} {_unit(sequence)}".rstrip()
+    return PoseEstimate(
+        status=status,
+        modes=tuple(modes),
+        reason=reason,
+        trajectory=pose_matrix(compose(fits[0].pose, steps), levels),
+        frames=np.array([s.frame.index for s in sequence.sightings]),
+    )
+
+
+def _shared(
+    sequence: Sequence_, fits: list[Fit], heat: float
+) -> tuple[list[Fit], NDArray[np.float64]]:
+    """Fits, likeliest first, and their probabilities.
+
+    What somebody said of the place is no image: it is a witness of its own, and counts in full.
+    """
+    shares = probabilities(np.array([f.log_likelihood for f in fits]), heat)
+    if sequence.leaning is None:
+        return fits, shares
+    shares *= np.exp(sequence.leaning.at(np.stack([f.pose for f in fits])))
+    order = np.argsort(-shares, kind="stable")
+    return [fits[i] for i in order], shares[order] / shares.sum()
+
+
+def _explained(
+    leaning: Leaning | None, scene: SceneMap, agreed: Agreement, pose: Floats
+) -> tuple[Evidence, ...]:
+    said = () if leaning is None else leaning.evidence(pose)
+    return said + explain(scene, agreed)
+
+
+def evidence_at(sequence: Sequence_, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
+    """Finds what the newest frames say of a pose (4,) of the last one; the frames are let go."""
+    newest = sequence.round(FINE, rounds=0)
+    agreed = agreement(sequence.scorer, pose, newest.views, newest.steps)
+    return partial(_explained, sequence.leaning, sequence.scene, agreed, pose)
+
+
+_EXPLAINED = 3  # modes that can be explained
+
+
+def _unit(sequence: Sequence_) -> str:
+    """That depth looks to be in another unit; empty where it does not."""
+    frame = sequence.sightings[-1].frame
+    return hint(sequence.views(FINE), sequence.table.background, frame)
+
+
+def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[Status, str]:
+    """Status and reason: the best mode must agree with what was seen, and beat all others.
+
+    `told`: log-likelihood ratio of the best mode against anywhere, per frame [nat].
+    """
+    against = disagreement(agreed, told)
+    if against:
+        return Status.LOST, f"Nowhere on the map fits: {against}."
+    best = modes[0]
+    rivals = sum(m.probability > 0.01 for m in modes[1:])
+    depth_alone = np.isnan(agreed.semantic) and np.isnan(agreed.colour)
+    needed = SURER if depth_alone and agreed.covered < _COVERED else SURE
+    if best.probability < needed:
+        others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
+        return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
+    doubt = _doubt(agreed)
+    if doubt:
+        return Status.AMBIGUOUS, f"One place fits best, but {doubt}."
+    loose = float(np.sqrt(np.trace(best.covariance[:2, :2])))
+    if loose > LOOSE:
+        return Status.AMBIGUOUS, f"One place fits best, but only to within {loose:.1f} m."
+    return Status.OK, f"One place fits: {_praise(agreed)}."
+
+
+def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
+    """Why the best pose cannot be right; empty where it can.
+
+    `lenient`: how much smaller shares of agreement may be than for a whole sequence.
+    """
+    if agreed.covered < _BLIND - lenient:
+        return f"the map shows only {agreed.covered:.0%} of what the frames see"
+    backed = agreed.colour > _COLOURS_AGREE
+    if agreed.semantic < _PATCHES_AGREE - lenient:
+        return f"only {agreed.semantic:.0%} of the labelled patches see their object"
+    if agreed.depth < (_DEPTH_BACKED if backed else _DEPTH_DOUBTFUL) - lenient:
+        return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
+    labelled, measured = not np.isnan(agreed.semantic), not np.isnan(agreed.depth)
+    if labelled and not measured and told < _PATCHES_TELL:
+        return "the labels seen fit many places as badly"
+    if not (labelled or measured or backed or lenient):
+        return "the colours hardly correlate with the map's anywhere"
+    return ""
+
+
+def _doubt(agreed: Agreement) -> str:
+    """What keeps a pose that is better than all others from being trusted."""
+    if np.isnan(agreed.depth):
+        return _doubt_without_depth(agreed)
+    backed = agreed.colour > _COLOURS_AGREE
+    if agreed.depth < _DEPTH_AGREES and not backed:
+        return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
+    if not np.isnan(agreed.semantic) or np.isnan(agreed.colour) or backed:
+        return ""
+    if agreed.covered < _COVERED:
+        return "the map ends in much of what is seen, and the colours do not agree"
+    if agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
+        return "the colours do not agree"
+    return ""
+
+
+def _seen_otherwise(agreed: Agreement) -> bool:
+    """Whether depth, or colours by themselves, would make sure of a pose."""
+    return not np.isnan(agreed.depth) or agreed.colour > _COLOURS_ALONE
+
+
+def _doubt_without_depth(agreed: Agreement) -> str:
+    """Labels of a few large things, or colours that hardly correlate, fit many places."""
+    if np.isnan(agreed.semantic):
+        return "" if agreed.colour > _COLOURS_ALONE else "colours alone say too little of it"
+    witnesses = int((agreed.weights > 1.0).sum())
+    if witnesses < _WITNESSES and not agreed.colour > _COLOURS_AGREE:
+        return f"only {witnesses} of its objects were seen"
+    return ""
+
+
+def _praise(agreed: Agreement) -> str:
+    parts = []
+    if not np.isnan(agreed.semantic):
+        parts.append(f"{agreed.semantic:.0%} of the labelled patches")
+    if not np.isnan(agreed.depth):
+        parts.append(f"{agreed.depth:.0%} of the depth readings")
+    if agreed.colour > _COLOURS_AGREE:
+        parts.append("the colours")
+    return f"{', '.join(parts) or 'what was seen'} agree with the map"

@@ -1,5 +1,0 @@
-"""Ray casting: one small interface, several engines."""
-
-from placegraph.indoor.raycast.caster import Backend, Hits, RayCaster
-
-__all__ = ["Backend", "Hits", "RayCaster"]

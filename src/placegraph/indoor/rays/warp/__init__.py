@@ -1,0 +1,1 @@
+"""Rays, scores and renderings on a CUDA device, by NVIDIA Warp."""

@@ -1,0 +1,186 @@
+"""Rays and scores on a CUDA GPU, by NVIDIA Warp (extra ``gpu``)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from placegraph.indoor.rays.caster import Hits, checked_mesh, checked_rays
+from placegraph.indoor.rays.layout import LANES
+from placegraph.indoor.rays.warp.device import open_device, quietly
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.indoor.likelihood.score import Noise, View
+    from placegraph.indoor.scene_map import SceneMap
+
+BATCH = 4_000_000
+"""So many rays are scored at once; more poses take several batches, not more memory."""
+WarpArray: TypeAlias = Any
+"""An array on a device of Warp, which is imported only where it is used."""
+
+
+class WarpCaster:
+    """Closest hits with a triangle mesh, as `RayCaster` gives them.
+
+    Parameters
+    ----------
+    vertices
+        (V, 3) [m], finite; kept as float32.
+    triangles
+        (T, 3) rows of vertices.
+    device
+        ``cuda`` (the first), ``cuda:N``, or ``cpu``: one thread, meant for tests.
+
+    Raises
+    ------
+    OptionError
+        The mesh is not one (see `RayCaster`), or there is no such device.
+    MissingExtraError
+        Warp is not installed.
+    """
+
+    def __init__(self, vertices: ArrayLike, triangles: ArrayLike, *, device: str = "cuda") -> None:
+        corners, rows = checked_mesh(vertices, triangles)
+        self.warp, self.device = open_device(device)
+        from placegraph.indoor.rays.warp import ray_kernels as warp_kernels
+
+        self._kernels = warp_kernels
+        wp = self.warp
+        with quietly(wp):
+            wp.load_module(warp_kernels, device=self.device)
+            # by the surface area heuristic: the quicker build that is Warp's choice on a GPU
+            # makes trees whose rays take longer
+            self.mesh = wp.Mesh(
+                points=self.vectors(corners),
+                indices=self.array(rows.ravel()),
+                bvh_constructor="sah",
+            )
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
+        """Closest hits of rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3)."""
+        start, along = checked_rays(origins, directions)
+        with np.errstate(invalid="ignore", over="ignore"):
+            lengths = np.linalg.norm(along.astype(np.float64), axis=1)
+            sane = np.isfinite(start).all(axis=1) & np.isfinite(lengths) & (lengths > 0.0)
+        unit = np.where(sane[:, None], along / np.where(sane, lengths, 1.0)[:, None], 0.0)
+        start = np.where(sane[:, None], start, 0.0)
+        hits = Hits.empty(len(along))
+        columns = [self.array(column) for column in _columns(hits)]
+        self.warp.launch(
+            self._kernels.cast,
+            len(along),
+            [self.mesh.id, self.vectors(start), self.vectors(unit), *columns],
+            device=self.device,
+        )
+        for column, result in zip(_columns(hits), columns, strict=True):
+            column[:] = result.numpy()
+        hits.distance[:] = hits.distance / np.where(sane, lengths, 1.0)
+        return hits
+
+    def array(self, values: NDArray[Any]) -> WarpArray:
+        """A numpy array on the device."""
+        kind = self.warp.dtype_from_numpy(values.dtype)
+        return self.warp.array(values, dtype=kind, device=self.device)
+
+    def vectors(self, values: NDArray[Any]) -> WarpArray:
+        """Rows of (N, 3) as vectors on the device."""
+        rows = np.ascontiguousarray(values, np.float32)
+        return self.warp.array(rows, dtype=self.warp.vec3, device=self.device)
+
+
+def _columns(hits: Hits) -> tuple[Any, ...]:
+    return hits.triangle, hits.distance, hits.u, hits.v
+
+
+class WarpScorer:
+    """Scores of poses on a device, as `score.score_poses` gives them.
+
+    Parameters
+    ----------
+    scene
+        Its mesh and surface are copied to the device.
+    device
+        As for `WarpCaster`.
+
+    Raises
+    ------
+    OptionError
+        There is no such device.
+    MissingExtraError
+        Warp is not installed.
+    """
+
+    def __init__(self, scene: SceneMap, device: str = "cuda") -> None:
+        self._caster = WarpCaster(scene.mesh.vertices, scene.mesh.triangles, device=device)
+        from placegraph.indoor.rays.warp import score_kernels as warp_score_kernels
+
+        self._kernels = warp_score_kernels
+        with quietly(self._caster.warp):
+            self._caster.warp.load_module(warp_score_kernels, device=self._caster.device)
+        self._surface = warp_score_kernels.Surface()
+        for name in scene.surface._fields:
+            setattr(self._surface, name, self._caster.array(getattr(scene.surface, name)))
+        self._last: tuple[View, Any] | None = None
+
+    def score(self, poses: NDArray[np.float64], view: View, noise: Noise) -> NDArray[np.float32]:
+        """Scores (N, 3) of poses (N, 4) x, y, z [m], yaw [rad]: semantic, depth, colour."""
+        scores = np.zeros((len(poses), 3), np.float32)
+        if self._last is None or self._last[0] is not view:
+            self._last = view, self._upload(view)
+        seen, model = self._last[1], self._kernels.Noise()
+        for name in noise._fields:
+            setattr(model, name, getattr(noise, name))
+        batch = max(1, BATCH // len(view.directions))
+        for first in range(0, len(poses), batch):
+            part = poses[first : first + batch]
+            scores[first : first + batch] = self._score(part, view, seen, model)
+        return scores
+
+    def _score(
+        self, poses: NDArray[np.float64], view: View, seen: WarpArray, model: WarpArray
+    ) -> NDArray[np.float32]:
+        caster, kernels = self._caster, self._kernels
+        wp, device = caster.warp, caster.device
+        n, rays, patches = len(poses), len(view.directions), len(view.weight)
+        turns = np.stack([np.cos(poses[:, 3]), np.sin(poses[:, 3])], axis=1).astype(np.float32)
+        semantic = wp.empty((n, rays), dtype=wp.float32, device=device)
+        depth = wp.empty((n, rays), dtype=wp.float32, device=device)
+        colour = wp.empty((n, rays), dtype=wp.vec3, device=device)
+        sums = wp.empty((n, rays // LANES, kernels.SUMS), dtype=wp.float32, device=device)
+        said = wp.empty((n, patches), dtype=wp.float32, device=device)
+        scores = wp.empty((n, 3), dtype=wp.float32, device=device)
+        places = caster.vectors(poses[:, :3]), wp.array(turns, dtype=wp.vec2, device=device)
+        for kernel, shape, arguments in (
+            (
+                kernels.shade,
+                (n, rays),
+                [caster.mesh.id, *places, self._surface, seen, model, semantic, depth, colour],
+            ),
+            (kernels.sum_tiles, (n, rays // LANES), [seen, depth, colour, sums]),
+            (kernels.sum_patches, (n, patches), [seen, model, semantic, said]),
+            (kernels.finish, n, [seen, model, sums, said, scores]),
+        ):
+            wp.launch(kernel, shape, arguments, device=device)
+        return np.asarray(scores.numpy())
+
+    def _upload(self, view: View) -> WarpArray:
+        """A view on the device, its samples sorted by patch."""
+        caster, seen = self._caster, self._kernels.View()
+        for name in ("patch", "semantic", "weight", "depth", "usual_depth"):
+            setattr(seen, name, caster.array(getattr(view, name)))
+        for name in ("directions", "colour"):
+            setattr(seen, name, caster.vectors(getattr(view, name)))
+        seen.footprint = float(view.footprint)
+        seen.has_semantic, seen.has_depth, seen.has_colour = (int(term) for term in view.terms)
+        inside = np.flatnonzero(view.patch >= 0)
+        counts = np.bincount(view.patch[inside], minlength=len(view.weight))
+        order = inside[np.argsort(view.patch[inside], kind="stable")]
+        seen.samples = caster.array(order.astype(np.int32))
+        seen.starts = caster.array(np.append(0, np.cumsum(counts)).astype(np.int32))
+        seen.number = float(len(inside))
+        seen.readings = float((view.depth[inside] > 0).sum() if view.terms[1] else 0)
+        seen.patches = float(((counts > 0) & (view.weight > 0)).sum())
+        return seen

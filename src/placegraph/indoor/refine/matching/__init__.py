@@ -1,0 +1,108 @@
+"""Matchers: which points of a photograph and of a rendering of the map show the same spot.
+
+    matches = matcher("sift").match(photograph, [rendering])
+
+Choosing another is one word. Points have pixel centres at +0.5 everywhere.
+"""
+
+from __future__ import annotations
+
+import inspect
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import OptionError
+from placegraph.indoor.refine.matching.matches import Matcher, Matches
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+__all__ = ["MATCHERS", "Matcher", "Matches", "matcher"]
+
+
+def _guided() -> Callable[..., Matcher]:
+    from placegraph.indoor.refine.matching.guided import GuidedMatcher
+
+    return GuidedMatcher
+
+
+def _sift() -> Callable[..., Matcher]:
+    from placegraph.indoor.refine.matching.sift import SiftMatcher
+
+    return SiftMatcher
+
+
+def _xfeat() -> Callable[..., Matcher]:
+    from placegraph.indoor.refine.matching.xfeat import XFeatMatcher
+
+    return XFeatMatcher
+
+
+def _roma() -> Callable[..., Matcher]:
+    from placegraph.indoor.refine.matching.roma import RomaMatcher
+
+    return RomaMatcher
+
+
+def _romav2() -> Callable[..., Matcher]:
+    from placegraph.indoor.refine.matching.romav2 import RomaV2Matcher
+
+    return RomaV2Matcher
+
+
+MATCHERS: dict[str, Callable[[], Callable[..., Matcher]]] = {
+    "guided": _guided,
+    "sift": _sift,
+    "xfeat": _xfeat,
+    "roma": _roma,
+    "romav2": _romav2,
+}
+"""What makes each matcher, imported when it is asked for. Options are keywords of the class; it has
+`weights` and `device` where it runs a network."""
+
+
+def matcher(
+    name: str,
+    *,
+    weights: Path | None = None,
+    device: str = "cpu",
+    **options: Any,  # noqa: ANN401  # the matcher's own
+) -> Matcher:
+    """Make a matcher.
+
+    Parameters
+    ----------
+    name
+        One of `MATCHERS`.
+    weights
+        File with its weights, where it has any; else they come from its own hub.
+    device
+        `cpu`, `cuda` or `auto`, where it runs a network; others run on the processor.
+    options
+        Its own: see its class.
+
+    Raises
+    ------
+    OptionError
+        There is no such matcher, or it has no such option, or it has no weights.
+    MissingExtraError
+        What it needs is not installed.
+    InputError
+        The weights are missing, no weights, or another network's.
+    ServiceError
+        The weights' hub cannot be reached.
+
+    """
+    if name not in MATCHERS:
+        raise OptionError(f"matcher is {name!r}; there are {', '.join(map(repr, MATCHERS))}.")
+    make = MATCHERS[name]()
+    known = inspect.signature(make).parameters
+    if weights is not None:
+        options["weights"] = weights
+    for option in options:
+        if option not in known:
+            own = ", ".join(n for n in known if n != "device")
+            raise OptionError(f"The matcher {name!r} has no option {option!r}; it has {own}.")
+    if "device" in known:
+        options["device"] = device
+    return make(**options)

@@ -1,0 +1,135 @@
+"""SIFT from OpenCV: needs no weights and no network, so it is what works anywhere.
+
+Lowe 2004; square roots of the descriptors after Arandjelovic and Zisserman 2012 (RootSIFT).
+Renderings of the map are albedo without light, photographs have light; what helps there is said
+with the options of `SiftMatcher`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MissingExtraError
+from placegraph.indoor.refine.matching.features import Features
+from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range, grey
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+_SMALLEST = 8
+"""OpenCV finds no feature in smaller images, and its pyramid may fail there [px]."""
+
+
+class SiftMatcher(ViewByView):
+    """RootSIFT features, nearest to each other both ways and clearly so.
+
+    Parameters
+    ----------
+    features
+        Most features of an image, the strongest first.
+    contrast
+        Least contrast of a feature (OpenCV's `contrastThreshold`; its own default is 0.04).
+    ratio
+        Largest ratio of the distances to the nearest and to the second nearest descriptor, both
+        ways; 1 switches the test off.
+    upright
+        Features are taken not to be turned: query and view know where down is.
+    equalise
+        Clip limit of contrast-limited adaptive histogram equalisation, on 8 x 8 tiles; 0: none.
+    margin
+        Features nearer than this to where the map ends in a view are edges of nothing [px].
+    apart
+        Features nearer to each other than this are no rivals in the ratio test [px].
+
+    Raises
+    ------
+    MissingExtraError
+        OpenCV is not installed.
+    OptionError
+        An option is out of its range.
+
+    """
+
+    name = "sift"
+
+    def __init__(
+        self,
+        *,
+        features: int = 3000,
+        contrast: float = 0.01,
+        ratio: float = 0.95,
+        upright: bool = True,
+        equalise: float = 0.0,
+        margin: int = 4,
+        apart: float = 3.0,
+    ) -> None:
+        check_range(features=(features, 1, 1e6), contrast=(contrast, 0, 1), ratio=(ratio, 0, 1))
+        check_range(equalise=(equalise, 0, 100), margin=(margin, 0, 1e4), apart=(apart, 0, 1e4))
+        self.ratio = ratio
+        self.upright = upright
+        self.margin = margin
+        self.apart = apart
+        cv2 = _opencv()
+        # without the precise upscale all points lie a quarter of a pixel off
+        self._sift = cv2.SIFT_create(
+            nfeatures=features, contrastThreshold=contrast, enable_precise_upscale=True
+        )
+        self._clahe = cv2.createCLAHE(equalise, (8, 8)) if equalise else None
+
+    def prepared(self, query: NDArray[np.uint8]) -> Features:
+        """Features of the query."""
+        return self.features(query)
+
+    def matched(
+        self, ours: Features, view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+    ) -> Matches:
+        """Matches of the query's features with one view; see `Matcher.match`."""
+        theirs = self.features(view).within(mask, self.margin)
+        return ours.matched(theirs, ratio=self.ratio, apart=self.apart)
+
+    def features(self, image: NDArray[np.uint8]) -> Features:
+        """RootSIFT features of an image (H, W, 3) uint8."""
+        if blank(image) or min(image.shape[:2]) < _SMALLEST:
+            return Features.none(128)
+        lightness = grey(image)
+        if self._clahe is not None:
+            lightness = self._clahe.apply(lightness)
+        found = self._sift.detect(lightness, None)
+        if self.upright:
+            found = _turned_upright(found)
+        found, vectors = self._sift.compute(lightness, found)
+        if vectors is None or not len(found):
+            return Features.none(128)
+        # OpenCV counts from the centre of the first pixel, we from its corner
+        points = np.array([k.pt for k in found], np.float64) + 0.5
+        return Features(points, _rooted(vectors))
+
+
+def _turned_upright(found: Sequence[Any]) -> list[Any]:
+    """Keypoints without their turn; one that was found with several turns is kept once."""
+    seen: dict[tuple[float, float, float], Any] = {}
+    for point in found:
+        point.angle = 0.0
+        seen.setdefault((*point.pt, point.size), point)
+    return list(seen.values())
+
+
+def _rooted(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit vectors (N, 128): square roots of descriptors that sum to 1."""
+    sums = vectors.sum(axis=1, keepdims=True)
+    rooted: NDArray[np.float32] = np.sqrt(vectors / np.maximum(sums, 1e-6), dtype=np.float32)
+    return rooted
+
+
+def _opencv() -> Any:  # noqa: ANN401  # the module
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtraError(
+            "The matcher 'sift' needs OpenCV: pip install 'placegraph[sift]'."
+        ) from error
+    return cv2

@@ -1,0 +1,240 @@
+"""The map as a camera would see it from any pose: colour, depth, objects, triangles, 3D points.
+
+SG2Loc, Sec. 3.6, matches the query with such pictures. Depth, objects, triangles and points belong
+to the ray through each pixel's centre and are never mixed; colours are means over what a pixel
+covers: of a texture by its mip levels, across edges by several rays.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.rays.embree import processors
+from placegraph.indoor.refine.render_kernels import TILE, Eye, Picture, World, draw, smooth
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.geometry import Camera
+    from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.rays import RayCaster
+    from placegraph.indoor.scene_map import SceneMap
+
+SAMPLES = (1, 2, 4, 8, 16)
+"""Rays a pixel at edges may get."""
+_FARTHEST = 1e6
+"""A camera farther from the map's origin than this [m] is a mistake."""
+_RIGID = 1e-3
+"""How far a pose's rotation may be from one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """What a camera would see of the map. H rows, W columns, as the camera's images."""
+
+    colour: NDArray[np.uint8]
+    """(H, W, 3) sRGB; black where there is nothing."""
+    depth: NDArray[np.float32]
+    """(H, W) along the optical axis [m]; NaN: nothing."""
+    objects: NDArray[np.int32]
+    """(H, W) rows of the map's objects; -1: nothing."""
+    triangles: NDArray[np.int32]
+    """(H, W) rows of the mesh's triangles; -1: nothing."""
+    points: NDArray[np.float32]
+    """(H, W, 3) [m, map]; NaN: nothing."""
+
+    @classmethod
+    def empty(cls, camera: Camera) -> Rendering:
+        """Picture of nothing."""
+        shape = camera.height, camera.width
+        return cls(
+            np.zeros((*shape, 3), np.uint8),
+            np.full(shape, np.nan, np.float32),
+            np.full(shape, -1, np.int32),
+            np.full(shape, -1, np.int32),
+            np.full((*shape, 3), np.nan, np.float32),
+        )
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """(H, W), where the map shows anything."""
+        seen: NDArray[np.bool_] = self.triangles >= 0
+        return seen
+
+    def normals(self, mesh: Mesh, map_from_camera: ArrayLike) -> NDArray[np.float32]:
+        """(H, W, 3) float32 unit normals in map axes that face the camera; NaN: nothing.
+
+        `mesh` and `map_from_camera` (4, 4) are those of the rendering.
+        """
+        seen = self.mask
+        rows, at = np.unique(self.triangles[seen], return_inverse=True)
+        a, b, c = np.moveaxis(mesh.vertices[mesh.triangles[rows]].astype(np.float64), 1, 0)
+        normal = np.cross(b - a, c - a)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True))[at]
+        towards = np.asarray(map_from_camera, np.float64)[:3, 3] - self.points[seen]
+        away = np.einsum("nk,nk->n", normal, towards) < 0
+        out = np.full(self.points.shape, np.nan, np.float32)
+        out[seen] = np.where(away[:, None], -normal, normal)
+        return out
+
+
+def render(
+    scene: SceneMap,
+    map_from_camera: ArrayLike,
+    camera: Camera,
+    *,
+    samples: int = 4,
+    device: str = "auto",
+) -> Rendering:
+    """Picture of the map from one pose; for many on a GPU, make a `Renderer` and keep it.
+
+    Parameters
+    ----------
+    scene
+        The map.
+    map_from_camera
+        (4, 4) rigid, any six degrees of freedom [m]; camera axes x right, y down, z forward.
+    camera
+        Size, intrinsics and distortion of the picture.
+    samples
+        Rays a pixel at edges of objects, of materials and of faces, whose colours are mixed: 1, 2,
+        4, 8 or 16. 1 leaves stairs.
+    device
+        ``cpu``, ``cuda`` (or ``cuda:1``; extra ``gpu``), or ``auto``: the CPU, as for scores.
+
+    Raises
+    ------
+    OptionError
+        The pose is not rigid or not finite, `samples` is another number, there is no such device.
+    MissingExtraError
+        A GPU is asked for and NVIDIA Warp is not installed.
+    """
+    return Renderer(scene, device=device).render(map_from_camera, camera, samples=samples)
+
+
+class Renderer:
+    """Renders one map again and again, on the device asked for.
+
+    The CPU takes as many threads as numba does (`numba.set_num_threads`), and may be asked by any
+    number of threads. Parameters and errors: `render`; `caster` is the map's own where none is given.
+    """
+
+    def __init__(
+        self, scene: SceneMap, *, device: str = "auto", caster: RayCaster | None = None
+    ) -> None:
+        self.device = "cpu" if device == "auto" else device
+        self._draw: Callable[[Eye, Rendering, NDArray[np.float32]], Rendering]
+        if self.device == "cpu":
+            mesh = scene.mesh
+            coloured = bool((mesh.colours != 255).any())
+            tracer = (caster or scene.caster).tracer
+            self._world = World(tracer, scene.surface, mesh.vertices, coloured)
+            self._draw = self._by_cpu
+        elif self.device.startswith("cuda"):
+            from placegraph.indoor.rays.warp.render import WarpRenderer
+
+            self._draw = WarpRenderer(scene, self.device).draw
+        else:
+            raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
+
+    def render(self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4) -> Rendering:
+        """Picture of the map from a pose (4, 4); parameters and errors: `render`."""
+        if samples not in SAMPLES:
+            raise OptionError(f"samples is {samples}; choose one of {SAMPLES}.")
+        pose = checked_pose(map_from_camera)
+        eye = Eye(
+            camera_rays(camera),
+            np.ascontiguousarray(pose[:3, :3], np.float32),
+            np.ascontiguousarray(pose[:3, 3], np.float32),
+        )
+        return self._draw(eye, Rendering.empty(camera), pattern(samples))
+
+    def _by_cpu(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
+        rows = len(drawn.depth)
+        picture = Picture(drawn.colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
+        threads = min(processors(), numba.get_num_threads())
+        with ThreadPoolExecutor(threads) as pool:
+
+            def share(work: Callable[..., None], count: int, *inputs: object) -> None:
+                # more parts than threads, since some rows are quicker than others
+                parts = min(8 * threads, count) if threads > 1 else 1
+                ends = [count * part // parts for part in range(parts + 1)]
+                jobs = [
+                    pool.submit(work, self._world, eye, picture, *inputs, first, last)
+                    for first, last in pairwise(ends)
+                ]
+                for job in jobs:
+                    job.result()
+
+            share(draw, -(-rows // TILE))
+            if len(offsets) == 1:
+                return drawn
+            colour = drawn.colour.copy()
+            share(smooth, rows, colour, offsets)
+        return Rendering(colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
+
+
+def checked_pose(map_from_camera: ArrayLike) -> NDArray[np.float64]:
+    """A pose (4, 4) float64, or `OptionError` where it is not finite or not rigid."""
+    try:
+        pose = np.asarray(map_from_camera, np.float64)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"map_from_camera is no matrix of numbers: {error}.") from error
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise OptionError(
+            f"map_from_camera has shape {pose.shape}; it must be 4 x 4 finite numbers."
+        )
+    rotation = pose[:3, :3]
+    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (off < _RIGID and np.linalg.det(rotation) > 0) or (pose[3] != (0, 0, 0, 1)).any():
+        raise OptionError(
+            "map_from_camera is not rigid: it must be a rotation and a position, and its last row "
+            "0, 0, 0, 1."
+        )
+    if not np.abs(pose[:3, 3]).max() <= _FARTHEST:
+        raise OptionError(
+            f"map_from_camera lies at {pose[:3, 3].tolist()} m; positions are within "
+            f"{_FARTHEST:.0e} m."
+        )
+    return pose
+
+
+@lru_cache(maxsize=2)
+def camera_rays(camera: Camera) -> NDArray[np.float32]:
+    """Rays (H, W, 2) float32 of a camera: x and y where z is 1, through the pixels' centres.
+
+    Kept for the last two cameras: distortion takes far longer to undo than the map to render.
+    """
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = camera.directions(np.stack([u, v], axis=-1))
+    out = np.ascontiguousarray(rays[..., :2], np.float32)
+    # where the distortion cannot be undone, a ray straight ahead beats one that is no number
+    out[~np.isfinite(out).all(axis=-1)] = 0.0
+    out.flags.writeable = False
+    return out
+
+
+@lru_cache(maxsize=len(SAMPLES))
+def pattern(samples: int) -> NDArray[np.float32]:
+    """Places (S, 2) float32 of rays in a pixel, from its centre [px]: Hammersley's points.
+
+    No two share a row or a column, so that an edge that is nearly upright gets S shades.
+    """
+    bits = samples.bit_length() - 1
+    x = (np.arange(samples) + 0.5) / samples
+    turned = [int(format(i, f"0{bits}b")[::-1], 2) if bits else 0 for i in range(samples)]
+    y = (np.array(turned) + 0.5) / samples
+    out = np.stack([x - 0.5, y - 0.5], axis=1).astype(np.float32)
+    out.flags.writeable = False
+    return out

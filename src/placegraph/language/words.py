@@ -1,0 +1,97 @@
+"""The scanner: a text becomes sentences of words, distances and marks."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from placegraph.language.measures import MEASURE, metres
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+
+class Word(NamedTuple):
+    """A word, a distance or a mark of a text."""
+
+    kind: str
+    """``word``, ``label`` (``amenity=bench``, ``bicycle_parking``), ``measure`` or ``comma``."""
+    lower: str
+    """Lower-case, apostrophes straight."""
+    capital: bool
+    """Whether it starts with a capital letter."""
+    start: int
+    end: int
+    metres: float = 0.0
+    """Of a measure."""
+
+
+_SCAN = re.compile(
+    rf"""
+    (?P<measure>{MEASURE})
+  | (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
+  | (?P<word>[^\W_]+(?:['’`´][^\W_]+)*|&)
+  | (?P<comma>[,:()\[\]–—/]|\s--?\s)
+  | (?P<stop>[.!?;…]+|\n\s*\n)
+    """,
+    re.VERBOSE | re.IGNORECASE,
+)
+_OPENS = re.compile(
+    r"\s*(?:$|\n|(?:It|The|There|This|That|You|Your|I|If|When|We|They|On|In|At|Go|Head|Meet|Cross"
+    r"|An?|Across|To|My|From|Turn|Walk|Look|Next|Its|Theres)\b(?!\s+[A-Z])"
+    r"|(?:It|I|There|You|Let|That|We|They)['’])"
+)
+"""What opens a new sentence even after a word that a full stop may shorten."""
+
+
+def scan(
+    text: str,
+    labels: Iterable[tuple[int, int]] = (),
+    *,
+    shortened: Collection[str] = (),
+) -> list[list[Word]]:
+    """Cut a text into sentences of words, distances and marks.
+
+    Parameters
+    ----------
+    text
+        The text.
+    labels
+        (start, end) of stretches that are one label each, in order.
+    shortened
+        Words that a full stop may shorten without ending the sentence: "St. Mary's".
+    """
+    sentences: list[list[Word]] = [[]]
+    at = 0
+    for start, end in (*labels, (len(text), len(text))):
+        _scan_between(text, at, start, sentences, shortened)
+        if end > start:
+            label = text[start:end]
+            sentences[-1].append(Word("label", label.lower(), label[0].isupper(), start, end))
+        at = end
+    return [sentence for sentence in sentences if sentence]
+
+
+def _scan_between(
+    text: str, begin: int, stop: int, sentences: list[list[Word]], shortened: Collection[str]
+) -> None:
+    for match in _SCAN.finditer(text, begin, stop):
+        kind, written = match.lastgroup or "", match.group()
+        start, end = match.span()
+        if kind == "stop":
+            if _ends_sentence(text, end, written, sentences[-1], shortened):
+                sentences.append([])
+            continue
+        length = metres(written, match["number"]) if kind == "measure" else 0.0
+        lower = written.lower().replace("’", "'")
+        sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
+
+
+def _ends_sentence(
+    text: str, end: int, mark: str, sentence: list[Word], shortened: Collection[str]
+) -> bool:
+    if mark != ".":
+        return True
+    if end < len(text) and not text[end].isspace() and text[end] not in "\"')”’":
+        return False
+    return not (sentence and sentence[-1].lower in shortened and not _OPENS.match(text, end))

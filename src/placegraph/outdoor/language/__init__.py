@@ -1,0 +1,109 @@
+"""From words to a query graph: what a text says about a place (Eq. 3-4)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from placegraph.language.check import Ignored, check
+from placegraph.outdoor.language.build import Builder
+from placegraph.outdoor.language.chunk import Chunker, NameFinder, Words
+from placegraph.outdoor.language.clauses import clauses
+from placegraph.outdoor.language.conflicts import conflicts
+from placegraph.outdoor.language.description import Description
+from placegraph.outdoor.language.labels import labels
+from placegraph.outdoor.language.model import LanguageModelDescriber
+from placegraph.outdoor.language.parse import parse
+from placegraph.outdoor.language.words import normalise, scan, tokens
+
+if TYPE_CHECKING:
+    from placegraph.language.islands import Chunk
+
+__all__ = [
+    "Describer",
+    "LanguageModelDescriber",
+    "NameFinder",
+    "Words",
+    "describe",
+    "normalise",
+    "tokens",
+]
+
+
+class Describer(Protocol):
+    """Turns a text into a query graph."""
+
+    def describe(
+        self,
+        text: str,
+        *,
+        vocabulary: Words | None = None,
+        names: NameFinder | None = None,
+        heading: float | None = None,
+    ) -> Description:
+        """Return what a text says; raises DescriptionError where it cannot be read at all."""
+
+
+def describe(
+    text: str,
+    *,
+    vocabulary: Words | None = None,
+    names: NameFinder | None = None,
+    heading: float | None = None,
+) -> Description:
+    """Read a text: what stands where, as seen from whom.
+
+    Parameters
+    ----------
+    text
+        English sentences; the words for things may be of any language of the vocabulary.
+    vocabulary
+        What words may mean on a map; the one that comes with placegraph if None.
+    names
+        Proper names of a map.
+    heading
+        Bearing in which the speaker faces [rad, clockwise from north], for "left of me".
+
+    Raises
+    ------
+    DescriptionError
+        If the text is empty, too long, or no text. A text of which nothing is understood is no
+        error: it gives a description without statements.
+    """
+    check(text)
+    if vocabulary is None:
+        from placegraph.outdoor.language.vocabulary import Vocabulary
+
+        vocabulary = Vocabulary.default()
+    chunker = Chunker(text, vocabulary, names)
+    sentences = [
+        chunker.chunks(sentence) for sentence in scan(text, labels(text, vocabulary, names))
+    ]
+    directive = any(map(_leads_the_way, sentences))
+    builder = Builder(text, vocabulary, heading, directive=directive)
+    for sentence in sentences:
+        for part in clauses(sentence):
+            opens = part.opens
+            for clause, left_out in parse(part.chunks):
+                builder.take(clause, part.certainty, opens=opens)
+                opens = False
+                for chunk in left_out:
+                    if clause.verb and chunk.type == "WORD":
+                        builder.ignored.append(Ignored(chunk.words, "unknown word"))
+    builder.finish()
+    if not (builder.relator.statements or builder.ignored):
+        builder.ignored.append(Ignored(text.strip(), "says nothing about where things stand"))
+    return Description(
+        text,
+        tuple(builder.refer.mentions),
+        tuple(builder.relator.statements),
+        tuple(builder.ignored),
+        conflicts(builder.relator.statements, builder.refer.heads, builder.relator.goals),
+    )
+
+
+def _leads_the_way(sentence: list[Chunk]) -> bool:
+    """Tell whether a sentence speaks to somebody who is to come."""
+    orders = ("GO", "PASS", "CROSS", "FOLLOW", "MEET")
+    return any(chunk.type in ("YOU", "YOUR", "MEET") for chunk in sentence) or (
+        bool(sentence) and sentence[0].type in orders
+    )

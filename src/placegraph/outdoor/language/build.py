@@ -1,0 +1,378 @@
+"""Clauses become a query graph: who stands where, as seen from whom (Eq. 3-4)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import TYPE_CHECKING
+
+from placegraph.language.check import Ignored
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
+from placegraph.outdoor.language.nodes import Place, Thing
+from placegraph.outdoor.language.refer import Referents
+from placegraph.outdoor.language.relate import Relator
+from placegraph.outdoor.language.statements import LEGS, NO_MAP, ROUTE, UNKNOWN, Said
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.outdoor.language.chunk import Words
+    from placegraph.outdoor.language.lexicon import Direction
+    from placegraph.outdoor.language.nodes import Clause
+
+Items = tuple[Thing | Place, ...]
+MENTIONED = 0.7
+"""Certainty that a thing is in sight that is only named."""
+LED = 0.5
+"""Certainty that the place is where the walk leads."""
+SHOWN = 0.6
+"""Certainty that what "you will see" can be seen from the place itself."""
+
+
+class Builder:
+    """Takes the clauses of a text one after the other.
+
+    Parameters
+    ----------
+    text
+        The text.
+    vocabulary
+        To mend misspelt words.
+    heading
+        Bearing in which the speaker faces [rad], or None.
+    directive
+        Whether the text tells somebody the way; "it" is then the place they are told to find.
+    """
+
+    def __init__(
+        self, text: str, vocabulary: Words, heading: float | None, *, directive: bool
+    ) -> None:
+        self.text, self.directive = text, directive
+        self.refer = Referents(text, vocabulary)
+        self.relator = Relator(self.refer, heading, directive=directive)
+        self.ignored = self.relator.ignored
+        self.heads: list[int] = [SPEAKER]
+        """What the last clause spoke of."""
+        self.walking = False
+        """Whether the last clause led somewhere."""
+        self.legs = 0
+        self.on_the_way: int | None = None
+        """What was last said to be met on the way."""
+        self.led_to: int | None = None
+        """Where the walk was last said to lead."""
+
+    def take(self, clause: Clause, certainty: float, *, opens: bool) -> None:
+        """Add what a clause says; `opens` tells whether it opens a sentence."""
+        words = self.text[clause.start : clause.end]
+        said = Said(words, certainty, clause.negated, walked=self.legs > 0)
+        before = len(self.relator.statements), len(self.ignored)
+        self.relator.reason = "says nothing about where things stand"
+        if clause.condition:
+            self._on_the_way(clause, said)
+        elif clause.verb:
+            getattr(self, f"_{clause.verb}")(clause, said, opens)
+        else:
+            self.relator.reason = "not understood"
+        if (len(self.relator.statements), len(self.ignored)) == before and clause.verb != "too_far":
+            self.ignored.append(Ignored(words, self.relator.reason))
+        self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
+        self._remember()
+
+    def finish(self) -> None:
+        """Where nothing says where the speaker is, a walk leads there."""
+        if self.directive and self.led_to is not None and self.relator.goals == {SPEAKER}:
+            mention = self.refer.mentions[self.led_to]
+            said = Said(mention.words)
+            self.relator.add(said, Relation.SAME, SPEAKER, self.led_to, certainty=LED)
+            self.relator.goals.add(self.led_to)
+
+    def _remember(self) -> None:
+        """Decide what "it" will mean in the next clause."""
+        goal = [n for n in self.relator.goals if n != SPEAKER]
+        if self.directive:
+            self.refer.topic = max(goal, default=self.led_to)
+        elif self.heads and self.heads[0] > LISTENER:
+            self.refer.topic = self.heads[0]
+        elif goal:
+            self.refer.topic = max(goal)
+        elif len(self.refer.mentions) > 2:
+            self.refer.topic = len(self.refer.mentions) - 1
+
+    # clauses, by the rules of the grammar
+
+    def _is_(self, clause: Clause, said: Said, _opens: bool) -> None:
+        before, after = clause.before, clause.after
+        if isinstance(before[0], Place):  # "north of here is a bakery"
+            if after and isinstance(after[0], Thing):
+                self._shown((after[0], *before, *after[1:]), said)
+            else:
+                self._say((*before, *after), [SPEAKER], said)
+            return
+        heads = self._say(before, [], replace(said, negated=False))
+        if not after:
+            return
+        if isinstance(after[0], Thing):
+            self._identity(heads, after[0], said)
+            after = after[1:]
+        self._say(after, heads, said)
+
+    def _identity(self, heads: Sequence[int], thing: Thing, said: Said) -> None:
+        """Two names of one thing: "it is the last pub on the block"."""
+        if thing.kind != "thing" or not (thing.senses or thing.name) or not heads:
+            return
+        if heads[0] == SPEAKER and not thing.determiner and not thing.name:
+            return  # "I'm buying flowers"
+        node, subject = self.refer.resolve(thing), heads[0]
+        if node is None or node == subject:
+            return
+        self.relator.add(said, Relation.SAME, subject, node)
+        if subject in self.relator.goals and not said.negated:
+            self.relator.goals.add(node)
+
+    def _exists(self, clause: Clause, said: Said, _opens: bool) -> None:
+        owner = clause.before[0] if clause.before else None
+        places: Items = clause.before
+        if isinstance(owner, Thing):
+            places = clause.before[1:]
+            if owner.kind == "thing" and clause.after and isinstance(clause.after[0], Thing):
+                if not self.directive:
+                    self.refer.topic = self.refer.resolve(owner)
+                has = Place("at", owner.start, owner.end, (owner,), "TO")
+                places = (*places, has)  # "the street has a bakery"
+        self._shown((*clause.after[:1], *places, *clause.after[1:]), said)
+
+    def _shown(self, items: Items, said: Said, *, always: bool = False) -> None:
+        """Things that are said to be there, in sight of the speaker unless more is said."""
+        if not items or not isinstance(items[0], Thing):
+            self._say(items, [SPEAKER], said)
+            return
+        first = len(self.relator.statements)
+        heads = self._say(items, [], said, collect=True)
+        placed = {s.source for s in self.relator.statements[first:]}
+        seen = {
+            s.source for s in self.relator.statements[first:] if SPEAKER in (s.source, s.target)
+        }
+        for head in heads:
+            mention = self.refer.mentions[head]
+            if head in (seen if always else placed):
+                continue
+            if mention.senses or mention.name:
+                self.relator.add(said, Relation.VISIBLE, head, SPEAKER)
+            else:
+                self.relator.reason = UNKNOWN
+
+    def _sees(self, clause: Clause, said: Said, opens: bool) -> None:
+        """What can be seen: "I see a church", "across the street you will find a bakery"."""
+        things = [item for item in clause.before if isinstance(item, Thing)]
+        seer = things[-1] if things else None
+        places = tuple([item for item in clause.before if item is not seer])
+        after = clause.after
+        if after and isinstance(after[0], Thing) and after[0].kind == "ME":
+            self._meets(clause, said, opens)  # "you will find me at the corner"
+            return
+        mine = seer is not None and seer.kind == "ME"
+        sure = said.certainty if mine else said.certainty * SHOWN
+        if any(isinstance(item, Place) for item in (*places, *after)):
+            sure = said.certainty if mine else said.certainty * 0.9
+        self._shown((*after[:1], *places, *after[1:]), replace(said, certainty=sure), always=mine)
+
+    def _meets(self, clause: Clause, said: Said, _opens: bool) -> None:
+        places = tuple([item for item in (*clause.before, *clause.after) if not _is_person(item)])
+        if places and isinstance(places[0], Thing):  # "meet me the garden"
+            thing = places[0]
+            places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
+        if not places:  # "you will see a bank. Meet me there."
+            self.led_to = self.heads[0] if self.heads and self.heads[0] > LISTENER else self.led_to
+            self.finish()
+            return
+        self._say((*[_arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)
+
+    def _goes(self, clause: Clause, said: Said, _opens: bool) -> None:
+        subject = clause.before[0] if clause.before else None
+        if isinstance(subject, Thing) and subject.kind in ("thing", "IT", "SPOT"):
+            heads = self._say(clause.before, [], said)  # "the road runs along a river"
+            self._say(clause.after, heads, replace(said, certainty=said.certainty * 0.7))
+            return
+        places = tuple(item for item in clause.before if isinstance(item, Place))
+        self._walk((*places, *clause.after), clause.travel, said)
+        if clause.travel == "REACH":  # "get to the entrance"
+            self.led_to = self.on_the_way
+
+    def _on_the_way(self, clause: Clause, said: Said) -> None:
+        """What is met on the way: "when you see the bank", "until you reach Penn Avenue"."""
+        if clause.verb == "meets":
+            self._meets(clause, said, False)
+            return
+        items = clause.after or clause.before
+        self._walk(items, clause.travel or "REACH", said)
+
+    def _walk(self, items: Items, travel: str, said: Said) -> None:
+        """A leg of a walk to the place: where it leads, and what lies on the way."""
+        said = replace(said, travel=True)
+        for item in items:
+            if isinstance(item, Thing):
+                self._meet_on_the_way(item, travel, said)
+            elif item.how == "towards" and not item.targets:
+                self._leg(item, said)
+            elif item.how in ("at", "prep", "across", "towards", "with_", "of"):
+                sure = said.certainty * (ROUTE if item.how != "prep" else 1.0)
+                if item.how == "prep" and item.word not in ("past", "before", "toward"):
+                    sure *= ROUTE
+                self.relator.relate(item, SPEAKER, replace(said, certainty=sure))
+                self._pass(item)
+            else:
+                self.relator.reason = "a route instruction"
+
+    def _pass(self, place: Place) -> None:
+        """Remember what a place on the way speaks of."""
+        if not place.targets or place.targets[0].kind != "thing":
+            return
+        self.on_the_way = self.refer.resolve(
+            replace(place.targets[0], determiner="DET", count=None)
+        )
+        to = place.word in ("TO", "AT", "IN") and len(place.targets) == 1
+        if to and self.on_the_way is not None and not self.refer.is_line(self.on_the_way):
+            mention = self.refer.mentions[self.on_the_way]
+            self.led_to = self.on_the_way if mention.senses or mention.name else self.led_to
+
+    def _leg(self, place: Place, said: Said) -> None:
+        if place.direction.facing:
+            self.relator.reason = "left and right of a walk say nothing on a map"
+            return
+        sure = said.certainty * LEGS[min(self.legs, len(LEGS) - 1)]
+        self.legs += 1
+        self.relator.add(
+            replace(said, certainty=sure), Relation.DIRECTION, SPEAKER, LISTENER,
+            direction=place.direction._replace(sigma=max(0.7, place.direction.sigma)),
+            distance=place.distance,
+        )  # fmt: skip
+
+    def _meet_on_the_way(self, thing: Thing, travel: str, said: Said) -> None:
+        node = self.refer.resolve(thing)
+        if node is None or node <= LISTENER:
+            self.relator.reason = "a route instruction"
+            return
+        self.on_the_way = node
+        if travel == "CROSS" and not self.refer.is_road(node):
+            self.relator.add(said, Relation.ACROSS, SPEAKER, LISTENER, target2=node, certainty=0.5)
+        elif travel == "FOLLOW" and self.refer.is_line(node):
+            self.relator.add(said, Relation.ALONG, SPEAKER, node, certainty=ROUTE)
+        else:
+            self.relator.add(said, Relation.NEAR, SPEAKER, node, certainty=ROUTE)
+
+    def _too_far(self, clause: Clause, said: Said, _opens: bool) -> None:
+        """Look back in "you've gone too far west": the place lies east of what was met."""
+        for item in clause.after:
+            if not isinstance(item, Place) or item.how != "towards" or item.direction.facing:
+                continue
+            if self.on_the_way is not None:
+                back: Direction = item.direction._replace(bearing=item.direction.bearing + pi)
+                self.relator.add(
+                    said, Relation.DIRECTION, SPEAKER, self.on_the_way,
+                    direction=back, certainty=0.6, far=True,
+                )  # fmt: skip
+
+    def _fragment(self, clause: Clause, said: Said, opens: bool) -> None:
+        items = clause.before
+        if isinstance(items[0], Place) and self.walking and not opens:  # "then west"
+            self._walk(items, "GO", said)
+        elif isinstance(items[0], Place):  # "..., but not near the church"
+            self._say(items, [SPEAKER] if opens else self.heads, said)
+        elif all(_is_person(item) for item in items):
+            self.relator.reason = "says nothing about where things stand"
+        elif _is_bare_word(items):
+            self.relator.reason = UNKNOWN  # "Hello", "Qué": a capital alone makes no name
+        else:
+            bare = len(items) == 1 and not _has_no(items[0])
+            sure = (LED if self.directive else MENTIONED) if bare else 1.0
+            self._shown(items, replace(said, certainty=said.certainty * sure))
+
+    # the chain of things and places
+
+    def _say(
+        self, items: Items, heads: Sequence[int], said: Said, *, collect: bool = False
+    ) -> list[int]:
+        """Relate places to the things before them; return the things.
+
+        A thing without a place of its own joins the target before it ("north of the school and the
+        church"); one with a place is spoken of anew ("a bakery to my east and a stop across ...").
+        """
+        group, spoken = list(heads), list(heads)
+        last: Place | None = None
+        for i, item in enumerate(items):
+            following = items[i + 1] if i + 1 < len(items) else None
+            if isinstance(item, Place):
+                said.shared = _shared(item, last, following)
+                group = self._relate_all(item, group or [SPEAKER], said)
+                last = item
+            elif last is not None and _joins(last, item, heads, following):
+                again = replace(last, targets=(*last.targets[:-1], item))
+                self._relate_all(again, group, said)
+            elif (node := self._new_head(item)) is not None:
+                if spoken and not self.directive:
+                    self.refer.topic = spoken[-1]  # "a bakery ..., and a kiosk next to it"
+                group = [*group, node] if last is None and i else [node]
+                spoken.append(node)
+                last = None
+        self.heads = spoken if collect or len(spoken) <= 1 else spoken[:1]
+        return spoken if collect or not group or group[0] in spoken else group
+
+    def _new_head(self, thing: Thing) -> int | None:
+        node = self.refer.resolve(thing)
+        if node is None:
+            self.relator.reason = NO_MAP if thing.part else UNKNOWN
+        return node
+
+    def _relate_all(self, place: Place, group: Sequence[int], said: Said) -> list[int]:
+        return [
+            node for head in group if (node := self.relator.relate(place, head, said)) is not None
+        ]
+
+
+def _is_person(item: Thing | Place) -> bool:
+    return isinstance(item, Thing) and item.kind != "thing"
+
+
+def _has_no(item: Thing | Place) -> bool:
+    return isinstance(item, Thing) and item.determiner == "NO"
+
+
+def _is_bare_word(items: Items) -> bool:
+    """Tell whether a clause is one word with a capital that nothing is known of."""
+    thing = items[0]
+    return (
+        len(items) == 1
+        and isinstance(thing, Thing)
+        and bool(thing.name)
+        and not thing.senses
+        and " " not in thing.name
+    )
+
+
+def _arrived(item: Thing | Place) -> Thing | Place:
+    """Take "come to the garden" as meeting at the garden."""
+    return replace(item, word="AT") if isinstance(item, Place) and item.word == "TO" else item
+
+
+def _joins(
+    last: Place, thing: Thing, heads: Sequence[int], following: Thing | Place | None
+) -> bool:
+    """Tell whether a thing after a place is one more of its targets."""
+    mine = isinstance(following, Place) and (
+        following.owner == "MY" or any(thing.kind == "ME" for thing in following.targets)
+    )
+    listed = not mine and (bool(heads) or not isinstance(following, Place))
+    things = bool(last.targets) and last.targets[-1].kind == thing.kind == "thing"
+    return listed and things and last.how != "between"
+
+
+def _shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:
+    """Target of the direction beside one that names none."""
+    if item.how != "towards" or item.targets:
+        return None
+    for other in (following, last):
+        if isinstance(other, Place) and other.targets and other.how in ("towards", "start"):
+            return other.targets[0]
+        if isinstance(other, Place) and other.how == "across" and len(other.targets) == 2:
+            return other.targets[1]
+    return None

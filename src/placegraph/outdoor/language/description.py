@@ -1,0 +1,109 @@
+"""The query graph: what a description says, after parsing and before any map is searched (Eq. 3-4).
+
+Objects are mentioned, statements relate them. The speaker, the listener and every thing spoken of
+are nodes; "the road" in two sentences is one node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from placegraph.language.check import Ignored
+
+SPEAKER = 0
+"""Node of whoever speaks: the place that is sought."""
+LISTENER = 1
+"""Node of whoever is spoken to ("south-west of you"): a known place, where `locate` is told it."""
+
+
+class Relation(StrEnum):
+    """Kinds of statements. `source` is described relative to `target`."""
+
+    DIRECTION = "direction"
+    """The source lies in the direction `bearing`, seen from the target."""
+    NEAR = "near"
+    """Source and target are close: "next to", "by", "beside", or at `distance`."""
+    INSIDE = "inside"
+    """The source lies in the target's area: "in the park", "on the square"."""
+    ALONG = "along"
+    """The source lies on a line: "on Penn Avenue", "along the river"."""
+    ACROSS = "across"
+    """A road (or `target2`) runs between source and target: "across the street from"."""
+    BETWEEN = "between"
+    """The source lies between `target` and `target2`."""
+    VISIBLE = "visible"
+    """The source is in sight of the target, mostly of the speaker: "there is a church"."""
+    SAME = "same"
+    """Source stands at the target itself: "I'm at the bakery"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sense:
+    """One meaning of a word: a map label and how likely the word means it."""
+
+    label: str
+    """``key=value``; ``key=*`` stands for every value of the key."""
+    weight: float
+    """In (0, 1]; 1 where the word is the label's own name or tag value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mention:
+    """A thing spoken of: a node of the query graph."""
+
+    id: int
+    words: str
+    """As written, first occurrence: "two benches", "the Rex Theater"."""
+    senses: tuple[Sense, ...] = ()
+    """What the common noun may mean on a map; empty for an unknown word or a bare name."""
+    name: str = ""
+    """Proper name as written ("Rex Theater", "Ripley's Aquarium of Canada"), or empty."""
+    count: int | None = None
+    """How many, where said: "two benches" -> 2; None where one or unsaid."""
+    definite: bool = True
+    """"the bakery" (True) or "a bakery" (False)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """An edge of the query graph."""
+
+    relation: Relation
+    source: int
+    target: int
+    target2: int | None = None
+    """Second target of BETWEEN, or what lies between for ACROSS."""
+    bearing: float | None = None
+    """Direction of the source seen from the target [rad], clockwise from north."""
+    bearing_sigma: float = 0.5
+    """How loosely the direction is meant [rad]."""
+    distance: float | None = None
+    """How far, where said [m]."""
+    negated: bool = False
+    """"no trees here", "not near a church"."""
+    certainty: float = 1.0
+    """In (0, 1]: lower for hedged or loosely parsed statements."""
+    far: bool = False
+    """Said of a walk or of the town, not of what is in sight ("head north", "past the park")."""
+    text: str = ""
+    """The words it was read from."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What was understood of a text."""
+
+    text: str
+    mentions: tuple[Mention, ...] = ()
+    """`mentions[SPEAKER]` and `mentions[LISTENER]` always stand first."""
+    statements: tuple[Statement, ...] = ()
+    ignored: tuple[Ignored, ...] = ()
+    conflicts: tuple[str, ...] = field(default=())
+    """Sentences that say which statements contradict each other."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`."""
+        return asdict(self)

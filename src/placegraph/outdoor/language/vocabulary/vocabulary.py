@@ -1,0 +1,373 @@
+"""Tags to labels, words to labels, labels to words."""
+
+from __future__ import annotations
+
+import re
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
+
+from placegraph.outdoor.language.description import Sense
+from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, read_lexicon, weighted
+from placegraph.outdoor.language.vocabulary.objects import read_objects
+from placegraph.outdoor.language.vocabulary.tables import find, user_folder
+from placegraph.outdoor.language.vocabulary.text import ARTICLES, folded, normal, singular
+from placegraph.outdoor.language.vocabulary.words import read_words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+LONGEST = 5
+"""Words of the longest phrase that is looked up."""
+_MOST = 24
+"""Senses of a word, at most."""
+_LEAST = 0.15
+"""Senses below this weight are left out."""
+_ASIDE = 0.6
+"""Factor for tags of a word's name that its row in words.tsv does not list."""
+_CLEAR = 0.75
+"""Weight that the best sense of a lone English word of a text must have: more than a term's."""
+_CALLED = 0.8
+"""Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
+_GUESS = 0.6
+"""Weight of ``shop=x`` for "x shop", where nothing is known of x."""
+_SHORTEST, _LONG = 4, 8
+"""Letters of the shortest word that is corrected, and of words in which two letters may differ."""
+_TAG = re.compile(r"([\w:]+)=(\*|[\w:.+-]+)")
+_MEMORY = 1 << 14
+"""Phrases remembered, so that a word is looked up once."""
+
+
+class Vocabulary:
+    """What on a map is worth naming, and which words name it.
+
+    `default()` is the one that comes with placegraph; `load(folder)` reads edited tables.
+    Immutable, apart from what it remembers of earlier questions.
+
+    Attributes
+    ----------
+    keys
+        OpenStreetMap keys that can make an object: a reader need look at no others.
+    detail_keys
+        Keys that only add labels to an object.
+    stops
+        Ordinary English words that `longest_match` and `closest` leave alone.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
+        self._objects = read_objects(folder)
+        self._words = read_words(self._objects, folder)
+        self._english = read_lexicon(find("english.tsv", folder))
+        self.keys = self._objects.keys
+        self.detail_keys = self._objects.detail_keys
+        self.stops = self._words.stops
+        self._listed = {
+            normal(label.partition("=")[2]): {label: 1.0} for label in self._objects.listed()
+        }
+        self._called: dict[str, dict[str, float]] = {}
+        for (language, label), name in self._words.spoken.items():
+            if language == "en" and not label.endswith("*"):
+                self._called.setdefault(folded(normal(name)), {})[label] = _CALLED
+        self._known = lru_cache(_MEMORY)(self._look_up)
+        self._meant = lru_cache(_MEMORY)(self._guess)
+        self._opens = lru_cache(_MEMORY)(self._begins)
+        self._lone = lru_cache(_MEMORY)(self._alone)
+        self._near = lru_cache(_MEMORY)(self._nearest)
+        self._names = lru_cache(None)(self._names_in)
+
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def default() -> Vocabulary:
+        """Return the vocabulary that comes with placegraph."""
+        return Vocabulary()
+
+    @staticmethod
+    def load(path: str | Path) -> Vocabulary:
+        """Read a user's folder of edited tables; tables missing there are taken as shipped.
+
+        Raises
+        ------
+        InputError
+            Naming file, line and field of what is wrong.
+        """
+        return Vocabulary(user_folder(path))
+
+    def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
+        """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
+        return self._objects.labels_of(tags)
+
+    def senses(self, phrase: str) -> tuple[Sense, ...]:
+        """Return what a word or phrase may mean on a map, likeliest first; none if unknown.
+
+        Takes everyday words, tag values (``bicycle_parking``), tags (``amenity=bench``), singular
+        or plural, with or without an article, in any language of the vocabulary.
+        """
+        return self._meant(phrase)
+
+    def longest_match(
+        self, tokens: Sequence[str], start: int = 0
+    ) -> tuple[int, tuple[Sense, ...]] | None:
+        """Longest phrase of at most `LONGEST` tokens that starts at `start` and names a thing.
+
+        Ordinary words (`stops`) match only within a longer phrase.
+
+        Returns
+        -------
+        (int, senses) or None
+            How many tokens, and what they may mean.
+        """
+        best = None
+        phrase = ""
+        for length, token in enumerate(tokens[start : start + LONGEST], 1):
+            if not normal(token) and token not in ("'", "'s", "’s", "&"):
+                break  # punctuation ends a phrase
+            phrase = f"{phrase} {token}" if phrase else token
+            senses = self._lone(phrase) if length == 1 else self._known(phrase)
+            if senses and not (length > 1 and all(self._is_stop(word) for word in phrase.split())):
+                best = (length, senses)
+            if not self._opens(phrase):
+                break
+        return best
+
+    def closest(self, phrase: str, *, cutoff: float = 0.85) -> tuple[str, float] | None:
+        """Known English word nearest to a misspelt one, and how near it is (Jaro-Winkler).
+
+        At most one letter may differ, two in words of eight letters or more; words of up to
+        three letters and ordinary English words are left alone.
+        """
+        found = self._near(folded(normal(phrase)))
+        return found if found and found[1] >= cutoff else None
+
+    def spoken(self, label: str, *, language: str = "en") -> str:
+        """Return the everyday name of a label: ``amenity=cafe`` -> "cafe".
+
+        Lower case, in the singular. Where the language has none, English is used.
+        """
+        key, _, value = label.partition("=")
+        labels = (label, f"{key}=*") if value == "yes" else (label,)
+        for tongue in dict.fromkeys((language, "en")):
+            for table in (self._words.spoken, self._names(tongue)):
+                for name in labels:
+                    if word := table.get((tongue, name)):
+                        return word
+        value = " ".join(re.split(r"[_:-]", value))
+        if value in ("*", "yes"):
+            return key.partition(":")[0].replace("_", " ")
+        return self._objects.rule(label).said.format(value) if self._objects.names(label) else value
+
+    @cached_property
+    def english(self) -> dict[str, tuple[str, ...]]:
+        """English words by the label they mean first: ``amenity=cafe`` -> "cafe", "coffee shop"."""
+        found: dict[str, list[str]] = {}
+        for word in dict.fromkeys((*self._words.english, *self._english.words())):
+            senses = self.senses(word)
+            if senses and senses[0].weight >= _CLEAR:
+                found.setdefault(senses[0].label, []).append(word)
+        return {label: tuple(words) for label, words in found.items()}
+
+    @cached_property
+    def _world(self) -> Lexicon:
+        """The lexicon of all other languages: read when English does not know a word."""
+        return read_lexicon(find("world.tsv", self._folder))
+
+    @cached_property
+    def _prefixes(self) -> frozenset[str]:
+        """All proper beginnings of English phrases."""
+        found = set()
+        for word in (*self._english.words(), *self._words.english, *self._words.others):
+            at = word.find(" ")
+            while at > 0:
+                found.add(word[:at])
+                at = word.find(" ", at + 1)
+        return frozenset(found)
+
+    def _begins(self, phrase: str) -> bool:
+        """Tell whether a longer known phrase may begin with this one."""
+        form = normal(phrase)
+        forms = dict.fromkeys((form, singular(folded(form))))
+        return any(
+            form in self._prefixes or (not self._is_stop(form) and self._world.starts(form))
+            for form in forms
+        )
+
+    def _look_up(self, phrase: str) -> tuple[Sense, ...]:
+        """Senses that the tables give a phrase."""
+        tag = _TAG.fullmatch(phrase.strip())
+        if tag:
+            return self._ranked({tag[0]: 1.0})
+        form = normal(phrase)
+        if not form:
+            return ()
+        plain = folded(form)
+        for word in dict.fromkeys((plain, singular(plain))):
+            if senses := self._in_english(word):
+                return senses
+        forms = dict.fromkeys((form, plain, singular(form)))
+        for word in forms:
+            if senses := self._ranked(self._words.others.get(word, {})):
+                return senses
+        for word in () if self._is_stop(plain) else forms:
+            if senses := self._ranked(self._by_rank(self._world.senses(word))):
+                return senses
+        return ()
+
+    def _in_english(self, word: str) -> tuple[Sense, ...]:
+        """Senses of an English word: its row in words.tsv, then tags and presets of its name."""
+        made = self._words.english.get(word)
+        tagged = self._english.senses(word, strong=made is not None) or self._listed.get(word, {})
+        if made is not None:
+            tagged = {label: _ASIDE * weight for label, weight in tagged.items()}
+        found = dict(made or {})
+        for others in (self._by_rank(tagged), self._called.get(word, {})):
+            for label, weight in others.items():
+                if label not in (made or {}):
+                    found[label] = max(weight, found.get(label, 0.0))
+        return self._ranked(found)
+
+    def _alone(self, token: str) -> tuple[Sense, ...]:
+        """Senses of a single word of a text: no ordinary word, no mere English search term."""
+        form = folded(normal(token))
+        if self._is_stop(form):
+            return ()
+        senses = self._known(token)
+        forms = (form, singular(form))
+        if any(word in self._words.english or self._english.senses(word) for word in forms):
+            return senses if senses and senses[0].weight >= _CLEAR else ()
+        foreign = len(form) >= _SHORTEST or not token.isascii() or form in self._words.others
+        return senses if foreign else ()
+
+    def _is_stop(self, word: str) -> bool:
+        """Tell whether a normal form without diacritics is an ordinary word."""
+        return word in self.stops or singular(word) in self.stops
+
+    def _guess(self, phrase: str) -> tuple[Sense, ...]:
+        """Senses of a phrase: as the tables say, without its article, or by the way it is built."""
+        known = self._known(phrase)
+        if known:
+            return known
+        form = normal(phrase)
+        first, _, rest = form.partition(" ")
+        if rest and first in ARTICLES:
+            return self._meant(rest)
+        joined = folded(form).replace(" ", "")
+        if rest and joined in self._english_solid:
+            return self._known(self._english_solid[joined])
+        return self._built(form)
+
+    @cached_property
+    def _english_solid(self) -> dict[str, str]:
+        """English words without their spaces: "book store" is "bookstore"."""
+        words = (*self._english.words(), *self._words.english)
+        return {word.replace(" ", ""): word for word in words}
+
+    def _built(self, form: str) -> tuple[Sense, ...]:
+        """Senses of "x shop", "x office", "x building" ...: a kind of shop, office, building."""
+        found: dict[str, float] = {}
+        for key, pattern in self._patterns:
+            match = pattern.fullmatch(form)
+            if not match:
+                continue
+            inner = {
+                sense.label: sense.weight
+                for sense in self._meant(match[1])
+                if sense.label.partition("=")[0] in _KIN.get(key, (key,))
+            }
+            value = match[1].replace(" ", "_")
+            found |= inner or {f"{key}={value}": _GUESS, f"{key}=*": _GUESS / 2}
+        return self._ranked(found)
+
+    @cached_property
+    def _patterns(self) -> tuple[tuple[str, re.Pattern[str]], ...]:
+        """How values are said ("0 shop"), as expressions, by key."""
+        said = [
+            (key, normal(pattern.replace("{}", " 0 ")))
+            for key, pattern in self._objects.patterns().items()
+            if pattern != "{}"
+        ]
+        said.append(("shop", "0 store"))
+        return tuple((key, re.compile(pattern.replace("0", "(.+)", 1))) for key, pattern in said)
+
+    def _by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
+        """Nameable labels, those of specific keys first."""
+        known = [label for label in found if self._objects.names(label)]
+        known.sort(key=lambda label: self._objects.rule(label).rank)
+        return {label: found[label] for label in known}
+
+    def _ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
+        """Senses of nameable labels, likeliest first, otherwise in the given order."""
+        senses = [
+            Sense(label, round(weight, 3))
+            for label, weight in found.items()
+            if weight >= _LEAST and self._objects.names(label)
+        ]
+        senses.sort(key=lambda sense: -sense.weight)
+        return tuple(senses[:_MOST])
+
+    @cached_property
+    def _choices(self) -> list[str]:
+        """English words worth correcting a typing error to."""
+        words = {*self._words.english, *self._english.words(strong=True)} - self.stops
+        return sorted(word for word in words if len(word) >= _SHORTEST)
+
+    def _nearest(self, form: str) -> tuple[str, float] | None:
+        if self._is_stop(form):
+            return None
+        if self._known(form):
+            return form, 1.0
+        if len(form) < _SHORTEST:
+            return None
+        from rapidfuzz import process
+        from rapidfuzz.distance import OSA, JaroWinkler
+
+        near = process.extract(
+            form,
+            self._choices,
+            scorer=OSA.distance,
+            score_cutoff=2 if len(form) >= _LONG else 1,
+            limit=None,
+        )
+        return max(
+            ((word, JaroWinkler.similarity(form, word)) for word, *_ in near if _slip(form, word)),
+            key=lambda found: found[1],
+            default=None,
+        )
+
+    def _names_in(self, language: str) -> dict[tuple[str, str], str]:
+        """Preset names by language and label; a detail takes the name of the first preset that has it."""
+        lexicon = self._english if language in self._english.languages else self._world
+        found: dict[tuple[str, str], str] = {}
+        for preset, name in sorted(
+            lexicon.names(language).items(), key=lambda item: item[0].count("=")
+        ):
+            labels = weighted(preset)
+            if labels[-1][1] == 1.0:
+                found.setdefault((language, labels[-1][0]), name)
+        return found
+
+
+def _slip(typed: str, meant: str) -> bool:
+    """Tell whether one word may be a misspelling of another.
+
+    In a short word a letter replaced is another word more often than a slip ("like", "line"), and
+    so is another ending ("poster", "posted").
+    """
+    from rapidfuzz.distance import Prefix
+
+    if typed[0] != meant[0] or singular(typed) == singular(meant):
+        return False
+    replaced = len(typed) == len(meant) and sorted(typed) != sorted(meant)
+    if replaced and len(typed) < _LONG - 1:
+        return False
+    stem = Prefix.similarity(typed, meant)
+    return not any(typed[stem:].endswith(ending) and len(typed) - stem <= 4 for ending in _ENDINGS)
+
+
+_ENDINGS = ("ed", "ing", "ly", "er", "est", "es", "s", "al", "ive")
+_KIN = {
+    "shop": ("shop", "amenity", "craft", "office", "leisure"),
+    "office": ("office", "amenity", "healthcare", "craft"),
+    "healthcare": ("healthcare", "amenity"),
+    "craft": ("craft", "shop"),
+}
+"""Keys whose labels "x shop", "x office" ... may mean as well ("pharmacy shop")."""

@@ -1,0 +1,1 @@
+"""How well a viewpoint explains what was said: queries, fits, scans."""

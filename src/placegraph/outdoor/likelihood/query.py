@@ -1,0 +1,329 @@
+"""A description compiled against a map: words become tokens, statements become columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Mention,
+    Relation,
+    Statement,
+)
+from placegraph.outdoor.likelihood.fit_kernels import TABLE, direction_table
+from placegraph.outdoor.likelihood.match import ME, Statements
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.city import CityMap
+
+SLIP = 0.08
+"""Share of stated directions that are simply wrong."""
+NOISE = 0.12
+"""Share of statements about things that are not there, or that the map does not know."""
+KIND_ONLY = 0.03
+"""Weight of things of the right kind where a name was said: the map may lack the name."""
+LOOSELY = 0.1
+"""Weight of a word's other senses where it is a tag's own value ("path" for a footway)."""
+UNNAMED = 0.4
+"""Certainty that a thing whose name the map does not know is one of its kind on the map."""
+FLOOR = 1e-7
+"""Things cannot be rarer than this share of all things in sight."""
+CROWD = 30.0
+"""Added to the number of pairs in sight, so that lonely places are not preferred."""
+MOST_FAR = 400
+"""Mentions of more objects than this are only looked for in sight, on a way as well."""
+RARE = 12
+"""Mentions of no more objects than this may be spoken of from out of sight."""
+NEARBY, FAR = 80.0, 350.0
+"""Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
+SALIENT = 20.0
+"""About so many things out of sight come to mind."""
+GEOMETRY = {
+    Relation.DIRECTION: 0.25,
+    Relation.NEAR: 0.4,
+    Relation.INSIDE: 0.2,
+    Relation.ALONG: 0.2,
+    Relation.ACROSS: 0.3,
+    Relation.BETWEEN: 0.1,
+    Relation.VISIBLE: 1.0,
+    Relation.SAME: 0.3,
+}
+"""P(the relation holds | two things in sight, anywhere)."""
+OPERATION = {relation: i for i, relation in enumerate(Relation)}
+
+
+class MentionTokens(NamedTuple):
+    """Tokens that each mention may stand for; row m is `mentions[m + 2]` of the description."""
+
+    starts: NDArray[np.int64]
+    """(M + 1,)"""
+    tokens: NDArray[np.int32]
+    weights: NDArray[np.float32]
+
+
+class Far(NamedTuple):
+    """Things rare enough to be spoken of from out of sight."""
+
+    starts: NDArray[np.int64]
+    """(M + 1,) objects of a mention; none where it is too common."""
+    objects: NDArray[np.int64]
+    fits: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    """(S,) how far a statement reaches [m]."""
+    share: NDArray[np.float32]
+    """(S,) how often it is said of one particular thing out of sight."""
+    anchors: NDArray[np.int64]
+    """Objects around which candidates are sought, the rarest mention's first."""
+
+
+@dataclass(frozen=True)
+class Query:
+    """A description, ready to be scored on one map."""
+
+    description: Description
+    used: tuple[Statement, ...]
+    """Statements that take part, in the order of the columns."""
+    unused: tuple[tuple[Statement, str], ...]
+    """Statements that cannot take part, and why."""
+    statements: Statements
+    mentions: MentionTokens
+    far: Far | None
+    """None where everything is said of things in sight."""
+    by_kind: frozenset[int]
+    """Mentions with a name that the map does not know; they are looked for by their kind."""
+
+    def words(self, n_tokens: int) -> NDArray[np.float32]:
+        """How well a token fits a mention, (n_tokens, M) float32."""
+        starts, tokens, weights = self.mentions
+        table = np.zeros((n_tokens, len(starts) - 1), np.float32)
+        table[tokens, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
+        return table
+
+
+def compile_query(description: Description, city: CityMap, *, on_a_way: bool = False) -> Query:
+    """Compile a description against a map (Eq. 3-4 meet Eq. 7-8).
+
+    `on_a_way` says that it describes the way to a place for somebody elsewhere: then more things
+    are out of sight.
+    """
+    mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
+    by_kind = frozenset(
+        m.id for m in description.mentions[2:] if m.name and not city.name_index.named(m.name)
+    )
+    views = city.views
+    share = [views.frequency(tokens, weights) for tokens, weights in mentions]
+    used: list[Statement] = []
+    unused: list[tuple[Statement, str]] = []
+    heard: set[tuple[object, ...]] = set()
+    for statement in description.statements:
+        said = _meaning(statement, description)
+        if said in heard:
+            continue  # said again, it is no surer
+        heard.add(said)
+        reason = _unusable(statement, description, mentions)
+        if reason:
+            unused.append((statement, reason))
+        else:
+            used.append(statement)
+    return Query(
+        description,
+        tuple(used),
+        tuple(unused),
+        _columns(used, description, share, by_kind),
+        MentionTokens(
+            np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
+            np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
+            np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
+        ),
+        _far(used, mentions, city, on_a_way=on_a_way),
+        by_kind,
+    )
+
+
+def _far(
+    used: list[Statement],
+    mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+    city: CityMap,
+    *,
+    on_a_way: bool,
+) -> Far | None:
+    """Objects of rare mentions, where a statement may be about things out of sight."""
+    here = standing_at(used)
+    on_a_way = any(s.far for s in used) or on_a_way
+    few = {m + 2 for m, (tokens, w) in enumerate(mentions) if _size(tokens, w, city) <= RARE}
+    reaches = [
+        s.far or s.distance is not None or not here.isdisjoint(ends(s)) or few.issuperset(ends(s))
+        for s in used
+    ]
+    spoken = {
+        n - 2 for s, r in zip(used, reaches, strict=True) if r for n in ends(s) if n not in here
+    }
+    nothing = (np.zeros(0, np.int64), np.zeros(0, np.float32))
+    most = MOST_FAR if on_a_way else RARE
+    members = [
+        _members(*mention, city, most=most) if m in spoken else nothing
+        for m, mention in enumerate(mentions)
+    ]
+    objects = np.concatenate([o for o, _ in members] or [nothing[0]])
+    if not len(objects):
+        return None
+    rarest = sorted((o for o, _ in members if 0 < len(o) <= RARE), key=len)
+    return Far(
+        starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
+        objects=objects,
+        fits=np.concatenate([f for _, f in members]),
+        scale=np.array(
+            [max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32
+        ),
+        share=np.array(
+            [(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)],
+            np.float32,
+        ),
+        anchors=np.concatenate(rarest or [nothing[0]]),
+    )
+
+
+def ends(statement: Statement) -> tuple[int, int]:
+    """Source and target of a statement."""
+    return statement.source, statement.target
+
+
+def _meaning(statement: Statement, description: Description) -> tuple[object, ...]:
+    """What a statement says, whatever its words and nodes: two that say the same are one."""
+
+    def thing(node: int | None) -> object:
+        if node in (None, SPEAKER, LISTENER):
+            return node
+        mention = description.mentions[node]
+        return (mention.words.lower(), mention.name, mention.senses)
+
+    ends = (statement.source, statement.target, statement.target2)
+    plain = (statement.relation, statement.bearing, statement.distance, statement.negated)
+    return (*plain, *(thing(node) for node in ends))
+
+
+def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
+    """Nodes that are where the speaker is: the speaker, and what they stand at."""
+    at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
+    return frozenset(at | {SPEAKER})
+
+
+def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap) -> int:
+    """Number of objects (with repetitions) that a mention stands for."""
+    starts, _ = city.token_objects
+    tokens = tokens[weights > KIND_ONLY]
+    return int((starts[tokens + 1] - starts[tokens]).sum()) if len(tokens) else RARE + 1
+
+
+def _members(
+    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap, *, most: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Objects of a mention and how well it fits them; none where there are more than `most`."""
+    starts, objects = city.token_objects
+    tokens, weights = tokens[weights > KIND_ONLY], weights[weights > KIND_ONLY]
+    sizes = starts[tokens + 1] - starts[tokens]
+    if not 0 < sizes.sum() <= most:
+        return np.zeros(0, np.int64), np.zeros(0, np.float32)
+    found = np.concatenate([objects[starts[t] : starts[t + 1]] for t in tokens])
+    fits = np.repeat(weights, sizes).astype(np.float32)
+    order = np.lexsort((-fits, found))
+    first = np.diff(found[order], prepend=-1) > 0
+    return found[order][first], fits[order][first]
+
+
+def _tokens(mention: Mention, city: CityMap) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Tokens that a mention may stand for on this map, and how well they fit."""
+    weights: dict[int, float] = {}
+    by_kind = KIND_ONLY if mention.name else 1.0
+    for sense in mention.senses:
+        for label in city.label_index.get(sense.label, ()):
+            weights[label] = max(weights.get(label, 0.0), by_kind * sense.weight)
+    literal = {label for label in weights if _is_tag(mention.words, city.objects.labels[label])}
+    if literal:
+        weights = {label: w if label in literal else LOOSELY * w for label, w in weights.items()}
+    shift = len(city.objects.labels)
+    for name, weight in city.name_index.named(mention.name or mention.words).items():
+        weights[name + shift] = weight
+    return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
+
+
+def _is_tag(words: str, label: str) -> bool:
+    """Whether words are a tag's own value, as in the paper: "bicycle_parking", "the path"."""
+    key, _, value = label.replace("_", " ").partition("=")
+    said = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
+    return said == (key if value == "yes" else value).rstrip("s")
+
+
+def _unusable(
+    statement: Statement,
+    description: Description,
+    mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+) -> str:
+    """Why a statement cannot be scored, or an empty string."""
+    ends = [n for n in (statement.source, statement.target, statement.target2) if n is not None]
+    if statement.relation is Relation.ACROSS:
+        ends = ends[:2]  # what lies between may be any road
+    if LISTENER in ends:
+        return "where you are is not known"
+    if all(node == SPEAKER for node in ends):
+        return "it says nothing about the place"
+    for node in ends:
+        if node != SPEAKER and not len(mentions[node - 2][0]):
+            words = description.mentions[node].name or description.mentions[node].words
+            return f"the map knows no {words!r}"
+    return ""
+
+
+def _columns(
+    used: list[Statement], description: Description, share: list[float], by_kind: frozenset[int]
+) -> Statements:
+    n = len(used)
+
+    def mention(node: int | None) -> int:
+        return ME if node is None or node == SPEAKER else node - 2
+
+    bearing, table = np.zeros((n, 2), np.float32), np.zeros((n, TABLE), np.float32)
+    background = np.empty(n, np.float32)
+    for i, statement in enumerate(used):
+        angle = statement.bearing or 0.0
+        bearing[i] = sin(angle), cos(angle)
+        table[i] = direction_table(statement.bearing_sigma, SLIP)
+        nodes = [*ends(statement)]
+        if statement.relation is Relation.BETWEEN:
+            nodes.append(statement.target2 or SPEAKER)
+        chance = GEOMETRY[statement.relation]
+        for node in nodes:
+            chance *= 1.0 if node == SPEAKER else share[node - 2]
+        background[i] = max(chance, FLOOR)
+    counts = [description.mentions[s.source].count or 0 for s in used]
+    return Statements(
+        op=np.array([OPERATION[s.relation] for s in used], np.int64),
+        source=np.array([mention(s.source) for s in used], np.int64),
+        target=np.array([mention(s.target) for s in used], np.int64),
+        target2=np.array([mention(s.target2) for s in used], np.int64),
+        bearing=bearing,
+        table=table,
+        distance=np.array([s.distance or 0.0 for s in used], np.float32),
+        negated=np.array([s.negated for s in used], np.bool_),
+        number=np.array(counts, np.float32),
+        noise=np.array(
+            [
+                1.0
+                - (1.0 - NOISE) * s.certainty * (1.0 if by_kind.isdisjoint(ends(s)) else UNNAMED)
+                for s in used
+            ],
+            np.float32,
+        ),
+        background=background,
+        crowd=CROWD,
+    )

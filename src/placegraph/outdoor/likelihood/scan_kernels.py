@@ -1,0 +1,330 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Which viewpoints are worth a look, and how they score: compiled loops over the view index."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from placegraph.outdoor.likelihood.fit_kernels import (
+    AREA,
+    BETWEEN,
+    DIRECTION,
+    TABLE,
+    direction_fit,
+    distance_fit,
+)
+from placegraph.outdoor.likelihood.match import HOPELESS, ME, SLACK, in_sight, likelihoods
+from placegraph.outdoor.map.index import SIGHT, join_boxes, pack_box, unpack_box
+from placegraph.outdoor.map.raster import nearest_on_parts
+
+COARSE, FINE = 20.0, 5.0
+"""Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
+HERE = pack_box(-8, -8, 8, 8)
+"""Where the speaker may stand around a viewpoint."""
+HIGHEST = 1e290
+"""Bounds are cut here: texts of a hundred statements must not overflow."""
+SHARP = 2.0
+"""Width of the fall around `SIGHT` where positions are exact [m]."""
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def candidates(statements, mentions, views, weights, most):
+    """Viewpoints (K,) worth scoring, the most promising first, their bounds, and what is left out.
+
+    Only viewpoints that have all things of at least one statement in sight are touched. The bound
+    is the likelihood ratio that the statements would have if every direction were right (less what
+    `noise` grants them), times the prior `weights` (W,), all equal where empty. Left out is the sum
+    of the bounds of viewpoints that were touched but not returned.
+    """
+    length = np.zeros(len(mentions.starts) - 1, np.int64)
+    for m in range(len(length)):
+        for k in range(mentions.starts[m], mentions.starts[m + 1]):
+            token = mentions.tokens[k]
+            length[m] += views.posting_starts[token + 1] - views.posting_starts[token]
+    mass = np.zeros(len(views.total), np.float32)
+    boxes = np.empty(len(views.total), np.int32)
+    bound = np.zeros(len(views.total))
+    touched = np.empty(len(views.total), np.int32)
+    n_touched = 0
+    for b in range(ME, len(length)):
+        filled = False
+        for s in range(len(statements.op)):
+            scanned, looked_up = _scanned(statements, s, length)
+            if statements.negated[s] or scanned == ME or looked_up != b:
+                continue
+            if b != ME and not filled:
+                _fill(mass, boxes, mentions, views, b)
+                filled = True
+            n_touched = _scan(
+                statements, s, scanned, b, mentions, views, mass, boxes, bound, touched, n_touched
+            )
+        if filled:
+            _clear(mass, mentions, views, b)
+    touched = touched[:n_touched]
+    for s in range(len(statements.op)):
+        if statements.negated[s] and statements.target[s] == ME:
+            _deny(statements, s, mentions, views, bound)
+    total = 0.0
+    for view in touched:
+        if len(weights):
+            bound[view] *= weights[view]
+        total += bound[view]
+    chosen = _heaviest(bound, touched, most)
+    return chosen, bound[chosen], max(0.0, total - bound[chosen].sum())
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _scan(statements, s, a, b, mentions, views, mass, boxes, bound, touched, n_touched):
+    """Multiply the bounds of all viewpoints that see the things of one statement; a is scanned."""
+    gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
+    ux, uy = statements.bearing[s]
+    if a != statements.source[s]:
+        ux, uy = -ux, -uy
+    directed = statements.op[s] == DIRECTION
+    wrong = statements.table[s, TABLE // 2]
+    for k in range(mentions.starts[a], mentions.starts[a + 1]):
+        token, weight = mentions.tokens[k], mentions.weights[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            view = views.posting_views[p]
+            part = weight * views.posting_mass[p]
+            if b == ME:
+                part /= views.total[view]
+                if directed and not _may_lie(ux, uy, views.posting_boxes[p], HERE):
+                    part *= wrong
+            elif mass[view] > 0.0:
+                part *= mass[view] / (views.pairs[view] + statements.crowd)
+                if directed and not _may_lie(ux, uy, views.posting_boxes[p], boxes[view]):
+                    part *= wrong
+            else:
+                continue
+            if bound[view] == 0.0:
+                bound[view] = 1.0
+                touched[n_touched] = view
+                n_touched += 1
+            bound[view] = min(HIGHEST, bound[view] * (1.0 + gain * min(part, np.float32(1.0))))
+    return n_touched
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _scanned(statements, s, length):
+    """Mention whose viewpoints are scanned for a statement (the rarer one), and the one looked up."""
+    a, b = statements.source[s], statements.target[s]
+    if statements.op[s] == BETWEEN and a == ME:
+        a = statements.target2[s]
+    if a == ME or (b != ME and length[b] < length[a]):
+        a, b = b, a
+    return a, b
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _deny(statements, s, mentions, views, bound):
+    """Lower the bounds of viewpoints that see what is said to be absent."""
+    m, noise = statements.source[s], statements.noise[s]
+    ux, uy = statements.bearing[s]
+    for k in range(mentions.starts[m], mentions.starts[m + 1] if m != ME else 0):
+        token, weight = mentions.tokens[k], mentions.weights[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            box = views.posting_boxes[p]
+            if statements.op[s] != DIRECTION or _must_lie(ux, uy, box):
+                absent = np.exp(-2.0 * weight * views.posting_mass[p])
+                bound[views.posting_views[p]] *= (1.0 - noise) * absent + noise
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _must_lie(ux, uy, box):
+    """Whether all of a box lies near the direction u from the viewpoint."""
+    west, south, east, north = unpack_box(box)
+    ahead = min(west * ux, east * ux) + min(south * uy, north * uy)
+    left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
+    right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
+    return ahead > 8.0 and max(-left, right) < 0.7 * ahead
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _fill(mass, boxes, mentions, views, m):
+    """How much of a mention every viewpoint has in sight, and the box it lies in."""
+    for k in range(mentions.starts[m], mentions.starts[m + 1]):
+        token, weight = mentions.tokens[k], mentions.weights[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            view = views.posting_views[p]
+            box = views.posting_boxes[p]
+            boxes[view] = box if mass[view] == 0.0 else join_boxes(boxes[view], box)
+            mass[view] += weight * views.posting_mass[p]
+
+
+@njit(cache=True, nogil=True)
+def _clear(mass, mentions, views, m):
+    """Undo `_fill`."""
+    for k in range(mentions.starts[m], mentions.starts[m + 1]):
+        token = mentions.tokens[k]
+        for p in range(views.posting_starts[token], views.posting_starts[token + 1]):
+            mass[views.posting_views[p]] = 0.0
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _may_lie(ux, uy, box_a, box_b):
+    """Whether anything in one box may lie, seen from something in the other, near the direction u."""
+    west_a, south_a, east_a, north_a = unpack_box(box_a)
+    west_b, south_b, east_b, north_b = unpack_box(box_b)
+    west, east = np.float32(west_a - east_b), np.float32(east_a - west_b)
+    south, north = np.float32(south_a - north_b), np.float32(north_a - south_b)
+    ahead = max(west * ux, east * ux) + max(south * uy, north * uy)
+    left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
+    right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
+    aside = max(left, -right, np.float32(0.0))
+    return ahead > 0.0 and aside < np.float32(1.4) * ahead + np.float32(2.0)
+
+
+@njit(cache=True, nogil=True)
+def _heaviest(bound, touched, most):
+    """The `most` touched views of largest bound, largest first (buckets by the exponent's bits)."""
+    bits = bound.view(np.int64)
+    histogram = np.zeros(1 << 14, np.int64)
+    for view in touched:
+        histogram[bits[view] >> 49] += 1
+    floor, kept = len(histogram), 0
+    while floor > 0 and kept + histogram[floor - 1] <= most:
+        floor -= 1
+        kept += histogram[floor]
+    chosen = np.empty(len(touched), np.int32)
+    edge = np.empty(len(touched), np.int32)
+    n = n_edge = 0
+    for view in touched:
+        bucket = bits[view] >> 49
+        if bucket >= floor:
+            chosen[n] = view
+            n += 1
+        elif bucket == floor - 1:  # the bucket that is kept in part: its heaviest
+            edge[n_edge] = view
+            n_edge += 1
+    if n < most and n_edge:
+        heavier = np.argsort(-bound[edge[:n_edge]])[: most - n]
+        chosen[n : n + len(heavier)] = edge[heavier]
+        n += len(heavier)
+    return chosen[:n][np.argsort(-bound[chosen[:n]])]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
+    """Log-likelihood ratios (K,) of candidates, best bounds first.
+
+    `relative` (K,) is their log prior, against the largest. Stops where a bound lies more than
+    `margin` [nat] below the best so far: nothing behind it can matter. Rows not reached are
+    `HOPELESS`.
+    """
+    n_statements = len(statements.op)
+    scores = np.full(len(chosen), HOPELESS, np.float32)
+    each = np.empty(n_statements, np.float32)
+    nothing = np.empty((0, 2), np.int64)
+    noise = 0.0
+    for s in range(n_statements):
+        noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
+    best = HOPELESS
+    for k in range(len(chosen)):
+        if np.log(bounds[k]) + noise + SLACK < best - margin:
+            break
+        v = chosen[k]
+        a, b = views.starts[v], views.starts[v + 1]
+        seen = in_sight(
+            scene, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
+            views.total[v], views.pairs[v], COARSE, views.positions[v],
+        )  # fmt: skip
+        scores[k] = likelihoods(
+            statements,
+            scene,
+            words,
+            seen,
+            far[k],
+            together,
+            best - margin - relative[k],
+            each,
+            nothing,
+        )
+        best = max(best, scores[k] + relative[k])
+    return scores
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def look_again(statements, scene, words, at, nearby, far, together, assign):
+    """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
+
+    Nearest points are computed anew from the geometry, so that a position between viewpoints sees
+    roads and walls where they are. Also returns the ratios of each statement (K, S) and, if
+    `assign`, the objects that serve it (K, S, 2).
+    """
+    n_statements = len(statements.op)
+    scores = np.empty(len(at), np.float32)
+    each = np.empty((len(at), n_statements), np.float32)
+    served = np.empty((len(at), n_statements if assign else 0, 2), np.int64)
+    where = np.empty((len(nearby), 2), np.float32)
+    sight = np.empty(len(nearby), np.float32)
+    for k in range(len(at)):
+        total = apart = squares = np.float32(0.0)
+        for i in range(len(nearby)):
+            o = nearby[i]
+            e, n, d2 = nearest_on_parts(
+                scene.part_starts,
+                scene.point_starts,
+                scene.points,
+                scene.kind[o],
+                o,
+                at[k, 0],
+                at[k, 1],
+            )
+            where[i, 0], where[i, 1] = e, n
+            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SHARP))
+            total += sight[i]
+            if scene.kind[o] != AREA or d2 > 0.0:
+                apart += sight[i]
+                squares += sight[i] * sight[i]
+        pairs = max(apart * apart - squares, np.float32(0.0))
+        seen = in_sight(scene, nearby, where, sight, total, pairs, FINE, at[k].astype(np.float32))
+        scores[k] = likelihoods(
+            statements, scene, words, seen, far[k], together, HOPELESS, each[k], served[k]
+        )
+    return scores, each, served
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def distant(statements, scene, far, positions):
+    """What things out of sight add to P(statement | position), (K, S) float32.
+
+    `far` (`query.Far`) lists all objects of mentions rare enough to be spoken of from
+    afar; and how far a statement reaches. In a relation
+    of two things the one that is not listed stands where the speaker stands, nearly enough.
+    """
+    out = np.zeros((len(positions), len(statements.op)), np.float32)
+    for s in range(len(statements.op)):
+        a, b = statements.source[s], statements.target[s]
+        n_a = far.starts[a + 1] - far.starts[a] if a != ME else 0
+        n_b = far.starts[b + 1] - far.starts[b] if b != ME else 0
+        if statements.op[s] == BETWEEN or statements.negated[s] or n_a + n_b == 0:
+            continue
+        forward = n_b == 0 or (0 < n_a <= n_b)
+        m = a if forward else b
+        ux, uy = statements.bearing[s]
+        for i in range(far.starts[m], far.starts[m + 1]):
+            o = far.objects[i]
+            for k in range(len(positions)):
+                cx = scene.center[o, 0] - positions[k, 0]
+                cy = scene.center[o, 1] - positions[k, 1]
+                # extents beyond 1 km are walked in sight, not from afar
+                if max(abs(cx), abs(cy)) > 4.0 * far.scale[s] + 1000.0:
+                    continue
+                x, y, d2 = cx, cy, cx * cx + cy * cy
+                if scene.kind[o] != 0:
+                    x, y, d2 = nearest_on_parts(
+                        scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o,
+                        positions[k, 0], positions[k, 1],
+                    )  # fmt: skip
+                d = np.sqrt(d2)
+                if d > 4.0 * far.scale[s]:
+                    continue
+                p = np.exp(-d / far.scale[s])
+                if statements.op[s] == DIRECTION:
+                    wx, wy = (ux, uy) if forward else (-ux, -uy)
+                    p *= direction_fit(statements.table[s], wx, wy, x, y, COARSE)
+                p *= distance_fit(statements.distance[s], d)
+                out[k, s] += far.share[s] * far.fits[i] * p
+    return out

@@ -1,0 +1,262 @@
+"""Cells and their scene graphs (Eq. 1-8): a grid, and in it objects where they are nearest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.map.raster import Grid, Sightings, nearest_on_parts, sightings
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import LocalPlane
+    from placegraph.graph import SceneGraph
+    from placegraph.outdoor.map.objects import CityObjects
+
+LINE, AREA = 1, 2
+NEAR = 10.0
+"""Objects of a cell closer than this are "near" each other [m]."""
+BESIDE = 15.0
+"""Points and areas closer than this to a line stand "along" it [m]."""
+
+
+class UnknownCellError(OptionError, KeyError):
+    """There is no such cell; a `KeyError` too, so that `in` and `get` work as of any mapping."""
+
+    __str__ = Exception.__str__
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A square of the grid that holds at least two objects."""
+
+    id: str
+    longitude: float
+    """Centre [deg]."""
+    latitude: float
+    """Centre [deg]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells(Mapping[str, Cell]):
+    """Cells of a city by id (``c<column>r<row>``); only cells with two objects or more exist."""
+
+    plane: LocalPlane
+    grid: Grid
+    size: float
+    """Edge of a cell [m]."""
+    edge_distance: float
+    """Objects nearer than this are joined by an edge [m]."""
+    points: NDArray[np.int64]
+    """(C,) grid points that are cells, ``row * columns + column``, ascending."""
+
+    def check(self) -> None:
+        """Raise `ValueError` where this is no grid (a damaged or hand-made map)."""
+        sizes = (self.grid.stride, self.size, self.edge_distance)
+        if not all(0.0 < size < 1e6 for size in sizes):
+            raise ValueError(f"sizes {sizes}")
+        if not np.isfinite(self.grid).all() or (np.abs(self.grid[:2]) > 1e9).any():
+            raise ValueError(f"grid {self.grid}")
+        last = self.grid.columns * self.grid.rows
+        if (np.diff(self.points, prepend=-1, append=last) < 1).any():
+            raise ValueError("cells are not in order")
+
+    @cached_property
+    def _points(self) -> dict[str, int]:
+        return {self._id(point): point for point in self.points.tolist()}
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._points)
+
+    def __getitem__(self, cell: str) -> Cell:
+        lonlat = self.plane.to_lonlat(self.center(cell))
+        return Cell(cell, float(lonlat[0]), float(lonlat[1]))
+
+    def at(self, longitude: float, latitude: float) -> str | None:
+        """Id of the cell whose centre is nearest to a position, None where no cell covers it."""
+        return self.at_plane(self.plane.to_plane((longitude, latitude)))
+
+    def at_plane(self, east_north: NDArray[np.float64]) -> str | None:
+        """As `at`, for east and north [m]."""
+        step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
+        column, row = (int(x) for x in np.floor(step + 0.5))
+        reach = np.abs(step - (column, row)).max() * self.grid.stride
+        if (
+            not (0 <= column < self.grid.columns and 0 <= row < self.grid.rows)
+            or reach > self.size / 2
+        ):
+            return None
+        cell = self._id(row * self.grid.columns + column)
+        return cell if cell in self._points else None
+
+    def nearest(self, east_north: NDArray[np.float64]) -> str:
+        """Id of the cell that covers a position, else of the cell whose centre is nearest."""
+        covering = self.at_plane(east_north)
+        if covering is not None:
+            return covering
+        if not len(self.points):  # one lone object makes no cell
+            return self._id(0)
+        row, column = np.divmod(self.points, self.grid.columns)
+        centers = self.grid.stride * np.stack([column, row], 1) + (self.grid.east, self.grid.north)
+        return self._id(int(self.points[np.argmin(((centers - east_north) ** 2).sum(axis=1))]))
+
+    def center(self, cell: str) -> NDArray[np.float64]:
+        """Centre (2,) of a cell, east and north [m]; raises `OptionError` where there is none."""
+        row, column = divmod(self.point(cell), self.grid.columns)
+        return np.array([self.grid.east, self.grid.north]) + self.grid.stride * np.array(
+            [column, row]
+        )
+
+    def centers(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Centres (K, 2) of the cells in `rows` of `points`, east and north [m]."""
+        row, column = np.divmod(self.points[rows], self.grid.columns)
+        return np.stack([column, row], 1) * self.grid.stride + (self.grid.east, self.grid.north)
+
+    def rows_at(self, east_north: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Rows (K,) of `points` of the cells nearest to positions (K, 2) [m]; -1 where none covers."""
+        step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
+        column, row = np.floor(step + 0.5).astype(np.int64).T
+        reach = np.abs(step - np.stack([column, row], 1)).max(axis=1) * self.grid.stride
+        on_grid = (column >= 0) & (column < self.grid.columns) & (row >= 0)
+        points = row * self.grid.columns + column
+        at = np.minimum(np.searchsorted(self.points, points), len(self.points) - 1)
+        there = on_grid & (reach <= self.size / 2) & (self.points[at] == points)
+        return np.where(there, at, -1)
+
+    def id_of(self, row: int) -> str:
+        """Id of the cell in a row of `points`."""
+        return self._id(int(self.points[row]))
+
+    def bounds(self, cell: str) -> tuple[float, float, float, float]:
+        """West, south, east and north edge of a cell [m]."""
+        east, north = self.center(cell)
+        half = self.size / 2
+        return float(east - half), float(north - half), float(east + half), float(north + half)
+
+    def point(self, cell: str) -> int:
+        """Grid point of a cell; raises `OptionError` where there is no such cell."""
+        if cell not in self._points:
+            raise UnknownCellError(
+                f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
+            )
+        return self._points[cell]
+
+    def _id(self, point: int) -> str:
+        row, column = divmod(point, self.grid.columns)
+        return f"c{column}r{row}"
+
+
+def cell_sightings(objects: CityObjects, grid: Grid, size: float) -> Sightings:
+    """Objects of each square of edge `size` [m] around the grid's points, where they are nearest."""
+    around = sightings(
+        objects.kind,
+        objects.part_starts,
+        objects.point_starts,
+        objects.points,
+        grid=grid,
+        radius=size * np.sqrt(0.5),
+    )
+    inside = np.abs(around.offsets).max(axis=1, initial=0.0) <= size / 2
+    counts = np.concatenate(([0], np.cumsum(inside)))
+    return Sightings(
+        around.points, counts[around.starts], around.objects[inside], around.offsets[inside]
+    )
+
+
+def occupied_cells(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.int64]:
+    """Grid points (C,) whose square holds at least two objects, so that an edge can exist."""
+    seen = cell_sightings(objects, grid, size)
+    return seen.points[np.diff(seen.starts) >= 2]
+
+
+def compass(delta: NDArray[np.float64]) -> str:
+    """Relation of Eq. 6 for the vector (2,) east, north from a target to a source.
+
+    The equation leaves |dx| = |dy| open; here north and south win.
+    """
+    east, north = delta
+    if abs(east) > abs(north):
+        return "east" if east > 0 else "west"
+    return "north" if north > 0 else "south"
+
+
+def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
+    """Scene graph of a cell: objects where they are nearest to its centre, relations of Eq. 6.
+
+    Every ordered pair nearer than the edge distance is an edge "source is <relation> of target";
+    pairs closer than 10 m are also `near`, what stands in an area is `inside` it, and what stands
+    at a line is `along` it.
+    """
+    from placegraph.graph import SceneGraph
+
+    center = cells.center(cell)
+    grid = Grid(float(center[0]), float(center[1]), cells.grid.stride, 1, 1)
+    seen = cell_sightings(objects, grid, cells.size)
+    rows, at = seen.objects, center + seen.offsets
+    edges = [
+        (source, target, relation)
+        for source in range(len(rows))
+        for target in range(len(rows))
+        if source != target
+        for relation in _relations(objects, rows, at, source, target, cells.edge_distance)
+    ]
+    sources, targets, relations = zip(*edges, strict=True) if edges else ((), (), ())
+    return SceneGraph(
+        ids=tuple(objects.osm(i) for i in rows),
+        labels=tuple(objects.label(i) for i in rows),
+        names=tuple(objects.name(i) for i in rows),
+        positions=at,
+        sources=np.array(sources, np.int64),
+        targets=np.array(targets, np.int64),
+        relations=tuple(relations),
+    )
+
+
+def _relations(
+    objects: CityObjects,
+    rows: NDArray[np.int32],
+    at: NDArray[np.float64],
+    source: int,
+    target: int,
+    edge_distance: float,
+) -> Iterator[str]:
+    delta = at[source] - at[target]
+    apart = float(np.hypot(*delta))
+    if 0.0 < apart <= edge_distance:
+        yield compass(delta)
+    if apart <= NEAR:
+        yield "near"
+    kind = objects.kind[rows[target]]
+    if kind in (LINE, AREA):
+        areas = kind == AREA == objects.kind[rows[source]]  # neighbours touch at their wall
+        _, _, d2 = nearest_on_parts(
+            objects.part_starts,
+            objects.point_starts,
+            objects.points,
+            kind,
+            rows[target],
+            *(objects.center[rows[source]] if areas else at[source]),
+        )
+        if kind == AREA and d2 == 0.0 and not _holds(objects, rows[source], rows[target]):
+            yield "inside"
+        elif kind == LINE and d2 <= BESIDE**2 and objects.kind[rows[source]] != LINE:
+            yield "along"
+
+
+def _holds(objects: CityObjects, outer: int, inner: int) -> bool:
+    """Whether area `outer` is the larger one, so that "inside" would be the wrong way round."""
+    if objects.kind[outer] != AREA:
+        return False
+    spans = [
+        np.ptp(np.concatenate(objects.parts(i)), axis=0).prod() for i in (int(outer), int(inner))
+    ]
+    return bool(spans[0] > spans[1])

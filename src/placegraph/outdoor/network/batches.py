@@ -1,0 +1,268 @@
+"""Padded arrays of many graphs at once: what the equations of the network are written in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from placegraph.outdoor.network import network_kernels as kernels
+from placegraph.outdoor.network.relations import CHANNELS, place_relations, text_relations
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+
+Floats = NDArray[np.float32]
+Rows = NDArray[np.int64]
+
+
+class NodeWords(NamedTuple):
+    """Words of N nodes, as CSR; `at` says where the nodes stand in the padded arrays."""
+
+    starts: Rows
+    """(N,) first word of a node; the last one ends with the words."""
+    words: Rows
+    weights: Floats
+    at: Rows
+    """(N,) graph * size + node."""
+
+
+class GraphBatch(NamedTuple):
+    """B padded graphs of `size` nodes; node 0 is the speaker, or the centre."""
+
+    nodes: Floats
+    """(B, size, F): texts have (is here, log count), places (is here, kind (3), offset (2) and
+    distance, all / 25 m)."""
+    mask: Floats
+    """(B, size) 1 where there is a node."""
+    relations: Floats
+    """(B, R, size, size) `CHANNELS` of node i to node j."""
+    words: NodeWords
+
+
+class PairBatch(NamedTuple):
+    """P pairs of a text and a place."""
+
+    text: Rows
+    """(P,) row of the texts."""
+    place: Rows
+    """(P,) row of the places."""
+    agreement: Floats
+    """(P, n, m) how well a thing fits a mention by its words."""
+    rarity: Floats
+    """(P, n) how rare a mention is on the map, 0 to about 1."""
+    ends: Rows
+    """(P, S, 2) source and target of the statements."""
+    said: Floats
+    """(P, S, R + 1) channels, and whether it is negated."""
+    spoken: Floats
+    """(P, S) 1 where there is a statement."""
+    holds: Floats
+    """(P, S, m, m) how far things i and j of the place stand as the statement says."""
+    literal: Floats
+    """(P, S, LITERAL) what a statement says if words alone decide; see `kernels.literal`."""
+
+
+def text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
+    """Padded texts `rows` (B,)."""
+    rows = np.asarray(rows, np.int64)
+    counts = texts.starts[rows + 1] - texts.starts[rows]
+    size = int(counts.max())
+    node, at = entries(texts.starts[rows], counts, size)
+    nodes = np.zeros((len(rows), size, 2), np.float32)
+    nodes[:, 0, 0] = 1.0
+    nodes.reshape(-1, 2)[at, 1] = texts.counts[node]
+    return GraphBatch(
+        nodes,
+        _mask(counts, size),
+        text_relations(texts.edge_starts, texts.ends, texts.channels, texts.negated, rows, size),
+        _words(texts.word_starts, texts.words, texts.weights, node, at),
+    )
+
+
+def place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
+    """Padded places `rows` (B,)."""
+    rows = np.asarray(rows, np.int64)
+    counts = places.starts[rows + 1] - places.starts[rows]
+    size = int(counts.max(initial=0)) + 1
+    thing, at = entries(places.starts[rows], counts, size, skip=1)
+    nodes = np.zeros((len(rows), size, 7), np.float32)
+    nodes[:, 0, 0] = 1.0
+    flat = nodes.reshape(-1, 7)
+    flat[at, 1 + places.kinds[thing]] = 1.0
+    flat[at, 4:6] = places.offsets[thing] / 25.0
+    flat[at, 6] = np.hypot(flat[at, 4], flat[at, 5])
+    return GraphBatch(
+        nodes,
+        _mask(counts + 1, size),
+        place_relations(places.starts, places.offsets, places.kinds, rows, size),
+        _words(places.word_starts, places.words, places.weights, thing, at),
+    )
+
+
+def entries(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Rows, Rows]:
+    """Nodes of graphs with these first nodes and counts, and where they stand when padded."""
+    graph = np.repeat(np.arange(len(starts)), counts)
+    within = np.arange(len(graph)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return starts[graph] + within, graph * size + within + skip
+
+
+def _mask(counts: Rows, size: int) -> Floats:
+    return (np.arange(size) < counts[:, None]).astype(np.float32)
+
+
+def _words(
+    starts: Rows, words: NDArray[np.integer[Any]], weights: Floats, nodes: Rows, at: Rows
+) -> NodeWords:
+    counts = starts[nodes + 1] - starts[nodes]
+    some = counts > 0
+    nodes, at, counts = nodes[some], at[some], counts[some]
+    entry, _ = entries(starts[nodes], counts, 0)
+    return NodeWords(np.cumsum(counts) - counts, words[entry].astype(np.int64), weights[entry], at)
+
+
+def pair_batch(
+    texts: TextGraphs,
+    places: PlaceGraphs,
+    text_rows: Rows,
+    place_rows: Rows,
+    pairs: tuple[Rows, Rows],
+    words: WordFits,
+) -> PairBatch:
+    """Pairs of the texts and places of two batches.
+
+    `pairs` are rows of the batches, `words` how well words of the map fit the nodes of the texts.
+    """
+    text, place = pairs
+    n = int((texts.starts[text_rows + 1] - texts.starts[text_rows]).max())
+    m = int((places.starts[place_rows + 1] - places.starts[place_rows]).max(initial=0)) + 1
+    counts = texts.edge_starts[text_rows + 1] - texts.edge_starts[text_rows]
+    s = max(1, int(counts.max()))
+    edge, at = entries(texts.edge_starts[text_rows], counts, s)
+    ends = np.zeros((len(text_rows), s, 2), np.int64)
+    said = np.zeros((len(text_rows), s, len(CHANNELS) + 1), np.float32)
+    ends.reshape(-1, 2)[at] = texts.ends[edge]
+    said.reshape(-1, len(CHANNELS) + 1)[at] = np.column_stack(
+        [texts.channels[edge], texts.negated[edge]]
+    )
+    nodes = texts.starts[text_rows + 1] - texts.starts[text_rows]
+    node, at = entries(texts.starts[text_rows], nodes, n)
+    rarity = np.zeros((len(text_rows), n), np.float32)
+    rarity.reshape(-1)[at] = words.rarity[node]
+    agreement = agreements(texts, places, text_rows[text], place_rows[place], words, (n, m))
+    holds = _holds(
+        texts.edge_starts, texts.channels, text_rows[text],
+        places.starts, places.offsets, places.kinds, place_rows[place], s, m,
+    )  # fmt: skip
+    things = places.starts[place_rows + 1] - places.starts[place_rows]
+    sizes = things[place] + 1
+    literal = kernels.literal(
+        agreement, holds, rarity[text], ends[text], said[text], counts[text], sizes
+    )
+    return PairBatch(
+        text,
+        place,
+        agreement,
+        rarity[text],
+        ends[text],
+        said[text],
+        _mask(counts, s)[text],
+        holds,
+        literal,
+    )
+
+
+def agreements(
+    texts: TextGraphs,
+    places: PlaceGraphs,
+    text_rows: Rows,
+    place_rows: Rows,
+    words: WordFits,
+    size: tuple[int, int],
+) -> Floats:
+    """How well things of places fit mentions of texts, (P, n, m); the speaker fits the centre."""
+    return _agreement(
+        texts.starts, text_rows, words.starts, words.tokens, words.weights,
+        places.starts, place_rows, places.word_starts, places.words, places.weights,
+        *size, len(places.vocabulary),
+    )  # fmt: skip
+
+
+class WordFits(NamedTuple):
+    """How well words of a map fit N text nodes, as CSR, and how rare these are there."""
+
+    starts: Rows
+    """(N + 1,)"""
+    tokens: NDArray[np.int32]
+    """Rows of the places' vocabulary."""
+    weights: Floats
+    rarity: Floats
+    """(N,) minus log share of the map's things that a node may be, / 10; 0 of the speaker."""
+
+
+def word_fits(
+    starts: Rows, tokens: NDArray[np.int32], weights: Floats, counts: Rows, total: int
+) -> WordFits:
+    """`WordFits` from how well words fit, and how many (counts (T,)) of the `total` things bear them."""
+    mass = np.concatenate(([0.0], np.cumsum(weights * counts[tokens])))
+    share = (mass[starts[1:]] - mass[starts[:-1]]) / max(1, total)
+    rarity = -np.log(np.clip(share, 1e-5, 1.0)) / 10.0
+    rarity[starts[1:] == starts[:-1]] = 0.0
+    return WordFits(starts, tokens, weights, rarity.astype(np.float32))
+
+
+@njit(cache=True, nogil=True)
+def _agreement(
+    text_starts, texts, fit_starts, fit_tokens, fit_weights,
+    place_starts, places, word_starts, words, weights, n, m, n_words,
+):  # fmt: skip
+    """How well things of a place fit mentions of a text, (P, n, m); the speaker fits the centre."""
+    out = np.zeros((len(texts), n, m), np.float32)
+    fits = np.zeros((n, n_words), np.float32)
+    last = -1
+    for p in range(len(texts)):
+        first = text_starts[texts[p]]
+        many = text_starts[texts[p] + 1] - first
+        if texts[p] != last:
+            if last >= 0:
+                for a in range(text_starts[last], text_starts[last + 1]):
+                    for k in range(fit_starts[a], fit_starts[a + 1]):
+                        fits[a - text_starts[last], fit_tokens[k]] = 0.0
+            for a in range(many):
+                for k in range(fit_starts[first + a], fit_starts[first + a + 1]):
+                    fits[a, fit_tokens[k]] = fit_weights[k]
+            last = texts[p]
+        out[p, 0, 0] = 1.0
+        begin = place_starts[places[p]]
+        for i in range(place_starts[places[p] + 1] - begin):
+            for w in range(word_starts[begin + i], word_starts[begin + i + 1]):
+                for a in range(1, many):
+                    fit = fits[a, words[w]] * weights[w]
+                    if fit > out[p, a, i + 1]:
+                        out[p, a, i + 1] = fit
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _holds(edge_starts, channels, texts, starts, offsets, kinds, places, s, m):
+    """How far things i and j of a place stand as a statement says, (P, S, m, m)."""
+    out = np.zeros((len(texts), s, m, m), np.float32)
+    one = np.empty(1, np.int64)
+    last = -1
+    relations = np.zeros((1, 1, 1, 1), np.float32)
+    for p in range(len(texts)):
+        if places[p] != last:
+            one[0] = last = places[p]
+            relations = place_relations(starts, offsets, kinds, one, m)
+        many = starts[places[p] + 1] - starts[places[p]] + 1
+        first = edge_starts[texts[p]]
+        for e in range(first, edge_starts[texts[p] + 1]):
+            for r in range(channels.shape[1]):
+                said = channels[e, r]
+                if said > 0.0:
+                    for i in range(many):
+                        for j in range(many):
+                            out[p, e - first, i, j] += said * relations[0, r, i, j]
+    return out

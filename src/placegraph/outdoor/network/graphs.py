@@ -1,0 +1,290 @@
+"""Graphs as the network reads them: columns of many text graphs, columns of many place graphs.
+
+Node 0 of every graph is *here*: the speaker of a text, the centre of a place. All other nodes are
+things; how they stand to each other is in `relations`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.map.raster import sightings
+from placegraph.outdoor.network.labels import of_name
+from placegraph.outdoor.network.relations import ALONG, CHANNELS, INSIDE, NEAR, PRESENT, winds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.graph import SceneGraph
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.language.description import Description, Mention
+    from placegraph.outdoor.map.raster import Sightings
+
+REACH = 34.0
+"""Things nearer than this to its centre belong to a place: who stands 10 m aside sees them [m]."""
+MOST_THINGS = 36
+"""At most this many things of a place are read, the nearest ones."""
+MOST_MENTIONS = 24
+"""At most this many things of a text are read."""
+MOST_STATEMENTS = 32
+"""At most this many statements of a text are read."""
+
+
+@dataclass(frozen=True, eq=False)
+class TextGraphs:
+    """Q text graphs (Eq. 3-4); their nodes and edges as CSR."""
+
+    starts: NDArray[np.int64]
+    """(Q + 1,) nodes of a text; the first one is the speaker."""
+    mentions: NDArray[np.int64]
+    """(N,) mention of the description that a node is."""
+    word_starts: NDArray[np.int64]
+    """(N + 1,) words of a node, none of a speaker."""
+    words: NDArray[np.int64]
+    """Rows of `vocabulary`."""
+    weights: NDArray[np.float32]
+    """How likely the node is meant so."""
+    counts: NDArray[np.float32]
+    """(N,) log of the stated number, 0 where one or unsaid."""
+    edge_starts: NDArray[np.int64]
+    """(Q + 1,) statements of a text."""
+    ends: NDArray[np.int64]
+    """(E, 2) source and target, counted within the text."""
+    channels: NDArray[np.float32]
+    """(E, R) how far each of `CHANNELS` was said."""
+    negated: NDArray[np.float32]
+    """(E,) 1 where the statement says that it is not so."""
+    vocabulary: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @classmethod
+    def of(cls, descriptions: Sequence[Description]) -> TextGraphs:
+        """Text graphs of parsed descriptions; what exceeds the limits is cut off at the end."""
+        rows: dict[str, int] = {}
+        mentions: list[int] = []
+        nodes: list[list[tuple[int, float]]] = []
+        counts: list[float] = []
+        edges: list[tuple[int, int]] = []
+        said: list[NDArray[np.float32]] = []
+        negated: list[bool] = []
+        starts, edge_starts = [0], [0]
+        for description in descriptions:
+            local = _spoken_of(description)
+            mentions += local
+            for id_ in local:
+                mention = description.mentions[id_]
+                words = [] if id_ == SPEAKER else words_of(mention)
+                nodes.append([(rows.setdefault(w, len(rows)), weight) for w, weight in words])
+                counts.append(float(np.log(max(1, mention.count or 1))))
+            for s in description.statements:
+                if s.source not in local or s.target not in local:
+                    continue
+                if len(edges) - edge_starts[-1] == MOST_STATEMENTS:
+                    break
+                edges.append((local[s.source], local[s.target]))
+                said.append(_channels(s.relation, s.bearing))
+                negated.append(s.negated)
+            starts.append(len(nodes))
+            edge_starts.append(len(edges))
+        return cls(
+            starts=np.array(starts, np.int64),
+            mentions=np.array(mentions, np.int64),
+            word_starts=np.concatenate(([0], np.cumsum([len(n) for n in nodes]))).astype(np.int64),
+            words=np.array([w for n in nodes for w, _ in n], np.int64),
+            weights=np.array([x for n in nodes for _, x in n], np.float32),
+            counts=np.array(counts, np.float32),
+            edge_starts=np.array(edge_starts, np.int64),
+            ends=np.array(edges, np.int64).reshape(-1, 2),
+            channels=np.array(said, np.float32).reshape(-1, len(CHANNELS)),
+            negated=np.array(negated, np.float32),
+            vocabulary=tuple(rows),
+        )
+
+
+def _spoken_of(description: Description) -> dict[int, int]:
+    """Node of each mention that a statement speaks of; the speaker is node 0, always there."""
+    local = {SPEAKER: 0}
+    for s in description.statements:
+        for end in (s.source, s.target):
+            if end not in local and len(local) <= MOST_MENTIONS and end != 1:
+                local[end] = len(local)
+    return local
+
+
+def words_of(mention: Mention) -> list[tuple[str, float]]:
+    """Words that stand for a mention, and how likely it is meant so: senses, name, or bare words."""
+    found = [(sense.label, sense.weight) for sense in mention.senses]
+    literal = [(label, w) for label, w in found if _is_tag(mention.words, label)]
+    found = literal or found
+    total = sum(w for _, w in found)
+    found = [(label, w / total) for label, w in found]
+    if mention.name:
+        found.append((of_name(mention.name), 1.0))
+    return found or [(mention.words.casefold(), 1.0)]
+
+
+def _is_tag(words: str, label: str) -> bool:
+    """Whether words are a tag's own value: "bicycle_parking", "the path"."""
+    key, _, value = label.replace("_", " ").partition("=")
+    said = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
+    return said == (key if value == "yes" else value).rstrip("s")
+
+
+_SAID = {
+    Relation.NEAR: NEAR,
+    Relation.INSIDE: INSIDE,
+    Relation.ALONG: ALONG,
+    Relation.ACROSS: PRESENT,
+    Relation.BETWEEN: PRESENT,
+    Relation.VISIBLE: PRESENT,
+    Relation.SAME: NEAR,
+}
+
+
+def _channels(relation: Relation, bearing: float | None) -> NDArray[np.float32]:
+    said = np.zeros(len(CHANNELS), np.float32)
+    if relation is Relation.DIRECTION and bearing is not None:
+        said[:4] = winds(np.float32(np.sin(bearing)), np.float32(np.cos(bearing)))
+    else:
+        said[_SAID.get(relation, PRESENT)] = 1.0
+    return said
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceGraphs:
+    """K place graphs (Eq. 7-8): things around a centre, nearest first; relations follow from them."""
+
+    starts: NDArray[np.int64]
+    """(K + 1,) things of a place; *here* is not among them."""
+    offsets: NDArray[np.float32]
+    """(N, 2) where they stand, seen from the centre: east, north [m]."""
+    kinds: NDArray[np.uint8]
+    """(N,) point, line or area."""
+    word_starts: NDArray[np.int64]
+    """(N + 1,)"""
+    words: NDArray[np.int32]
+    """Rows of `vocabulary`: labels and names."""
+    weights: NDArray[np.float32]
+    """How readily the thing is called so."""
+    vocabulary: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @classmethod
+    def of_cells(cls, city: CityMap) -> PlaceGraphs:
+        """Graphs around all cells of a city, rows as `city.cells.points`.
+
+        They reach beyond the cell's edge: who stands at it speaks of what lies beyond.
+        """
+        o = city.objects
+        seen = sightings(
+            o.kind, o.part_starts, o.point_starts, o.points, grid=city.cells.grid, radius=REACH
+        )
+        rows = np.searchsorted(seen.points, city.cells.points)
+        return cls.of_sightings(city, seen, rows)
+
+    @classmethod
+    def of_views(cls, city: CityMap, rows: NDArray[np.int64]) -> PlaceGraphs:
+        """Graphs around viewpoints `rows` (K,) of a city."""
+        views = city.views
+        return cls._gathered(city, views.starts, views.objects, views.offsets, rows)
+
+    @classmethod
+    def of_sightings(cls, city: CityMap, seen: Sightings, rows: NDArray[np.int64]) -> PlaceGraphs:
+        """Graphs around the points `rows` (K,) of what is seen there."""
+        return cls._gathered(city, seen.starts, seen.objects, seen.offsets, rows)
+
+    @classmethod
+    def _gathered(
+        cls,
+        city: CityMap,
+        starts: NDArray[np.int64],
+        objects: NDArray[np.int32],
+        offsets: NDArray[np.float32],
+        rows: NDArray[np.int64],
+    ) -> PlaceGraphs:
+        chosen, kept = _nearest_things(starts, offsets, np.asarray(rows, np.int64))
+        things = objects[kept]
+        token_starts, token_values, token_weights = city.tokens
+        word_starts, words, weights = _gather(things, token_starts, token_values, token_weights)
+        return cls(
+            chosen, offsets[kept].astype(np.float32), city.objects.kind[things],
+            word_starts, words, weights, city.words,
+        )  # fmt: skip
+
+    @classmethod
+    def of_scene_graphs(
+        cls, graphs: Sequence[SceneGraph], centers: NDArray[np.float64]
+    ) -> PlaceGraphs:
+        """Graphs of any scene graphs with positions in a plane, around `centers` (K, 2) [m]."""
+        rows: dict[str, int] = {}
+        offsets, words, starts = [], [], [0]
+        for graph, center in zip(graphs, centers, strict=True):
+            off = graph.positions[:, :2] - center
+            nearest = np.argsort(np.hypot(*off.T), kind="stable")[:MOST_THINGS]
+            offsets.append(off[nearest])
+            for i in nearest:
+                called = [graph.labels[i]]
+                called += [of_name(graph.names[i])] if graph.names[i] else []
+                words.append([rows.setdefault(word, len(rows)) for word in called])
+            starts.append(len(words))
+        flat = [word for thing in words for word in thing]
+        return cls(
+            np.array(starts, np.int64),
+            np.concatenate([np.zeros((0, 2)), *offsets]).astype(np.float32),
+            np.zeros(len(words), np.uint8),
+            np.concatenate(([0], np.cumsum([len(thing) for thing in words]))).astype(np.int64),
+            np.array(flat, np.int32),
+            np.ones(len(flat), np.float32),
+            tuple(rows),
+        )
+
+
+@njit(cache=True, nogil=True)
+def _nearest_things(starts, offsets, rows):
+    """Entries of each row within reach, the nearest `MOST_THINGS`; starts (K + 1,), entries."""
+    chosen = np.zeros(len(rows) + 1, np.int64)
+    most = 0
+    for k in range(len(rows)):
+        most += min(MOST_THINGS, starts[rows[k] + 1] - starts[rows[k]])
+    kept = np.empty(most, np.int64)
+    n = 0
+    for k in range(len(rows)):
+        first, last = starts[rows[k]], starts[rows[k] + 1]
+        distance = np.empty(last - first, np.float32)
+        for e in range(first, last):
+            x, y = offsets[e, 0], offsets[e, 1]
+            d2 = x * x + y * y
+            distance[e - first] = d2 if d2 <= REACH * REACH else np.float32(np.inf)
+        order = np.argsort(distance, kind="mergesort")
+        for i in order[:MOST_THINGS]:
+            if distance[i] < np.inf:
+                kept[n] = first + i
+                n += 1
+        chosen[k + 1] = n
+    return chosen, kept[:n]
+
+
+@njit(cache=True, nogil=True)
+def _gather(rows, starts, values, weights):
+    """CSR entries of some rows, as CSR."""
+    out = np.zeros(len(rows) + 1, np.int64)
+    for i in range(len(rows)):
+        out[i + 1] = out[i] + starts[rows[i] + 1] - starts[rows[i]]
+    found = np.empty(out[-1], np.int32)
+    weight = np.empty(out[-1], np.float32)
+    for i in range(len(rows)):
+        a, b = starts[rows[i]], starts[rows[i] + 1]
+        found[out[i] : out[i + 1]] = values[a:b]
+        weight[out[i] : out[i + 1]] = weights[a:b]
+    return out, found, weight

@@ -1,0 +1,291 @@
+"""The network without PyTorch: graph embeddings (Eq. 9-10) and joint matching (Eq. 14-17).
+
+Weights are those that `train` writes; equations and names are `torch_network.py`'s, and a test
+holds the two together. Linear maps run as one product over the nodes of all graphs at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from placegraph.errors import MapError
+from placegraph.outdoor.network import network_kernels as kernels
+from placegraph.outdoor.network.batches import (
+    GraphBatch,
+    WordFits,
+    agreements,
+    place_batch,
+    text_batch,
+)
+from placegraph.outdoor.network.labels import Bags
+from placegraph.outdoor.network.weights import read_weights, shipped
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.network.batches import Floats, Rows
+    from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+    from placegraph.outdoor.network.shape import Shape
+
+BLOCK = 1024
+"""Places embedded at once."""
+
+
+class States(NamedTuple):
+    """Encoded graphs."""
+
+    nodes: Floats
+    """(N, d) node states, packed."""
+    starts: Rows
+    """(B + 1,)"""
+    embeddings: Floats
+    """(B, D) of unit length."""
+    relations: Floats
+    """(B, R, size, size)"""
+
+
+class Matches(NamedTuple):
+    """What the joint model says of K places."""
+
+    logit: Floats
+    """(K,) log odds that text and place match (Eq. 17)."""
+    cosine: Floats
+    """(K,) of the joint embeddings (Eq. 15)."""
+    embedding: Floats
+    """(K,) cosine of the graph embeddings (Eq. 11)."""
+    residual: Floats
+    """(K,) what relational matching should have added to its log-likelihood ratio."""
+
+    @property
+    def probability(self) -> Floats:
+        """(K,) that text and place match."""
+        return np.asarray(1.0 / (1.0 + np.exp(-self.logit)), np.float32)
+
+
+class _Pairs(NamedTuple):
+    """One text with each of K places: its nodes and statements, repeated."""
+
+    t_starts: Rows
+    """(K + 1,) text nodes of a pair."""
+    m_starts: Rows
+    """(K + 1,) place nodes of a pair."""
+    agreement: Floats
+    """(K, n, m) how well a thing fits a mention by its words."""
+    relations: Floats
+    """(K, R, m, m)"""
+    ends: Rows
+    """(E, 2) source and target of a statement, counted within the text."""
+    bounds: Rows
+    """(K + 1,) statements of a pair."""
+    known: Floats
+    """(E, R + 3) channels, whether it is negated, how rare both ends are on the map."""
+
+    def literally(self) -> Floats:
+        """What the statements say if words alone decide (K,): the sum of their log-likelihood ratios."""
+        return kernels.literally(
+            self.agreement, self.t_starts, self.m_starts, self.relations, self.ends, self.known,
+            self.bounds,
+        )  # fmt: skip
+
+
+def _pairs(
+    texts: TextGraphs,
+    text: int,
+    places: PlaceGraphs,
+    rows: Rows,
+    words: WordFits,
+    stands: States,
+) -> _Pairs:
+    k = len(rows)
+    nodes = slice(*texts.starts[text : text + 2])
+    edges = slice(*texts.edge_starts[text : text + 2])
+    n, size = nodes.stop - nodes.start, stands.relations.shape[3]
+    ends = texts.ends[edges]
+    rarity = words.rarity[nodes][ends]
+    known = np.column_stack([texts.channels[edges], texts.negated[edges], rarity])
+    return _Pairs(
+        np.arange(k + 1) * n,
+        stands.starts,
+        agreements(texts, places, np.full(k, text), rows, words, (n, size)),
+        stands.relations,
+        np.tile(ends, (k, 1)),
+        np.arange(k + 1) * len(ends),
+        np.tile(known, (k, 1)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class GraphTransformer:
+    """Graph encoders of both sides and the joint model, ready to run."""
+
+    shape: Shape
+    arrays: dict[str, Floats]
+    """Weights by PyTorch's names."""
+    fingerprint: str
+    """Of the weights: embeddings of two models must not be compared."""
+
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def default() -> GraphTransformer:
+        """Return the network that comes with placegraph."""
+        return GraphTransformer.open(shipped())
+
+    @classmethod
+    def open(cls, path: str | PathLike[str]) -> GraphTransformer:
+        """Open a weights file; raises `InputError` or `MapError` where it does not fit this version."""
+        weights = read_weights(path)
+        try:
+            network = cls(weights.shape, weights.arrays, weights.fingerprint)
+            network.check()
+        except (KeyError, ValueError) as error:
+            raise MapError(
+                f"{path}: its weights do not fit together ({error}). Train or install them again."
+            ) from error
+        return network
+
+    def check(self) -> None:
+        """Raise `KeyError` or `ValueError` where a weight is missing or of another shape."""
+        for name, wanted in self.shape.arrays().items():
+            if self.arrays[name].shape != wanted:
+                raise ValueError(f"{name} has shape {self.arrays[name].shape} instead of {wanted}")
+
+    def word_vectors(self, words: tuple[str, ...]) -> Floats:
+        """Vectors (W, d) of labels, names (`labels.of_name`) and any other words."""
+        if not words:
+            return np.zeros((0, self.shape.width), np.float32)
+        return Bags.of(words, self.shape.subwords).vectors(self.arrays["table"])
+
+    def embed_texts(self, texts: TextGraphs) -> Floats:
+        """Embeddings (Q, D) of text graphs (Eq. 9), of unit length."""
+        return self.encode_texts(texts, np.arange(len(texts))).embeddings
+
+    def embed_places(self, places: PlaceGraphs, vectors: Floats | None = None) -> Floats:
+        """Embeddings (K, D) of place graphs (Eq. 10), of unit length."""
+        vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
+        order = np.argsort(np.diff(places.starts), kind="stable")  # alike sizes: little padding
+        out = np.empty((len(places), self.shape.dimension), np.float32)
+        for at in range(0, len(order), BLOCK):
+            rows = order[at : at + BLOCK]
+            out[rows] = self.encode_places(places, rows, vectors).embeddings
+        return out
+
+    def encode_texts(self, texts: TextGraphs, rows: Rows) -> States:
+        """Node states and embeddings of texts `rows`."""
+        return self._encode("text", text_batch(texts, rows), self.word_vectors(texts.vocabulary))
+
+    def encode_places(self, places: PlaceGraphs, rows: Rows, vectors: Floats) -> States:
+        """Node states and embeddings of places `rows`; `vectors` are those of their vocabulary."""
+        return self._encode("place", place_batch(places, rows), vectors)
+
+    def match(
+        self,
+        texts: TextGraphs,
+        text: int,
+        places: PlaceGraphs,
+        rows: Rows,
+        words: WordFits,
+        vectors: Floats | None = None,
+        stands: States | None = None,
+    ) -> Matches:
+        """Match one text with places `rows` (K,), all at once (Eq. 14-17).
+
+        `words` says how well words of the places fit the nodes of all texts; `stands` are these
+        places encoded before, where they were.
+        """
+        vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
+        rows = np.asarray(rows, np.int64)
+        if not len(rows):
+            return Matches(*(np.zeros((4, 0), np.float32)))
+        said = self.encode_texts(texts, np.array([text]))
+        stands = self.encode_places(places, rows, vectors) if stands is None else stands
+        pairs = _pairs(texts, text, places, rows, words, stands)
+        t, m = np.tile(said.nodes, (len(rows), 1)), stands.nodes
+        total = np.zeros((len(rows), 2), np.float32)
+        for layer in range(self.shape.crossings):
+            t, m, verdict = self._cross(f"cross.{layer}", t, m, pairs)
+            total += verdict
+        e_t = self._pool("pool_text", t, pairs.t_starts)
+        e_m = self._pool("pool_place", m, pairs.m_starts)
+        hidden = self._linear("judge.0", np.column_stack([e_t, e_m, e_t * e_m]))
+        judged = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0]
+        lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
+        cosine = (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5)
+        logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0] + judged
+        return Matches(logit, cosine, stands.embeddings @ said.embeddings[0], total[:, 1])
+
+    def _cross(
+        self, name: str, t: Floats, m: Floats, pairs: _Pairs
+    ) -> tuple[Floats, Floats, Floats]:
+        """Cross attention both ways, and what the statements say (K,) of what they attend to."""
+        seen, meant, weights = kernels.cross_attention(
+            (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
+            (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
+            pairs.t_starts, pairs.m_starts, pairs.agreement,
+            self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], self.shape.heads,
+        )  # fmt: skip
+        features = kernels.heard(
+            weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
+            pairs.ends, pairs.known, pairs.bounds,
+        )  # fmt: skip
+        evidence = self._linear(f"{name}.evidence", np.column_stack([features, pairs.known]))
+        evidence = np.maximum(evidence, 0.0)
+        verdict = self._linear(f"{name}.verdict", evidence).reshape(len(pairs.bounds) - 1, -1, 2)
+        told = kernels.add_to_ends(
+            self._linear(f"{name}.said", evidence), pairs.ends, pairs.bounds, pairs.t_starts
+        )
+        t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told)
+        m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
+        t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
+        return t, m, verdict.sum(axis=1)
+
+    def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> States:
+        """GPS layers: messages along labelled edges plus attention to the whole graph."""
+        b, size = batch.mask.shape
+        at = np.flatnonzero(batch.mask.reshape(-1))
+        starts = np.concatenate(([0], np.cumsum(batch.mask.sum(axis=1)))).astype(np.int64)
+        words = np.zeros((b * size, self.shape.width), np.float32)
+        if len(batch.words.at):
+            rows = vectors[batch.words.words] * batch.words.weights[:, None]
+            words[batch.words.at] = np.add.reduceat(rows, batch.words.starts, axis=0)
+        nodes = batch.nodes.reshape(b * size, -1)[at]
+        x = self._norm(f"{side}.norm", words[at] + self._linear(f"{side}.features", nodes))
+        for layer in range(self.shape.layers):
+            name = f"{side}.layers.{layer}"
+            told = kernels.messages(self._linear(f"{name}.message", x), starts, batch.relations)
+            seen = kernels.self_attention(self._linear(f"{name}.qkv", x), starts, self.shape.heads)
+            x = self._norm(
+                f"{name}.norm",
+                x + self._linear(f"{name}.along", told) + self._linear(f"{name}.out", seen),
+            )
+            x = self._feed(f"{name}.feed", x)
+        pooled = self._pool(f"{side}.pool", x, starts)
+        length = np.maximum(np.linalg.norm(pooled, axis=1, keepdims=True), 1e-12)
+        return States(x, starts, pooled / length, batch.relations)
+
+    def _linear(self, name: str, x: NDArray[np.floating[Any]]) -> Floats:
+        y = x @ self.arrays[f"{name}.weight"].T
+        if f"{name}.bias" in self.arrays:
+            y += self.arrays[f"{name}.bias"]
+        return np.asarray(y, np.float32)
+
+    def _norm(self, name: str, x: Floats) -> Floats:
+        x = x - x.mean(axis=1, keepdims=True)
+        x /= np.sqrt((x * x).mean(axis=1, keepdims=True) + 1e-5)
+        x *= self.arrays[f"{name}.weight"]
+        return np.asarray(x + self.arrays[f"{name}.bias"], np.float32)
+
+    def _feed(self, name: str, x: Floats) -> Floats:
+        hidden = np.maximum(self._linear(f"{name}.up", x), 0.0)
+        return self._norm(f"{name}.norm", x + self._linear(f"{name}.down", hidden))
+
+    def _pool(self, name: str, x: Floats, starts: NDArray[np.int64]) -> Floats:
+        """Gated sum over the nodes of each graph, projected."""
+        gate = 1.0 / (1.0 + np.exp(-self._linear(f"{name}.gate", x)))
+        total = np.add.reduceat(gate * x, starts[:-1], axis=0)
+        return self._linear(f"{name}.out", total / np.sqrt(np.diff(starts))[:, None])

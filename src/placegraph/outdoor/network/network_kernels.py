@@ -1,0 +1,281 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled loops of the network over packed graphs: what would be padding is never touched.
+
+Node states of B graphs are packed: one row a node, `starts` (B + 1,) says where a graph begins.
+Relations and agreement come padded, and are read only where there are nodes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def messages(x, starts, relations):
+    """Sum over neighbours j of relation r, (N, R * c), of x (N, c); rows are scaled by their degree."""
+    c, n_relations = x.shape[1], relations.shape[1]
+    out = np.zeros((len(x), n_relations * c), np.float32)
+    for b in range(len(starts) - 1):
+        first = starts[b]
+        n = starts[b + 1] - first
+        for r in range(n_relations):
+            for i in range(n):
+                degree = np.float32(1.0)
+                for j in range(n):
+                    degree += abs(relations[b, r, i, j])
+                if degree == 1.0:
+                    continue
+                scale = np.float32(1.0) / np.sqrt(degree)
+                for j in range(n):
+                    a = relations[b, r, i, j] * scale
+                    if a != 0.0:
+                        for k in range(c):
+                            out[first + i, r * c + k] += a * x[first + j, k]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def self_attention(qkv, starts, heads):
+    """Attention of every node to its graph, (N, d), from queries, keys and values (N, 3 d)."""
+    d = qkv.shape[1] // 3
+    size = d // heads
+    scale = np.float32(1.0 / np.sqrt(size))
+    out = np.zeros((len(qkv), d), np.float32)
+    most = np.max(starts[1:] - starts[:-1])
+    keys = np.empty((size, most), np.float32)
+    logits = np.empty((most, most), np.float32)
+    for b in range(len(starts) - 1):
+        first = starts[b]
+        n = starts[b + 1] - first
+        for h in range(heads):
+            q, k, v = h * size, d + h * size, 2 * d + h * size
+            _turned(qkv, first, n, k, keys)
+            _products(qkv, first, n, q, keys, n, scale, logits)
+            for i in range(n):
+                _softmax(logits, i, n, np.float32(-1e30))
+            _mixed(logits, n, qkv, first, n, v, size, out, first, q)
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _turned(x, first, n, column, out):
+    """Columns from `column` of n rows of x, turned so that loops over rows run over neighbours."""
+    for j in range(n):
+        for c in range(len(out)):
+            out[c, j] = x[first + j, column + c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _products(q, first, n, column, keys, m, scale, out):
+    """Scaled products (n, m) of n queries and m turned keys, into `out`."""
+    for i in range(n):
+        for j in range(m):
+            out[i, j] = 0.0
+        for c in range(len(keys)):
+            a = q[first + i, column + c] * scale
+            for j in range(m):
+                out[i, j] += a * keys[c, j]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _mixed(weights, n, values, first, m, column, size, out, at, to):
+    """Add values of m rows, mixed by weights (n, m), to n rows of `out`."""
+    for i in range(n):
+        for j in range(m):
+            w = weights[i, j]
+            for c in range(size):
+                out[at + i, to + c] += w * values[first + j, column + c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _softmax(weights, i, n, nothing):
+    """Softmax of n weights of row i in place, with one more entry `nothing` that takes its share."""
+    top = nothing
+    for j in range(n):
+        top = max(top, weights[i, j])
+    total = np.exp(nothing - top)
+    for j in range(n):
+        weights[i, j] = np.exp(weights[i, j] - top)
+        total += weights[i, j]
+    scale = np.float32(1.0) / total
+    for j in range(n):
+        weights[i, j] *= scale
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, heads):
+    """Attention of texts to places and back.
+
+    `qk` are queries of the texts (N, d) and keys of the places (M, d), `values` those of the
+    places and of the texts. Returns what text nodes see (N, d), what things mean (M, d), and the
+    weights (N, heads, largest place) by which text nodes see things.
+    """
+    q, k = qk
+    of_place, of_text = values
+    d = q.shape[1]
+    size = d // heads
+    scale = np.float32(1.0 / np.sqrt(size))
+    most = np.max(m_starts[1:] - m_starts[:-1])
+    widest = np.max(t_starts[1:] - t_starts[:-1])
+    to_place = np.zeros((len(q), heads, most), np.float32)
+    seen, meant = np.zeros_like(q), np.zeros_like(k)
+    keys = np.empty((size, most), np.float32)
+    alike = np.empty((widest, most), np.float32)
+    forth = np.empty((widest, most), np.float32)
+    back = np.empty((most, widest), np.float32)
+    for p in range(len(t_starts) - 1):
+        t0, m0 = t_starts[p], m_starts[p]
+        n, m = t_starts[p + 1] - t0, m_starts[p + 1] - m0
+        for h in range(heads):
+            off = h * size
+            _turned(k, m0, m, off, keys)
+            _products(q, t0, n, off, keys, m, scale, alike)
+            for i in range(n):
+                for j in range(m):
+                    forth[i, j] = alike[i, j] + word[0, h] * agreement[p, i, j]
+                    back[j, i] = alike[i, j] + word[1, h] * agreement[p, i, j]
+                _softmax(forth, i, m, nothing[0, h])
+                for j in range(m):
+                    to_place[t0 + i, h, j] = forth[i, j]
+            for j in range(m):
+                _softmax(back, j, n, nothing[1, h])
+            _mixed(forth, n, of_place, m0, m, off, size, seen, t0, off)
+            _mixed(back, m, of_text, t0, n, off, size, meant, m0, off)
+    return seen, meant, to_place
+
+
+LITERAL = 5
+"""Numbers of `literal`."""
+CHANCE = np.array([0.25, 0.25, 0.25, 0.25, 0.4, 0.2, 0.2, 0.2, 1.0], np.float32)
+"""P(two things in sight stand so, anywhere) of each channel."""
+NOISE = np.float32(0.12)
+"""Share of statements about things that are not there."""
+CROWD, LONELY = np.float32(30.0), np.float32(0.5)
+"""Added to the pairs, and to the things, that could have been spoken of."""
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def literal(agreement, holds, rarity, ends, said, counts, sizes):
+    """What statements say of places if words alone decide, (P, S, LITERAL).
+
+    Logs of how many pairs of things fit and stand so, how many things fit the source, how many the
+    target, how many there are; and the log-likelihood ratio that relational matching would give
+    (`outdoor.match`, without what it knows of distance and of one thing serving many statements).
+
+    `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `said`
+    (P, S, R + 1) channels and negation, `counts` (P,) statements, `sizes` (P,) nodes of a place.
+    """
+    out = np.zeros((len(counts), holds.shape[1], LITERAL), np.float32)
+    for p in range(len(counts)):
+        for s in range(counts[p]):
+            a, b = ends[p, s]
+            background = _background(said[p, s], rarity[p, a], rarity[p, b])
+            _literal(
+                agreement[p, a], agreement[p, b], holds[p, s], sizes[p], background,
+                min(a, b) == 0, said[p, s, len(CHANCE)] > 0.0, out[p, s],
+            )  # fmt: skip
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _background(said, rare_source, rare_target):
+    """P(statement | anywhere)."""
+    chance = np.float32(0.0)
+    for r in range(len(CHANCE)):
+        chance += CHANCE[r] * said[r]
+    share = np.exp(np.float32(-10.0) * (rare_source + rare_target))
+    return max(chance * share, np.float32(1e-7))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _literal(source, target, as_said, m, background, of_me, negated, out):
+    held = of_source = of_target = np.float32(0.0)
+    for i in range(m):
+        row = np.float32(0.0)
+        for j in range(m):
+            row += as_said[i, j] * target[j]
+        held += row * source[i]
+        of_source += source[i]
+        of_target += target[i]
+    least = np.float32(0.02)
+    out[0], out[1] = np.log(held + least), np.log(of_source + least)
+    out[2], out[3] = np.log(of_target + least), np.log(np.float32(m))
+    things = np.float32(m - 1)
+    if negated:
+        out[4] = np.log((1 - NOISE) * np.exp(np.float32(-2.0) * held) + NOISE)
+        return
+    p = held / (things + LONELY) if of_me else held / (things * (things - 1) + CROWD)
+    out[4] = np.log((1 - NOISE) * min(p, np.float32(1.0)) / background + NOISE)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
+    """What every statement of every pair finds, (E, 3 H + LITERAL).
+
+    Of each head how far what its ends attend to stands as said, how far they attend to anything,
+    and the ratio; then `literal`. `bounds` (P + 1,) are those of a pair's statements, `ends`
+    (E, 2) nodes within a text, `known` (E, R + 3) what is said and how rare both ends are, row p of
+    `relations` those of the place of pair p.
+    """
+    heads, most = weights.shape[1], weights.shape[2]
+    features = np.zeros((len(ends), 3 * heads + LITERAL), np.float32)
+    as_said = np.empty((most, most), np.float32)
+    for p in range(len(bounds) - 1):
+        m = m_starts[p + 1] - m_starts[p]
+        for e in range(bounds[p], bounds[p + 1]):
+            as_said[:m, :m] = 0.0
+            for r in range(len(CHANCE)):
+                said = known[e, r]
+                if said > 0.0:
+                    for i in range(m):
+                        for j in range(m):
+                            as_said[i, j] += said * relations[p, r, i, j]
+            a, b = t_starts[p] + ends[e, 0], t_starts[p] + ends[e, 1]
+            for h in range(heads):
+                held = source = target = np.float32(0.0)
+                for i in range(m):
+                    row = np.float32(0.0)
+                    for j in range(m):
+                        row += as_said[i, j] * weights[b, h, j]
+                    held += row * weights[a, h, i]
+                    source += weights[a, h, i]
+                    target += weights[b, h, i]
+                there = source * target
+                features[e, h] = held
+                features[e, heads + h] = there
+                features[e, 2 * heads + h] = held / (there + np.float32(0.05))
+            channels = len(CHANCE)
+            background = _background(known[e], known[e, channels + 1], known[e, channels + 2])
+            _literal(
+                agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], as_said, m, background,
+                min(ends[e, 0], ends[e, 1]) == 0, known[e, channels] > 0.0,
+                features[e, 3 * heads :],
+            )  # fmt: skip
+    return features
+
+
+@njit(cache=True, nogil=True)
+def add_to_ends(told, ends, bounds, t_starts):
+    """Sum what statements tell (E, 2 d) their sources and targets, (N, d)."""
+    d = told.shape[1] // 2
+    out = np.zeros((t_starts[-1], d), np.float32)
+    for p in range(len(bounds) - 1):
+        for e in range(bounds[p], bounds[p + 1]):
+            for side in range(2):
+                node = t_starts[p] + ends[e, side]
+                for c in range(d):
+                    out[node, c] += told[e, side * d + c]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def literally(agreement, t_starts, m_starts, relations, ends, known, bounds):
+    """Sum over the statements of each pair (P,) of the last number of `literal`."""
+    nothing = np.zeros((t_starts[-1], 0, np.max(m_starts[1:] - m_starts[:-1])), np.float32)
+    each = heard(nothing, agreement, t_starts, m_starts, relations, ends, known, bounds)
+    out = np.zeros(len(bounds) - 1, np.float32)
+    for p in range(len(out)):
+        for e in range(bounds[p], bounds[p + 1]):
+            out[p] += each[e, LITERAL - 1]
+    return out

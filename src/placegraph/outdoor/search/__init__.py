@@ -1,0 +1,1 @@
+"""Candidates, scores, posterior, modes, evidence and questions."""

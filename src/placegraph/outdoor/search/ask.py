@@ -1,0 +1,264 @@
+"""Ask back: the question whose answer tells the places that still fit apart best.
+
+Every question is scored by its expected information gain: the entropy of its answer over the modes,
+less the entropy that the answer would have if the place were known.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.language.check import Ignored
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Mention,
+    Relation,
+    Sense,
+    Statement,
+)
+from placegraph.outdoor.map.index import STRIDE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import CityEstimate
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+
+YES, NO, UNKNOWN = "yes", "no", "don't know"
+NONE = "none of these"
+WINDS = {"north": 0.0, "east": np.pi / 2, "south": np.pi, "west": 1.5 * np.pi}
+MOST_PLACES = 600
+"""So many places are told apart at a time."""
+ASKED_WITHIN = 35.0
+"""What is farther away than this need not be in sight [m]."""
+MISTAKE = 0.05
+"""Share of answers that are wrong."""
+MOST_NAMES = 4
+"""A choice question offers at most so many names."""
+WORTH = 0.02
+"""Questions that promise less information are not asked [nat]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """What a question is about: a label in a direction, or a name."""
+
+    words: str
+    label: str = ""
+    wind: str = ""
+    """One of the four winds, or empty for any direction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question to the speaker; `options` are its answers, besides "don't know"."""
+
+    text: str
+    options: tuple[str, ...]
+    things: tuple[Thing, ...]
+    """One thing of a yes/no question; one for each option but the last of a choice."""
+    gain: float
+    """Expected information gain [nat]."""
+
+    def answer(self, option: str) -> Answer:
+        """Answer it; raises `OptionError` for an answer that it does not have."""
+        given = str(option).strip().lower()
+        for known in (*self.options, UNKNOWN):
+            if given == known.lower() or (
+                given and given == known[0].lower() and known in (YES, NO)
+            ):
+                return Answer(self, known)
+        raise OptionError(
+            f"{option!r} is no answer; say one of: {', '.join((*self.options, UNKNOWN))}."
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A question and its answer."""
+
+    question: Question
+    option: str
+
+    def added_to(self, description: Description) -> Description:
+        """Return the description with the answer as further statements."""
+        if self.option == UNKNOWN:  # nothing is learnt, but it need not be asked again
+            unknown = Ignored(self.question.text, "not known")
+            return replace(description, ignored=(*description.ignored, unknown))
+        things = self.question.things
+        if self.question.options == (YES, NO):
+            return _stated(description, things[0], self.question.text, negated=self.option == NO)
+        for thing in things:
+            if self.option in (NONE, thing.words):
+                description = _stated(
+                    description, thing, self.question.text, negated=self.option == NONE
+                )
+        return description
+
+
+def _stated(description: Description, thing: Thing, text: str, *, negated: bool) -> Description:
+    if not description.mentions:
+        description = replace(
+            description, mentions=(Mention(SPEAKER, "me"), Mention(LISTENER, "you"))
+        )
+    node = len(description.mentions)
+    senses = (Sense(thing.label, 1.0),) if thing.label else ()
+    mention = Mention(node, thing.words, senses, "" if thing.label else thing.words, definite=False)
+    statement = Statement(
+        Relation.DIRECTION if thing.wind else Relation.VISIBLE,
+        node,
+        SPEAKER,
+        bearing=WINDS[thing.wind] if thing.wind else None,
+        negated=negated,
+        text=f"{text} {NO if negated else YES}",
+    )
+    return replace(
+        description,
+        mentions=(*description.mentions, mention),
+        statements=(*description.statements, statement),
+    )
+
+
+def next_question(
+    estimate: CityEstimate, city: CityMap, vocabulary: Vocabulary | None = None
+) -> Question | None:
+    """Question with the largest expected information gain over the estimate's places, or None.
+
+    None also where one place is clear: a question would only move it by metres.
+    """
+    if estimate.status == Status.OK:
+        return None
+    worth = (q for q in possible_questions(estimate, city, vocabulary) if q.gain > WORTH)
+    return max(worth, key=lambda q: (q.gain, q.text), default=None)
+
+
+def possible_questions(
+    estimate: CityEstimate, city: CityMap, vocabulary: Vocabulary | None = None
+) -> list[Question]:
+    """All questions about what is around the estimate's places that were not asked yet."""
+    if vocabulary is None:
+        from placegraph.outdoor.language.vocabulary import Vocabulary as Shipped
+
+        vocabulary = Shipped.default()
+    heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MOST_PLACES]
+    weights = estimate.support[heaviest, 2]
+    if not weights.sum() > 0.0:
+        return []
+    weights = weights / weights.sum()
+    around = _Around.of(city, city.plane.to_plane(estimate.support[heaviest, :2]))
+    understood = estimate.understood or Description("")
+    asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
+    return [
+        q
+        for q in (*_yes_or_no(weights, around, vocabulary), *_which(weights, around))
+        if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"}
+    ]
+
+
+@dataclass(frozen=True)
+class _Around:
+    """What is around K places: expected numbers by label and wind, and by name."""
+
+    labels: dict[tuple[str, str], NDArray[np.float64]]
+    """(K,) of (label, wind); the wind is empty for any direction."""
+    names: dict[str, NDArray[np.float64]]
+    """(K,)"""
+
+    @classmethod
+    def of(cls, city: CityMap, positions: NDArray[np.float64]) -> _Around:
+        """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
+        views, objects = city.views, city.objects
+        nearest = [int(next(iter(views.near(p, STRIDE)), 0)) for p in positions]
+        counts = np.array([views.starts[v + 1] - views.starts[v] for v in nearest])
+        entries = np.concatenate([np.arange(views.starts[v], views.starts[v + 1]) for v in nearest])
+        place = np.repeat(np.arange(len(positions)), counts)
+        rows = views.objects[entries]
+        delta = (
+            views.positions[np.repeat(nearest, counts)] + views.offsets[entries] - positions[place]
+        )
+        distance = np.hypot(*delta.T)
+        sure = 1.0 / (1.0 + np.exp((distance - ASKED_WITHIN) / 6.0))
+        label = objects.label_values[objects.label_starts[rows]]
+        shares = {"": sure}
+        for wind, angle in WINDS.items():
+            cosine = (delta @ (np.sin(angle), np.cos(angle))) / np.maximum(distance, 1e-3)
+            clear = distance > 5.0  # nearer than that a direction is a guess [m]
+            shares[wind] = sure * clear / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1))
+        size = (len(objects.labels), len(positions))
+        labels: dict[tuple[str, str], NDArray[np.float64]] = {}
+        for wind, share in shares.items():
+            table = np.bincount(label * size[1] + place, share, size[0] * size[1]).reshape(size)
+            for k in np.flatnonzero(table.any(axis=1)):
+                labels[objects.labels[k], wind] = table[k]
+        names: dict[str, NDArray[np.float64]] = defaultdict(lambda: np.zeros(len(positions)))
+        for row, at, share in zip(rows.tolist(), place.tolist(), sure.tolist(), strict=True):
+            if name := objects.name(row):
+                names[name][at] += share
+        return cls(labels, dict(names))
+
+
+def _yes_or_no(
+    weights: NDArray[np.float64], around: _Around, vocabulary: Vocabulary
+) -> list[Question]:
+    questions = []
+    for (label, wind), expected in sorted(around.labels.items(), key=lambda item: item[0]):
+        if label.endswith("*"):
+            continue
+        yes = MISTAKE + (1.0 - 2.0 * MISTAKE) * -np.expm1(-2.0 * expected)
+        words = vocabulary.spoken(label)
+        article = "an" if words[:1].lower() in "aeiou" else "a"
+        where = f"within sight to your {wind}" if wind else "within sight"
+        questions.append(
+            Question(
+                f"Is there {article} {words} {where}?",
+                (YES, NO),
+                (Thing(words, label, wind),),
+                _gain(weights, np.stack([yes, 1.0 - yes])),
+            )
+        )
+    return questions
+
+
+def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
+    """At most one choice question: names that together cover the likeliest places."""
+    left = weights.copy()
+    chosen: list[str] = []
+    while len(chosen) < MOST_NAMES and around.names:
+        share = {name: float(left @ np.minimum(sure, 1.0)) for name, sure in around.names.items()}
+        telling = max(share, key=lambda name: (share[name], name))
+        if share[telling] < 0.02:  # the rest is too unlikely to be asked about
+            break
+        chosen.append(telling)
+        left = left * (1.0 - np.minimum(around.names[telling], 1.0))
+    if len(chosen) < 2:  # that would be a yes/no question
+        return []
+    present = np.minimum(1.0, np.stack([around.names[name] for name in chosen]))
+    none = np.prod(1.0 - 0.95 * present, axis=0)
+    said = np.vstack([present / np.maximum(present.sum(axis=0), 1e-9) * (1.0 - none), none])
+    said = MISTAKE / len(said) + (1.0 - MISTAKE) * said
+    return [
+        Question(
+            f"Which of these is within sight: {', '.join(chosen)}?",
+            (*chosen, NONE),
+            tuple(Thing(name) for name in chosen),
+            _gain(weights, said),
+        )
+    ]
+
+
+def _gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> float:
+    """Mutual information [nat] of the place (K,) and the answer (O, K)."""
+
+    def entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -(p * np.log(np.maximum(p, 1e-12))).sum(axis=0)
+
+    return float(entropy(options @ weights) - weights @ entropy(options))

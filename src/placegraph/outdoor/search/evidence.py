@@ -1,0 +1,189 @@
+"""Why a place: which map objects served each statement there, and what spoke against it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.estimate import Evidence, ObjectRef
+from placegraph.geometry import angle_between, bearing
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation, Statement
+from placegraph.outdoor.likelihood import scan_kernels as scan
+from placegraph.outdoor.likelihood.query import ends
+from placegraph.outdoor.map.index import REACH
+from placegraph.outdoor.map.raster import nearest_on_parts
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.likelihood.query import Query
+
+CERTAIN = 0.9
+"""Prior that a mention means one thing: an explanation is one assignment."""
+TELLING = 0.25
+"""A statement speaks for or against a place from this log-likelihood ratio on [nat]."""
+PHRASES = {
+    Relation.DIRECTION: "is in a direction of",
+    Relation.NEAR: "is near",
+    Relation.INSIDE: "is in",
+    Relation.ALONG: "is along",
+    Relation.ACROSS: "is across from",
+    Relation.BETWEEN: "is between",
+    Relation.VISIBLE: "is in sight of",
+    Relation.SAME: "is at",
+}
+WINDS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
+
+
+def wind(angle: float) -> str:
+    """Name of a bearing [rad] among the eight winds."""
+    return WINDS[round(angle / (np.pi / 4)) % 8]
+
+
+def evidence_at(position: NDArray[np.float64], city: CityMap, query: Query) -> tuple[Evidence, ...]:
+    """Evidence of every statement at a position (2,) [m]; unused statements come last."""
+    unused = tuple(
+        Evidence(said(s, query), "silent", 0.0, (), reason) for s, reason in query.unused
+    )
+    if not query.used:
+        return unused
+    views = city.views
+    around = views.near(position, REACH)
+    seen = [views.objects[views.starts[v] : views.starts[v + 1]] for v in around]
+    nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
+    at = position[None]
+    far = np.zeros((1, len(query.used)), np.float32)
+    if query.far is not None:
+        far = scan.distant(query.statements, city.scene, query.far, at)
+    _, ratios, served = scan.look_again(
+        query.statements, city.scene, query.words(len(views.posting_starts) - 1),
+        at, nearby, far, CERTAIN, True,
+    )  # fmt: skip
+    found = [
+        _evidence(s, float(r), [int(o) for o in rows if o >= 0], position, city, query)
+        for s, r, rows in zip(query.used, ratios[0], served[0], strict=True)
+    ]
+    return (*found, *unused)
+
+
+def _evidence(
+    statement: Statement,
+    ratio: float,
+    rows: list[int],
+    position: NDArray[np.float64],
+    city: CityMap,
+    query: Query,
+) -> Evidence:
+    verdict = "for" if ratio > TELLING else "against" if ratio < -TELLING else "silent"
+    if rows and not statement.negated and _off(statement, rows, position, city) > np.pi / 2:
+        verdict = "against"  # it is rare enough to speak for the place, but it lies the other way
+    if verdict == "for" and not rows and not statement.negated:
+        rows = _from_afar(statement, position, city, query)
+    note = ""
+    if verdict == "against":
+        note = _against(statement, rows, position, city)
+        rows = rows if statement.negated or note.startswith("there it") else []
+    elif not rows and not statement.negated:
+        note = "nothing in sight serves it"
+    elif unknown := query.by_kind.intersection(ends(statement)):
+        names = " and ".join(query.description.mentions[n].name for n in sorted(unknown))
+        note = f"the map knows no {names}; one of its kind serves"
+    return Evidence(
+        said(statement, query), verdict, ratio, tuple(reference(o, city) for o in rows), note
+    )
+
+
+def _from_afar(
+    statement: Statement, position: NDArray[np.float64], city: CityMap, query: Query
+) -> list[int]:
+    """The nearest rare thing out of sight that the statement may speak of."""
+    far = query.far
+    if far is None:
+        return []
+    ends = [n - 2 for n in (statement.source, statement.target) if n > 1]
+    lists = [far.objects[far.starts[m] : far.starts[m + 1]] for m in ends]
+    known = [rows for rows in lists if len(rows)]
+    if not known:
+        return []
+    rows = min(known, key=len)
+    distance = np.hypot(*(city.objects.center[rows] - position).T)
+    return [int(rows[np.argmin(distance)])]
+
+
+def _against(
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+) -> str:
+    """What spoke against a statement, as people would say it."""
+    if statement.negated:
+        return "but it is there"
+    if statement.relation is not Relation.DIRECTION or not rows:
+        return "nothing in sight serves it"
+    if _off(statement, rows, position, city) < np.pi / 4:
+        return "it fits, but no better than elsewhere"
+    return f"there it lies to the {wind(float(bearing(_delta(statement, rows, position, city))))}"
+
+
+def _off(
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+) -> float:
+    """Angle [rad] by which a direction is wrong; 0 where none was said, or where there is none."""
+    delta = _delta(statement, rows, position, city)
+    if statement.bearing is None or np.hypot(*delta) < 1.0:
+        return 0.0
+    return float(angle_between(bearing(delta), statement.bearing))
+
+
+def _delta(
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+) -> NDArray[np.float64]:
+    """Vector (2,) [m] from what served as the target to what served as the source."""
+    stands = [_nearest(city, row, position) for row in rows]
+    if len(rows) == 1:
+        return stands[0] if statement.target == SPEAKER else -stands[0]
+    return stands[0] - stands[1]
+
+
+def _nearest(city: CityMap, row: int, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    o = city.objects
+    east, north, _ = nearest_on_parts(
+        o.part_starts,
+        o.point_starts,
+        o.points,
+        o.kind[row],
+        row,
+        float(position[0]),
+        float(position[1]),
+    )
+    return np.array([east, north])
+
+
+def reference(row: int, city: CityMap) -> ObjectRef:
+    """What an estimate tells of a map object."""
+    o = city.objects
+    longitude, latitude = (float(x) for x in city.plane.to_lonlat(o.center[row]))
+    return ObjectRef(o.osm(row), o.label(row), o.name(row), longitude, latitude)
+
+
+def said(statement: Statement, query: Query) -> str:
+    """A statement in the text's own words; put into words where one sentence makes several."""
+    others = query.description.statements
+    if statement.text and sum(s.text == statement.text for s in others) == 1:
+        return statement.text
+    mentions = query.description.mentions
+
+    def words(node: int | None) -> str:
+        if node in (None, SPEAKER, LISTENER):
+            return "you" if node == LISTENER else "me"
+        return mentions[node].name or mentions[node].words
+
+    how = PHRASES[statement.relation]
+    if statement.bearing is not None:
+        how = f"is {wind(statement.bearing)} of"
+    if statement.negated:
+        how = how.replace("is ", "is not ", 1)
+    told = f"{words(statement.source)} {how} {words(statement.target)}"
+    if statement.relation is Relation.BETWEEN:
+        told += f" and {words(statement.target2)}"
+    return told.replace("me is", "I am").replace("you is", "you are")

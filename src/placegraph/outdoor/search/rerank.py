@@ -1,0 +1,35 @@
+"""Re-ranking: the network looks at the viewpoints that relational matching finds best.
+
+What it adds to their log-likelihood ratios shifts probability among these viewpoints; how much all
+of them together weigh against the rest of the city and against elsewhere stays as it was.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.outdoor.network.graphs import PlaceGraphs
+from placegraph.outdoor.network.pool import HARD
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.search.viewpoints import Candidates
+
+
+def rerank(found: Candidates, query: Query, encoded: EncodedCity) -> Candidates:
+    """Candidates whose log prior holds what the network says of them."""
+    before = found.scores + found.log_prior
+    best = np.argsort(-before, kind="stable")[:HARD]
+    if len(best) < 2:
+        return found
+    places = PlaceGraphs.of_views(encoded.city, found.rows[best].astype(np.int64))
+    match = encoded.match(encoded.text(query), places, np.arange(len(best)))
+    _, scale, weight = encoded.network.arrays["prior"]
+    after = scale * found.scores[best] + weight * match.residual + found.log_prior[best]
+    after += np.logaddexp.reduce(before[best]) - np.logaddexp.reduce(after)
+    log_prior = found.log_prior.copy()
+    log_prior[best] += after - before[best]
+    return found._replace(log_prior=log_prior)

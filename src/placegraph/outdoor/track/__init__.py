@@ -1,0 +1,1 @@
+"""Sentences along a walk."""

@@ -1,0 +1,58 @@
+"""What a tracker is given, checked: numbers, and where the speaker starts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.search.viewpoints import Prior
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.city import CityMap
+
+
+def shares_near(city: CityMap, near: Sequence[float] | None, radius: float) -> Floats | None:
+    """Prior shares (W,) of the viewpoints; None where nothing is known."""
+    if near is None:
+        return None
+    numbers = list(near) if np.iterable(near) else []
+    if len(numbers) == 3:
+        *numbers, radius = numbers
+    try:
+        longitude, latitude = (float(x) for x in numbers)
+    except (TypeError, ValueError, OverflowError):
+        longitude = latitude = float("nan")
+    if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
+        raise OptionError(
+            f"near is {near!r}; give longitude and latitude in degrees, in this order."
+        )
+    within = positive(radius, "radius")
+    if not 1.0 <= within <= 1e7:
+        raise OptionError(f"radius is {radius!r} m; choose between 1 and 10,000,000 m.")
+    prior = Prior(city.plane.to_plane((longitude, latitude)), within)
+    shares = np.exp(prior.log(city.views.positions.astype(np.float64)))
+    return np.asarray(shares / max(1.0, float(shares.sum())))
+
+
+def finite(value: object, name: str, what: str) -> float:
+    """Return a finite number; raises `OptionError` otherwise."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if isinstance(value, bool | str | bytes) or not np.isfinite(number):
+        raise OptionError(f"{name} is {value!r}; give {what} as a finite number.")
+    return number
+
+
+def positive(value: object, name: str) -> float:
+    """Return a finite number from 0 on; raises `OptionError` otherwise."""
+    number = finite(value, name, "an amount")
+    if number < 0.0:
+        raise OptionError(f"{name} is {value!r}; give 0 or more.")
+    return number

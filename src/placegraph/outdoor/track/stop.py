@@ -1,0 +1,159 @@
+"""What a tracker believes at one place: the belief on arrival, what was said there, and what of it stays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.outdoor.locate import SPACING
+from placegraph.outdoor.map.index import STRIDE
+from placegraph.outdoor.search.evidence import evidence_at
+from placegraph.outdoor.search.posterior import Posterior
+from placegraph.outdoor.track.grid import Belief, TrackGrid, laid
+from placegraph.outdoor.track.score import Scores, score
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import Evidence
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.likelihood.query import Query
+
+LIGHT = 1e-5
+"""Cells lighter than this, against the heaviest, are no part of a mode."""
+MOST_REMEMBERED = 400
+"""At most this many positions of a place that was left are kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """A place at which something was said, and what is believed of it."""
+
+    arrival: Belief
+    texts: tuple[str | Description, ...] = ()
+    query: Query | None = None
+    log_evidence: float = 0.0
+    """Log probability of the texts against being said elsewhere [nat]."""
+    belief: Belief | None = None
+    """After the texts; None where nothing was understood."""
+    fine: tuple[Floats, Floats] | None = None
+    """Positions (K, 2) [m] within the heaviest cells, and their probabilities (K,)."""
+
+    @property
+    def now(self) -> Belief:
+        """Return what is believed after all that was said."""
+        return self.arrival if self.belief is None else self.belief
+
+    def heard(
+        self, texts: tuple[str | Description, ...], query: Query, city: CityMap, grid: TrackGrid
+    ) -> Stop:
+        """Bayes: the belief on arrival times the likelihood of what was said."""
+        arrival = self.arrival
+        weights = arrival.mass.ravel()[grid.cells].astype(np.float64)
+        scores = score(query, city, weights)
+        highest = max(0.0, float(scores.views.max()))
+        mass = arrival.mass.ravel() * np.float32(np.exp(scores.nothing - highest))
+        mass[grid.cells] = weights * np.exp(scores.views - highest)
+        lost = arrival.elsewhere * np.exp(-highest)
+        total = float(mass.sum(dtype=np.float64)) + lost
+        return Stop(
+            arrival,
+            texts,
+            query,
+            float(np.log(total)) + highest,
+            Belief((mass / np.float32(total)).reshape(arrival.mass.shape), lost / total),
+            _fine(scores, weights, highest, total),
+        )
+
+    def placed(self, grid: TrackGrid) -> Belief:
+        """Belief in which the heaviest cells lie where the closer look saw them."""
+        if self.fine is None:
+            return self.now
+        mass = self.now.mass.copy()
+        mass.ravel()[_cells_at(grid, self.fine[0])] = 0.0
+        laid(mass, grid, *self.fine)
+        return Belief(mass, self.now.elsewhere)
+
+    def posterior(self, grid: TrackGrid, most: int) -> Posterior:
+        """Heaviest positions of the belief, fine ones where there are any."""
+        mass = self.now.mass.ravel()
+        cells = np.flatnonzero(mass > LIGHT * mass.max())
+        if len(cells) > most:
+            cells = cells[np.argpartition(-mass[cells], most)[:most]]
+            cells.sort()
+        positions = grid.positions(cells)
+        probabilities = mass[cells].astype(np.float64)
+        if self.fine is not None:
+            at, share = self.fine
+            coarse = ~np.isin(cells, _cells_at(grid, at))
+            positions = np.concatenate([at, positions[coarse]])
+            probabilities = np.concatenate([share, probabilities[coarse]])
+        return Posterior(positions, probabilities, self.now.elsewhere)
+
+    def memory(self, grid: TrackGrid) -> Memory | None:
+        """Return what stays of it once it is left; None where nothing was understood."""
+        if self.query is None:
+            return None
+        found = self.posterior(grid, MOST_REMEMBERED)
+        some = found.probabilities > 0.0
+        nowhere = np.zeros(2)
+        odds = np.log(found.probabilities[some])
+        return Memory(self.query, found.positions[some], odds, nowhere, np.zeros((2, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What was said at an earlier place, and the motion since."""
+
+    query: Query
+    positions: Floats
+    """(K, 2) [m] where it may have been said ..."""
+    log_probability: Floats
+    """(K,)"""
+    shift: Floats
+    """(2,) expected displacement since [m] ..."""
+    spread: Floats
+    """... and its covariance (2, 2) [m^2]."""
+
+    def evidence(self, position: Floats, city: CityMap) -> tuple[Evidence, ...]:
+        """Evidence at the place that most likely led to a position (2,) [m]."""
+        off = position - self.shift - self.positions
+        loose = np.linalg.inv(self.spread + np.eye(2) * SPACING**2)
+        fits = self.log_probability - 0.5 * np.einsum("ni,ij,nj->n", off, loose, off)
+        at = self.positions[int(np.argmax(fits))]
+        way = hypot(*(position - at))
+        note = f"said {way:.0f} m before" if way >= 1.0 else "said here before"
+        return tuple(
+            replace(e, note="; ".join(part for part in (note, e.note) if part))
+            for e in evidence_at(at, city, self.query)
+        )
+
+    def after(self, shift: Floats, spread: Floats) -> Memory:
+        """Return it after one more motion (2,) [m] with covariance (2, 2) [m^2]."""
+        return replace(self, shift=self.shift + shift, spread=self.spread + spread)
+
+
+def explained(
+    position: Floats, city: CityMap, query: Query | None, memory: tuple[Memory, ...]
+) -> tuple[Evidence, ...]:
+    """Evidence of what was said here, then of what was said before, the latest first."""
+    here = evidence_at(position, city, query) if query is not None else ()
+    return (*here, *(e for m in reversed(memory) for e in m.evidence(position, city)))
+
+
+def _fine(scores: Scores, weights: Floats, highest: float, total: float) -> tuple[Floats, Floats]:
+    """Positions (K, 2) [m] looked at closely, and their probabilities (K,)."""
+    n = scores.ratios.shape[1]
+    share = weights[scores.closer][:, None] / n * np.exp(scores.ratios - highest) / total
+    return scores.positions.reshape(-1, 2), share.ravel()
+
+
+def _cells_at(grid: TrackGrid, positions: Floats) -> NDArray[np.int64]:
+    """Cells that hold positions (K, 2) [m]."""
+    column, row = np.rint((positions - grid.low) / STRIDE).astype(np.int64).T
+    return np.unique(row * grid.columns + column)

@@ -1,0 +1,388 @@
+"""Sequential text: a posterior over places that motion moves and each further sentence sharpens.
+
+The Bayesian step of a filter (predict by motion, correct by what is said) over all viewpoints of a
+map at once, so nothing is drawn by chance. Sentences said without motion between them are read as one
+text, with the likelihood of relational matching: "the bakery" may mean the one spoken of before,
+and what is said twice is no surer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from math import atan2, hypot, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import CityEstimate, Place, Status
+from placegraph.language.check import LONGEST_TEXT, check
+from placegraph.outdoor.language.description import Description
+from placegraph.outdoor.likelihood.query import Query, compile_query
+from placegraph.outdoor.locate import MOST_SUPPORT, SPACING, read
+from placegraph.outdoor.search.posterior import modes, status_of
+from placegraph.outdoor.track.grid import (
+    FARTHEST,
+    Belief,
+    Kernel,
+    TrackGrid,
+    mixed,
+    moved,
+    reborn,
+    straight,
+    way,
+)
+from placegraph.outdoor.track.motion import Leg, ways
+from placegraph.outdoor.track.options import finite, positive, shares_near
+from placegraph.outdoor.track.stop import Memory, Stop, explained
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.city import CityMap
+
+MOST_STATEMENTS = 24
+"""What was said at one place is read as one text up to so many statements."""
+REMEMBERED = 6
+"""Of so many places before, the evidence is told again."""
+SURPRISED = 0.1
+"""A text that believed places explain worse than this may have been said somewhere else."""
+UNTOLD = 0.02
+"""Prior probability that the speaker has moved without a word."""
+ODOMETRY = 0.03
+"""Deviation of measured motion, as a share of it ..."""
+STEP = 1.0
+"""... plus this [m]."""
+COMPASS = 0.1
+"""Deviation of a measured bearing [rad]."""
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One call of a tracker, and what it came to."""
+
+    said: str
+    """The text, or the motion in words."""
+    status: Status
+    best: Place | None
+    """The best mode after it."""
+
+
+class CityTracker:
+    """Follows a speaker through a city by what they say of places and of their way.
+
+    Made by `CityMap.track`. Every call returns the estimate that it leads to; the map is not changed,
+    and the same calls give the same answers.
+
+    Parameters
+    ----------
+    city
+        The map.
+    near
+        Longitude and latitude [deg] the speaker is known to start near; a third number is the radius
+        [m].
+    radius
+        Radius of `near` [m]: half of the prior lies within.
+    heading
+        Where the speaker looks at first [rad, clockwise from north]; later it is the way they went.
+    top
+        How many modes at most.
+
+    Raises
+    ------
+    OptionError
+        An option is out of range.
+
+    """
+
+    def __init__(
+        self,
+        city: CityMap,
+        *,
+        near: Sequence[float] | None = None,
+        radius: float = 1000.0,
+        heading: float | None = None,
+        top: int = 5,
+    ) -> None:
+        if isinstance(top, bool) or not isinstance(top, int | np.integer) or top < 1:
+            raise OptionError(f"top is {top!r}; ask for at least one mode.")
+        self.city = city
+        self._top = int(top)
+        self._grid = TrackGrid.of(city.views)
+        self._first_heading = None if heading is None else finite(heading, "heading", "an angle")
+        self._shares = shares_near(city, near, radius)
+        self.reset()
+
+    def reset(self) -> CityEstimate:
+        """Forget all that was said and gone."""
+        self._stop = Stop(Belief.start(self._grid, self._shares))
+        self._memory: tuple[Memory, ...] = ()
+        self._heading: tuple[float, float] | None = (
+            None if self._first_heading is None else (self._first_heading, 0.1)
+        )
+        self._understood = False
+        self._history: tuple[Waypoint, ...] = ()
+        self._estimate = CityEstimate(
+            Status.LOST, (), "Nothing has been said yet; say what stands around you."
+        )
+        return self._estimate
+
+    @property
+    def estimate(self) -> CityEstimate:
+        """The latest estimate."""
+        return self._estimate
+
+    @property
+    def history(self) -> tuple[Waypoint, ...]:
+        """All calls and the best modes after them: the path."""
+        return self._history
+
+    @property
+    def heading(self) -> float | None:
+        """Where the speaker looks [rad, clockwise from north], as far as their way tells."""
+        return None if self._heading is None else self._heading[0] % (2.0 * pi)
+
+    @property
+    def elsewhere(self) -> float:
+        """Probability that the speaker is on no place of the map."""
+        return self._stop.now.elsewhere
+
+    def tell(self, text: str | Description) -> CityEstimate:
+        """Take what was said of places and of the way, sentence by sentence.
+
+        Parameters
+        ----------
+        text
+            Words such as "I walked 200 m east. There is a bakery to my north." (or an already parsed
+            description of what is in sight).
+
+        Returns
+        -------
+        CityEstimate
+            Where the speaker is after it.
+
+        Raises
+        ------
+        DescriptionError
+            The text is empty, too long, or not text.
+
+        """
+        why = ""
+        if isinstance(text, Description):
+            why = self._hear(text)
+            return self._noted(text.text or "a description", why)
+        check(text)
+        for part in ways(text):
+            if isinstance(part, Leg):
+                self._went(part)
+            else:
+                why = self._hear(part)
+        return self._noted(text.strip(), why)
+
+    def move(self, east: float, north: float, *, sigma: float | None = None) -> CityEstimate:
+        """Move by a measured displacement.
+
+        Parameters
+        ----------
+        east, north
+            Displacement [m].
+        sigma
+            Its standard deviation along each axis [m]; 3 % of its length and 1 m where not given.
+
+        Raises
+        ------
+        OptionError
+            A number is not finite, or `sigma` is negative.
+
+        """
+        east = finite(east, "east", "metres")
+        north = finite(north, "north", "metres")
+        length = hypot(east, north)
+        loose = ODOMETRY * length + STEP if sigma is None else positive(sigma, "sigma")
+        if length > 0.0:
+            self._heading = atan2(east, north), min(pi, loose / length)
+        if max(length, loose) > FARTHEST:
+            self._start_over()
+        else:
+            self._moved(straight(east, north, loose))
+        return self._noted(f"moved {east:.1f} m east, {north:.1f} m north", "")
+
+    def walk(
+        self,
+        distance: float,
+        bearing: float | None = None,
+        *,
+        distance_sigma: float | None = None,
+        bearing_sigma: float = COMPASS,
+    ) -> CityEstimate:
+        """Move by a measured distance, in a measured direction if there is one.
+
+        Parameters
+        ----------
+        distance
+            Length of the way, straight [m].
+        bearing
+            Direction [rad, clockwise from north]; None: any.
+        distance_sigma
+            Standard deviation of the distance [m]; 3 % and 1 m where not given.
+        bearing_sigma
+            Standard deviation of the bearing [rad].
+
+        Raises
+        ------
+        OptionError
+            A number is not finite, or a distance or deviation is negative.
+
+        """
+        distance = positive(distance, "distance")
+        loose = (
+            ODOMETRY * distance + STEP
+            if distance_sigma is None
+            else positive(distance_sigma, "distance_sigma")
+        )
+        turn = positive(bearing_sigma, "bearing_sigma")
+        if bearing is not None:
+            bearing = finite(bearing, "bearing", "an angle")
+        self._go(distance, loose, bearing, turn)
+        where = "" if bearing is None else f" at {np.rad2deg(bearing) % 360.0:.0f} degrees"
+        return self._noted(f"walked {distance:.1f} m{where}", "")
+
+    # --- motion ---
+
+    def _went(self, leg: Leg) -> None:
+        """Take a way that was told."""
+        bearing, sigma = leg.bearing, leg.sigma
+        if bearing is None and leg.turn is not None and self._heading is not None:
+            before, loose = self._heading
+            bearing, sigma = before + leg.turn, hypot(sigma, loose)
+        if leg.distance > 0.0:
+            self._go(leg.distance, leg.spread, bearing, sigma)
+        elif leg.sigma > 0.0:  # a turn: what is left of one has changed
+            self._stop = self._next()
+            self._heading = None if bearing is None else (bearing, min(sigma, pi))
+
+    def _go(self, distance: float, loose: float, bearing: float | None, sigma: float) -> None:
+        if bearing is not None and sigma > 1.2:
+            bearing = None  # after so many turns any direction is as likely
+        if distance > 0.0:
+            self._heading = None if bearing is None else (bearing, min(sigma, pi))
+        if distance + loose > FARTHEST:
+            self._start_over()
+        else:
+            self._moved(way(distance, loose, bearing, sigma))
+
+    def _moved(self, kernel: Kernel) -> None:
+        belief = moved(self._stop.placed(self._grid), kernel)
+        self._memory = tuple(m.after(kernel.mean, kernel.covariance) for m in self._remembered())
+        self._stop = Stop(reborn(belief, self._grid))
+
+    def _remembered(self) -> tuple[Memory, ...]:
+        """Return the memories with that of this stop."""
+        memory = self._stop.memory(self._grid)
+        return self._memory if memory is None else (*self._memory, memory)[-REMEMBERED:]
+
+    def _next(self) -> Stop:
+        """Return a fresh stop at the same place; what was said at this one is remembered."""
+        self._memory = self._remembered()
+        return Stop(self._stop.now, fine=self._stop.fine)
+
+    def _start_over(self) -> None:
+        """Forget where the speaker was, after a way so long that nothing is left of it."""
+        self._stop = Stop(Belief.start(self._grid))
+        self._memory = ()
+
+    # --- words ---
+
+    def _hear(self, text: str | Description) -> str:
+        """Sharpen the belief; returns why that was not possible, or an empty string."""
+        stop = self._stop
+        if stop.texts and not self._goes_on(text):
+            stop = self._next()
+        after = self._after(stop, text)
+        if after is None or after is stop:
+            alone = compile_query(read(self.city, text, heading=self.heading), self.city)
+            return "" if alone.used else _why_nothing(alone)
+        gain = after.log_evidence - stop.log_evidence
+        if stop.texts and gain < np.log(SURPRISED):
+            doubt = Stop(mixed(stop.now, self._grid, 1.0 - UNTOLD, 1.0 - UNTOLD, UNTOLD))
+            anew = self._after(doubt, text)
+            if anew is not None and anew.log_evidence > gain + np.log(2.0):
+                self._memory = self._remembered()
+                after = anew
+        self._stop = after
+        self._understood = True
+        return ""
+
+    def _goes_on(self, text: str | Description) -> bool:
+        """Whether a text can be read together with those said at this stop."""
+        texts, query = self._stop.texts, self._stop.query
+        if isinstance(text, Description) or any(isinstance(t, Description) for t in texts):
+            return False
+        if sum(len(str(t)) for t in (*texts, text)) + len(texts) > LONGEST_TEXT:
+            return False
+        return query is None or len(query.used) < MOST_STATEMENTS
+
+    def _after(self, stop: Stop, text: str | Description) -> Stop | None:
+        """Return a stop with one more text; the same or None where the text adds nothing to it."""
+        texts = (*stop.texts, text)
+        joint = text if isinstance(text, Description) else " ".join(map(str, texts))
+        query = compile_query(read(self.city, joint, heading=self.heading), self.city)
+        if stop.query is not None and len(query.used) == len(stop.query.used):
+            return stop  # said again, it is no surer
+        return stop.heard(texts, query, self.city, self._grid) if query.used else None
+
+    # --- answers ---
+
+    def _noted(self, said: str, why: str) -> CityEstimate:
+        """Make the estimate and keep it."""
+        self._estimate = self._estimated(why)
+        self._history += (Waypoint(said, self._estimate.status, self._estimate.best),)
+        return self._estimate
+
+    def _estimated(self, why: str) -> CityEstimate:
+        stop = self._stop
+        understood = stop.query.description if stop.query else None
+        if not self._understood and self._shares is None:
+            reason = why or "Nothing was said of a place yet; say what stands around you."
+            return CityEstimate(Status.LOST, (), reason, understood)
+        found = stop.posterior(self._grid, MOST_SUPPORT)
+        peaks = modes(found, self._top, SPACING)
+        places = tuple(self._place(m.position, m.probability, m.covariance) for m in peaks)
+        status, reason = status_of(found, peaks)
+        if understood and understood.conflicts and places and _opposed(places[0]):
+            status = Status.LOST
+            reason = "The description contradicts itself: " + understood.conflicts[0]
+        heaviest = np.argsort(-found.probabilities, kind="stable")
+        lonlat = self.city.plane.to_lonlat(found.positions[heaviest])
+        support = np.column_stack([lonlat, found.probabilities[heaviest]])
+        reason = f"{reason} {why}".strip()
+        return CityEstimate(status, places, reason, understood, support)
+
+    def _place(self, position: Floats, probability: float, covariance: Floats) -> Place:
+        city = self.city
+        longitude, latitude = (float(x) for x in city.plane.to_lonlat(position))
+        return Place(
+            longitude,
+            latitude,
+            probability,
+            city.cells.nearest(position),
+            covariance,
+            partial(explained, position, city, self._stop.query, self._memory),
+        )
+
+    def __repr__(self) -> str:
+        return f"CityTracker({self.city.source!r}, {len(self._history)} steps)"
+
+
+def _opposed(place: Place) -> bool:
+    return any(e.verdict == "against" for e in place.evidence)
+
+
+def _why_nothing(query: Query) -> str:
+    """Why a text changed nothing."""
+    reasons = sorted({reason for _, reason in query.unused})
+    if reasons:
+        return "Nothing that was said last can be looked for: " + "; ".join(reasons) + "."
+    return "Nothing of what was said last could be understood."

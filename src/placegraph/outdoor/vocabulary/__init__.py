@@ -1,5 +1,0 @@
-"""The vocabulary: what on a map is worth naming, and which words name it."""
-
-from placegraph.outdoor.vocabulary.vocabulary import LONGEST, Vocabulary
-
-__all__ = ["LONGEST", "Vocabulary"]

@@ -1,0 +1,276 @@
+"""Pictures (PNG) of a city, and of an estimate in it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.view.city.estimate_items import (
+    ellipse,
+    evidence_marks,
+    heat_of,
+    mode_bounds,
+    place_of,
+    rivals,
+    witnesses,
+)
+from placegraph.view.city.items import city_bounds, common_name, map_items
+from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Stroke, Text
+from placegraph.view.draw.fonts import Face, face_for
+from placegraph.view.draw.lettering import Taken, covering, letter
+from placegraph.view.draw.painter import paint_picture
+from placegraph.view.draw.sheet import Sheet
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from placegraph.estimate import CityEstimate, Evidence, Place
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.city import CityMap
+
+HEAD, FOOT = 64, 30
+"""Height of the strips above and below the map [px]."""
+MOST_PANELS = 4
+SMALLEST, LARGEST = 320, 6000
+"""Sides of a picture [px]."""
+STATUS_COLOR = {Status.OK: "for", Status.AMBIGUOUS: "amber", Status.LOST: "soft-ink"}
+CREDIT = "© OpenStreetMap contributors"
+
+
+def draw_city(
+    city: CityMap,
+    path: str | Path,
+    *,
+    size: tuple[int, int] = (1200, 900),
+    bounds: Bounds | None = None,
+    dark: bool = False,
+) -> Path:
+    """Draw a city, or a rectangle of it, as a PNG.
+
+    Parameters
+    ----------
+    city
+        The map.
+    path
+        Where to write.
+    size
+        Width and height [px].
+    bounds
+        West, south, east, north of what to show [m]; the whole city where not given.
+    dark
+        Whether to draw it for a dark page.
+
+    Raises
+    ------
+    OptionError
+        The size is no size of a picture.
+
+    """
+    width, height = _checked(size)
+    frame = Frame.around(bounds or city_bounds(city.objects), width, height - FOOT)
+    sheet = Sheet(width, height, dark=dark)
+    sheet.paste(paint_picture(_map(city, frame), frame, dark=dark, reduce=False), (0, 0))
+    _furniture(sheet, frame, (0, 0))
+    sheet.text((12, height - FOOT / 2), city.source, 12, "soft-ink")
+    sheet.text((width - 12, height - FOOT / 2), CREDIT, 12, "soft-ink", anchor="r")
+    return sheet.save(path)
+
+
+def write_picture(
+    city: CityMap,
+    estimate: CityEstimate,
+    path: str | Path,
+    *,
+    size: tuple[int, int] = (1200, 900),
+    dark: bool = False,
+) -> Path:
+    """Draw an estimate as a PNG: the best mode's surroundings, or the rivals where it is ambiguous.
+
+    Parameters
+    ----------
+    city
+        The map the estimate was made on.
+    estimate
+        What to show.
+    path
+        Where to write.
+    size
+        Width and height [px].
+    dark
+        Whether to draw it for a dark page.
+
+    Raises
+    ------
+    OptionError
+        The size is no size of a picture.
+
+    """
+    width, height = _checked(size)
+    sheet = Sheet(width, height, dark=dark)
+    ambiguous = estimate.status is Status.AMBIGUOUS
+    shown: list[Place | None] = list(rivals(estimate, MOST_PANELS if ambiguous else 1))
+    if len(shown) in (0, 3):
+        shown.append(None)  # a panel for the whole city
+    room = height - HEAD - FOOT
+    columns = 1 if len(shown) == 1 or (len(shown) == 2 and width < room) else 2
+    rows = -(-len(shown) // columns)
+    for k, mode in enumerate(shown):
+        left, right = (round((k % columns + side) * width / columns) for side in (0, 1))
+        top, bottom = (round((k // columns + side) * room / rows) for side in (0, 1))
+        right, bottom = right - 2 * (right < width), bottom - 2 * (bottom < room)
+        _panel(sheet, city, estimate, mode, (left, HEAD + top, right, HEAD + bottom), dark=dark)
+    _head(sheet, estimate, width)
+    _foot(sheet, height)
+    return sheet.save(path)
+
+
+def _checked(size: tuple[int, int]) -> tuple[int, int]:
+    if len(size) != 2 or not all(
+        isinstance(side, int) and SMALLEST <= side <= LARGEST for side in size
+    ):
+        raise OptionError(f"size is {size}; give width and height from {SMALLEST} to {LARGEST} px.")
+    return size
+
+
+def _map(
+    city: CityMap, frame: Frame, taken: Taken | None = None, skip: frozenset[int] = frozenset()
+) -> list[Item]:
+    """Map and its lettering."""
+    items = map_items(city, frame.bounds, frame.scale)
+    face = face_for(city.objects.name(item.row) for item in items if item.row >= 0)
+    names = letter(city.objects, items, frame.scale, face, taken or Taken(), skip=skip)
+    return [*items, *names]
+
+
+def _panel(
+    sheet: Sheet,
+    city: CityMap,
+    estimate: CityEstimate,
+    mode: Place | None,
+    box: tuple[int, int, int, int],
+    *,
+    dark: bool,
+) -> None:
+    """Draw a mode and its surroundings, or the whole city."""
+    left, top, right, bottom = box
+    bounds = mode_bounds(city, mode) if mode else city_bounds(city.objects)
+    frame = Frame.around(bounds, right - left, bottom - top)
+    marks, taken = _marks(city, estimate, mode, frame)
+    skip = frozenset(w.row for w in witnesses(city, mode)) if mode else frozenset[int]()
+    items = [*_map(city, frame, taken, skip), *marks]
+    if heat := heat_of(city, estimate, frame.bounds, 2.0 / frame.scale):
+        items.insert(0, heat)  # marks are laid in order: below the lettering
+    sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), (left, top))
+    _furniture(sheet, frame, (left, top))
+    if mode and estimate.status is Status.AMBIGUOUS:
+        number = 1 + next(k for k, other in enumerate(estimate.modes) if other is mode)
+        sheet.label((left + 12, top + 12), f"{number}   {mode.probability:.0%}", 15)
+    elif mode:
+        _card(sheet, mode.evidence, (left + 12, top + 12), right - left)
+
+
+def _marks(
+    city: CityMap, estimate: CityEstimate, mode: Place | None, frame: Frame
+) -> tuple[list[Item], Taken]:
+    """Evidence of a mode, all modes, and the places these take."""
+    taken = Taken()
+    marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
+    pins: list[Item] = []
+    for number, other in enumerate(estimate.modes, 1):
+        at = place_of(city, other)
+        best = other is mode
+        pins.append(Stroke(ellipse(city, other), "mode", 2.0 if best else 1.2, (6.0, 4.0)))
+        pins.append(Disc(at, 12.0 if best else 9.0, "mode", text=str(number)))
+        x, y = at[0] * frame.scale, -at[1] * frame.scale
+        taken.claim([(x, y, 14.0)], force=True)
+    return [*marks, *pins, *(_witness_names(city, mode, frame, taken) if mode else [])], taken
+
+
+def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: Taken) -> list[Text]:
+    """Name what the evidence is, beside it."""
+    seen = witnesses(city, mode)
+    face = face_for(w.words for w in seen)
+    for witness in seen:
+        x, y = witness.at[0] * frame.scale, -witness.at[1] * frame.scale
+        taken.claim([(x, y, 5.0)], force=True)
+    here = place_of(city, mode)
+    places = [w.middle if np.hypot(*(w.at - here)) < 1.0 else w.at for w in seen]
+    texts = [
+        _beside(
+            at, face.drawable(w.words) or common_name(w.ref.label), w.verdict, frame, face, taken
+        )
+        for w, at in zip(seen, places, strict=True)
+    ]
+    return [text for text in texts if text]
+
+
+def _beside(
+    at: Floats,
+    words: str,
+    ink: str,
+    frame: Frame,
+    face: Face,
+    taken: Taken,
+) -> Text | None:
+    size = 14.0
+    width = face.width(words, size)
+    x, _ = frame.to_px(at)
+    sides = [("l", (9.0, 0.0)), ("r", (-9.0, 0.0)), ("m", (0.0, -15.0)), ("m", (0.0, 15.0))]
+    if x + width + 20.0 > frame.width:
+        sides = [*sides[1:], sides[0]]
+    for anchor, shift in sides:
+        text = Text(at, words, size, ink, anchor=anchor, shift=shift)
+        if taken.claim(covering(text, width + 4.0, frame.scale)):
+            return text
+    return None
+
+
+def _furniture(sheet: Sheet, frame: Frame, corner: tuple[int, int]) -> None:
+    """Scale bar and north arrow of a map whose north-west corner lies at a corner [px]."""
+    left, bottom = corner[0] + 14, corner[1] + frame.height - 14
+    metres = round_length(0.2 * frame.width / frame.scale)
+    sheet.bar((left, bottom), metres * frame.scale, length_words(metres))
+    sheet.north((corner[0] + frame.width - 24, corner[1] + 30))
+
+
+def round_length(most: float) -> float:
+    """Longest of 1, 2, 5, 10, 20, 50 ... that is at most this [m]."""
+    power = 10.0 ** np.floor(np.log10(max(most, 1e-3)))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most * (1 + 1e-9)))
+
+
+def length_words(metres: float) -> str:
+    """Words for a length: ``50 m``, ``2 km``."""
+    return f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
+
+
+def _card(
+    sheet: Sheet, evidence: tuple[Evidence, ...], corner: tuple[int, int], width: int
+) -> None:
+    """Statements and what they said, on a card."""
+    lines = [(e.verdict, e.statement + (f" ({e.note})" if e.note else "")) for e in evidence[:8]]
+    if len(evidence) > 8:
+        lines.append(("", f"and {len(evidence) - 8} more"))
+    if lines:
+        sheet.card(corner, lines, min(340, width - 80))
+
+
+def _head(sheet: Sheet, estimate: CityEstimate, width: int) -> None:
+    color = STATUS_COLOR[estimate.status]
+    end = sheet.chip((14, 12), estimate.status.name, color)
+    best = f"{estimate.modes[0].probability:.0%}   " if estimate.status is Status.OK else ""
+    sheet.text((end + 12, 22), best + estimate.reason, 14, "ink", room=width - end - 26)
+    said = estimate.understood.text if estimate.understood else ""
+    sheet.text((14, 47), " ".join(said.split()), 13, "soft-ink", room=width - 28)
+
+
+def _foot(sheet: Sheet, height: int) -> None:
+    x, y = 14.0, height - FOOT / 2
+    x = sheet.key_disc((x, y), "mode", "place, with its 86 % ellipse")
+    x = sheet.key_heat((x, y), "how probable")
+    x = sheet.key_line((x, y), "for", "speaks for it")
+    x = sheet.key_line((x, y), "against", "speaks against it", dashed=True)
+    sheet.text((sheet.width - 12, y), CREDIT, 12, "soft-ink", anchor="r", room=sheet.width - x - 24)

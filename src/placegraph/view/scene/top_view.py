@@ -1,0 +1,181 @@
+"""A mesh seen from above: which triangle is uppermost in each pixel, and how high it lies there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.view.draw.canvas import Frame
+
+STEEP = 0.02
+"""Triangles whose footprint is narrower than this share of their length are drawn as lines."""
+
+
+@dataclass(frozen=True, eq=False)
+class TopView:
+    """What is uppermost in each pixel of a frame."""
+
+    triangle: NDArray[np.int32]
+    """(rows, columns), row of the triangle, -1 where there is none."""
+    height: NDArray[np.float32]
+    """(rows, columns) [m], of the surface there; -inf where there is none."""
+
+
+def look_down(
+    vertices: NDArray[np.float32],
+    triangles: NDArray[np.int32],
+    lift: NDArray[np.float32],
+    frame: Frame,
+) -> TopView:
+    """Draw triangles from above, the highest on top, one sample at each pixel's centre.
+
+    Vertical triangles, which have no footprint, are drawn as lines: the walls of a scan are nothing
+    else.
+
+    Parameters
+    ----------
+    vertices
+        (V, 3) float32, x, y, z [m].
+    triangles
+        (T, 3) int32, rows of vertices.
+    lift
+        (T,) float32 [m], added to a triangle's height when it is decided what is on top (paper
+        before furniture before walls); -inf leaves it out.
+    frame
+        What is looked at, and how many pixels show it.
+
+    """
+    corners = np.empty(vertices.shape, np.float32)
+    corners[:, :2] = frame.to_px(vertices[:, :2].astype(np.float64))
+    corners[:, 2] = vertices[:, 2]
+    shape = (frame.height, frame.width)
+    triangle, level = np.full(shape, -1, np.int32), np.full(shape, -np.inf, np.float32)
+    _draw(corners, triangles, lift, triangle, level)
+    seen = triangle >= 0
+    height = np.full(shape, -np.inf, np.float32)
+    height[seen] = level[seen] - lift[triangle[seen]]
+    return TopView(triangle, height)
+
+
+def section(vertices: NDArray[np.float32], triangles: NDArray[np.int32], height: float) -> Floats:
+    """Where triangles meet a horizontal plane, as on an architect's plan.
+
+    Returns segments (S, 2, 2), x, y [m]; what is solid lies to the left of a segment where the
+    triangles face outwards.
+    """
+    corners = vertices[triangles].astype(np.float64)
+    above = corners[..., 2] > height
+    count = above.sum(axis=1)
+    corners, above, count = (part[(count == 1) | (count == 2)] for part in (corners, above, count))
+    # the corner that stands alone on its side of the plane comes first
+    first = np.where(count == 1, above.argmax(axis=1), above.argmin(axis=1))
+    order = (first[:, None] + np.arange(3)) % 3
+    corners = np.take_along_axis(corners, order[..., None], axis=1)
+    apex, others = corners[:, :1], corners[:, 1:]
+    share = (height - apex[..., 2:]) / (others[..., 2:] - apex[..., 2:])
+    segments: Floats = (apex + share * (others - apex))[..., :2]
+    # seen from outside corners turn counter-clockwise: below a lone top they run left to right
+    segments[count == 2] = segments[count == 2, ::-1]
+    return segments
+
+
+def solid(segments: Floats, frame: Frame) -> NDArray[np.bool_]:
+    """Pixels (rows, columns) enclosed by segments (S, 2, 2), x, y [m], as `section` makes them.
+
+    Enclosed by the winding number along both axes where these end at zero, so that a gap in an
+    outline smears nothing; a wall that stands in another leaves no hole, and a room whose walls
+    face inwards is not filled.
+    """
+    px = frame.to_px(segments)
+    along = _winding(px, frame.height, frame.width)
+    across = _winding(px[..., ::-1], frame.width, frame.height).T
+    return (along > 0) & (across < 0)
+
+
+def _winding(px: Floats, lines: int, length: int) -> NDArray[np.int32]:
+    """Winding number (lines, length) of pixels' centres, counted along lines of constant px[1].
+
+    0 all along a line that some outline crosses in one direction only.
+    """
+    start, end = px[:, 0], px[:, 1]
+    low, high = np.minimum(start[:, 1], end[:, 1]), np.maximum(start[:, 1], end[:, 1])
+    first = np.clip(np.ceil(low - 0.5), 0, lines).astype(np.int64)
+    last = np.clip(np.ceil(high - 0.5), 0, lines).astype(np.int64)
+    which = np.repeat(np.arange(len(px)), last - first)
+    line = np.arange(len(which)) - np.repeat(np.cumsum(last - first) - last + first, last - first)
+    line += first[which]
+    share = (line + 0.5 - start[which, 1]) / (end[which, 1] - start[which, 1])
+    at = start[which, 0] + share * (end[which, 0] - start[which, 0])
+    step = np.clip(np.ceil(at - 0.5), 0, length).astype(np.int64)
+    turns = np.zeros((lines, length + 1), np.int32)
+    np.add.at(turns, (line, step), np.where(end[which, 1] > start[which, 1], 1, -1))
+    winding: NDArray[np.int32] = np.cumsum(turns, axis=1, dtype=np.int32)
+    winding[winding[:, -1] != 0] = 0
+    return winding[:, :-1]
+
+
+@njit(cache=True, nogil=True)
+def _draw(
+    corners: NDArray[np.float32],
+    triangles: NDArray[np.int32],
+    lift: NDArray[np.float32],
+    triangle: NDArray[np.int32],
+    level: NDArray[np.float32],
+) -> None:
+    """Z-buffer; `corners` (V, 3) are x right, y down [px], z up [m]."""
+    rows, columns = triangle.shape
+    for t in range(len(triangles)):
+        up = lift[t]
+        if up == -np.inf:
+            continue
+        a, b, c = corners[triangles[t, 0]], corners[triangles[t, 1]], corners[triangles[t, 2]]
+        west, east = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
+        north, south = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
+        if east < 0.0 or south < 0.0 or west >= columns or north >= rows:
+            continue
+        doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        reach = (east - west) ** 2 + (south - north) ** 2
+        if abs(doubled) <= STEEP * reach:
+            _line(a, b, t, up, triangle, level)
+            _line(b, c, t, up, triangle, level)
+            _line(c, a, t, up, triangle, level)
+        if doubled == 0.0:
+            continue
+        for y in range(max(0, int(north)), min(rows, int(south) + 1)):
+            for x in range(max(0, int(west)), min(columns, int(east) + 1)):
+                px, py = x + 0.5, y + 0.5
+                v = ((px - a[0]) * (c[1] - a[1]) - (py - a[1]) * (c[0] - a[0])) / doubled
+                w = ((b[0] - a[0]) * (py - a[1]) - (b[1] - a[1]) * (px - a[0])) / doubled
+                if v < 0.0 or w < 0.0 or v + w > 1.0:
+                    continue
+                z = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2]) + up
+                if z > level[y, x]:
+                    level[y, x], triangle[y, x] = z, t
+
+
+@njit(cache=True, nogil=True)
+def _line(
+    a: NDArray[np.float32],
+    b: NDArray[np.float32],
+    t: int,
+    up: float,
+    triangle: NDArray[np.int32],
+    level: NDArray[np.float32],
+) -> None:
+    """Draw an edge, one pixel wide."""
+    rows, columns = triangle.shape
+    steps = int(max(abs(b[0] - a[0]), abs(b[1] - a[1]))) + 1
+    for k in range(steps + 1):
+        s = k / steps
+        x, y = int(np.floor(a[0] + s * (b[0] - a[0]))), int(np.floor(a[1] + s * (b[1] - a[1])))
+        if 0 <= x < columns and 0 <= y < rows:
+            z = a[2] + s * (b[2] - a[2]) + up
+            if z > level[y, x]:
+                level[y, x], triangle[y, x] = z, t

@@ -1,0 +1,281 @@
+"""The map in the viewer: objects to be picked and hidden, relations by kind, cameras' ways."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.formats.mesh.glb_write import Part, encode_glb
+from placegraph.indoor.mapping.export import materials, object_surfaces, path_lines
+from placegraph.view.scene.room_style import ROOM_PAINTS, room_paint
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    import viser
+    from numpy.typing import NDArray
+
+    from placegraph.formats.mesh.glb_write import Material, Surface
+    from placegraph.indoor.scene_map import SceneMap
+
+INKS = (
+    (230, 74, 25), (30, 136, 229), (67, 160, 71), (142, 36, 170), (255, 179, 0), (0, 137, 123),
+    (216, 27, 96), (109, 76, 65),
+)  # fmt: skip
+"""Colours of kinds of relations, and of camera paths, in turn."""
+PICKED = (255, 111, 0)
+"""Of the box around the object that is picked."""
+_EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
+_CORNERS = np.array([(i & 1, i >> 1 & 1, i >> 2) for i in range(8)])
+
+
+class SceneView:
+    """Objects, labels and relations of a map, and the controls that show and hide them."""
+
+    def __init__(self, server: viser.ViserServer, scene: SceneMap) -> None:
+        self.server, self.scene = server, scene
+        graph = scene.graph
+        self.titles = _titles(graph.names, graph.labels, graph.ids)
+        roles = [ROOM_PAINTS[room_paint(label)].role for label in graph.labels]
+        self.shown = [role != "ceiling" for role in roles]
+        """Whether each object is to be seen; ceilings would hide what is below."""
+        server.scene.set_up_direction("+z")
+        self._look()
+        self.objects = self._objects()
+        self.labels = self._labels(roles)
+        self.relations = self._relations()
+        self.paths: dict[str, viser.LineSegmentsHandle] = {}
+        self.picked: int | None = None
+        self.box: viser.LineSegmentsHandle | None = None
+        self._controls()
+        self._update()
+
+    def add_paths(self, paths: Mapping[str, NDArray[Any]]) -> None:
+        """Add ways of cameras (T, 4, 4) map_from_camera by name."""
+        with self.server.gui.add_folder("Camera paths"):
+            for k, (name, poses) in enumerate(paths.items()):
+                self.paths[name] = self.server.scene.add_line_segments(
+                    f"/paths/{name}",
+                    points=path_lines(np.asarray(poses)).astype(np.float32),
+                    colors=INKS[k % len(INKS)],
+                    thickness=0.015,
+                )
+                box = self.server.gui.add_checkbox(f"{name} ({len(poses)})", initial_value=True)
+                _follow(box, [self.paths[name]])
+
+    def pick(self, row: int | None) -> None:
+        """Mark an object and say what is known of it; None: mark none."""
+        self.picked = row
+        if self.box is not None:
+            self.box.remove()
+            self.box = None
+        self.choice.value = "-" if row is None else self.titles[row]
+        self.about.content = "" if row is None else self.described(row)
+        self.visible.disabled = row is None
+        if row is not None:
+            self.visible.value = self.shown[row]
+            self.box = self.server.scene.add_line_segments(
+                "/picked", points=self._box(row), colors=PICKED, thickness=0.02
+            )
+
+    def show(self, rows: Iterable[int], *, only: bool = False) -> None:
+        """Show objects; `only`: hide all others."""
+        wanted = set(rows)
+        self.shown = [i in wanted or (s and not only) for i, s in enumerate(self.shown)]
+        self._update()
+
+    def hide(self, rows: Iterable[int]) -> None:
+        """Hide objects."""
+        wanted = set(rows)
+        self.shown = [s and i not in wanted for i, s in enumerate(self.shown)]
+        self._update()
+
+    def described(self, row: int) -> str:
+        """What is known of an object, as Markdown."""
+        graph = self.scene.graph
+        lines = [f"**{_plain(self.titles[row])}**", "", f"- label: {_plain(graph.labels[row])}"]
+        lines.append(f"- id: {_plain(graph.ids[row])}")
+        if graph.extents is not None:
+            size = " x ".join(f"{length:.2f}" for length in graph.extents[row])
+            lines.append(f"- size: {size} m")
+        place = ", ".join(f"{v:.2f}" for v in graph.positions[row])
+        lines.append(f"- middle: {place} m")
+        told = self.scene.attributes[row].items()
+        lines += [f"- {_plain(key)}: {_plain(value)}" for key, value in told]
+        for source, relation, target in zip(
+            graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True
+        ):
+            if source == row:
+                lines.append(f"- {_plain(relation)} {_plain(self.titles[target])}")
+            elif target == row:
+                lines.append(f"- {_plain(self.titles[source])} is {_plain(relation)} it")
+        return "\n".join(lines)
+
+    # ------------------------------------------------------------------------------- what is drawn
+
+    def _look(self) -> None:
+        """Begin above the south edge, looking down into the map."""
+        low, high = self.scene.bounds
+        middle, reach = (low + high) / 2, float(np.linalg.norm((high - low)[:2]))
+        camera = self.server.initial_camera
+        camera.look_at = tuple(middle.tolist())
+        camera.position = tuple((middle + reach * np.array([0.0, -0.6, 0.9])).tolist())
+        camera.up = (0.0, 0.0, 1.0)
+
+    def _objects(self) -> list[viser.GlbHandle]:
+        made = materials(self.scene, webp=True)
+        surfaces = object_surfaces(self.scene.mesh, len(self.scene))
+        handles = []
+        for row, own in enumerate(surfaces):
+            handle = self.server.scene.add_glb(f"/objects/{row}", glb_data=_glb(own, made))
+            handle.on_click(partial(self._clicked, row))
+            handles.append(handle)
+        return handles
+
+    def _clicked(self, row: int, _event: object) -> None:
+        self.pick(row)
+
+    def _labels(self, roles: list[str]) -> dict[int, viser.LabelHandle]:
+        """Names above things; of floors, walls and ceilings there are none."""
+        graph = self.scene.graph
+        tops = graph.positions.copy()
+        if graph.extents is not None:
+            tops[:, 2] += graph.extents[:, 2] / 2
+        return {
+            row: self.server.scene.add_label(
+                f"/labels/{row}",
+                graph.names[row] or graph.labels[row],
+                position=tops[row],
+                anchor="bottom-center",
+                font_screen_scale=0.8,
+            )
+            for row, role in enumerate(roles)
+            if role == "thing"
+        }
+
+    def _relations(self) -> dict[str, viser.LineSegmentsHandle]:
+        """Lines between related objects, hidden at first, by kind."""
+        graph = self.scene.graph
+        kinds = np.array(graph.relations, np.str_)
+        ends = np.stack([graph.positions[graph.sources], graph.positions[graph.targets]], axis=1)
+        return {
+            kind: self.server.scene.add_line_segments(
+                f"/relations/{k}",
+                points=ends[kinds == kind].astype(np.float32),
+                colors=INKS[k % len(INKS)],
+                thickness=0.012,
+                visible=False,
+            )
+            for k, kind in enumerate(sorted(set(graph.relations)))
+        }
+
+    def _box(self, row: int) -> NDArray[np.float32]:
+        """(12, 2, 3) edges of an object's box [m]."""
+        graph = self.scene.graph
+        extent = np.zeros(3) if graph.extents is None else graph.extents[row]
+        corners = graph.positions[row] + (_CORNERS - 0.5) * extent
+        edges: NDArray[np.float32] = corners[_EDGES].astype(np.float32)
+        return edges
+
+    # ---------------------------------------------------------------------------------- controls
+
+    def _controls(self) -> None:
+        gui = self.server.gui
+        with gui.add_folder("Object"):
+            # viser's types forbid to set a value, which it allows
+            self.choice: Any = gui.add_dropdown("Pick", ("-", *self.titles), initial_value="-")
+            self.visible: Any = gui.add_checkbox("Shown", initial_value=True, disabled=True)
+            self.about = gui.add_markdown("")
+            alone = gui.add_button("Show it alone")
+            everything = gui.add_button("Show all")
+        self.choice.on_update(self._chosen)
+        self.visible.on_update(self._switched)
+        alone.on_click(lambda _: self._alone())
+        everything.on_click(lambda _: self.show(range(len(self.scene))))
+        names = gui.add_checkbox("Names", initial_value=True)
+        names.on_update(lambda _: self._update())
+        self.names = names
+        self._kinds()
+        counts = Counter(self.scene.graph.relations)
+        with gui.add_folder("Relations", expand_by_default=False):
+            for kind, handle in self.relations.items():
+                box = gui.add_checkbox(f"{kind} ({counts[kind]})", initial_value=False)
+                _follow(box, [handle])
+
+    def _kinds(self) -> None:
+        """A box for each label, which shows or hides all such objects."""
+        gui, labels = self.server.gui, self.scene.graph.labels
+        with gui.add_folder("Labels", expand_by_default=False):
+            for label, count in sorted(Counter(labels).items()):
+                rows = [row for row, own in enumerate(labels) if own == label]
+                box = gui.add_checkbox(
+                    f"{label} ({count})", initial_value=any(self.shown[row] for row in rows)
+                )
+                box.on_update(partial(self._of_label, rows))
+
+    def _of_label(self, rows: list[int], event: Any) -> None:  # noqa: ANN401  # viser's event
+        if event.target.value:
+            self.show(rows)
+        else:
+            self.hide(rows)
+
+    def _chosen(self, _event: object) -> None:
+        value = self.choice.value
+        row = None if value == "-" else self.titles.index(value)
+        if row != self.picked:
+            self.pick(row)
+
+    def _alone(self) -> None:
+        if self.picked is not None:
+            self.show([self.picked], only=True)
+
+    def _switched(self, _event: object) -> None:
+        if self.picked is not None and self.visible.value != self.shown[self.picked]:
+            (self.show if self.visible.value else self.hide)([self.picked])
+
+    def _update(self) -> None:
+        """Bring what is seen to what is wanted."""
+        for row, handle in enumerate(self.objects):
+            if handle.visible != self.shown[row]:
+                handle.visible = self.shown[row]
+        for row, label in self.labels.items():
+            label.visible = self.shown[row] and self.names.value
+        if self.picked is not None and self.visible.value != self.shown[self.picked]:
+            self.visible.value = self.shown[self.picked]
+
+
+def _titles(names: Iterable[str], labels: Iterable[str], ids: Iterable[str]) -> list[str]:
+    """What each object is called in lists: its name, with its id where others share it."""
+    said = [name or label for name, label in zip(names, labels, strict=True)]
+    counts = Counter(said)
+    return [
+        title if counts[title] == 1 and title != "-" else f"{title} [{id_}]"
+        for title, id_ in zip(said, ids, strict=True)
+    ]
+
+
+def _glb(surfaces: list[Surface], made: list[Material]) -> bytes:
+    """An object alone, with its own materials, in the map's axes."""
+    used = sorted({surface.material for surface in surfaces})
+    place = {row: i for i, row in enumerate(used)}
+    own = [replace(surface, material=place[surface.material]) for surface in surfaces]
+    return encode_glb([Part("object", own)], [made[row] for row in used], turned=False)
+
+
+def _follow(box: viser.GuiCheckboxHandle, handles: list[viser.LineSegmentsHandle]) -> None:
+    """Let a checkbox show and hide handles."""
+
+    def update(_event: object) -> None:
+        for handle in handles:
+            handle.visible = box.value
+
+    box.on_update(update)
+
+
+def _plain(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|" else c for c in text)

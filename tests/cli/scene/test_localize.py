@@ -1,0 +1,440 @@
+"""`placegraph scene localize`: frames of a drawn room find their pose on the command line."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph import open_capture, open_map
+from placegraph.cli.scene.answer import pose_words, refinement_words, show
+from placegraph.cli.scene.query import chosen_frames, matcher_of
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Refinement, Status
+from placegraph.formats.capture.tum import read_tum
+from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
+from placegraph.view import write_plan
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory, study):
+    """Map file, capture folder and true poses of a walk through the room."""
+    folder, rng = tmp_path_factory.mktemp("localize"), np.random.default_rng(3)
+    interior = study.furnish(rng)
+    build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
+    walk = stroll(study, rng, frames=FRAMES, through="123")
+    write_walk(
+        interior, walk, folder / "walk", rng, camera=Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
+    )
+    return SimpleNamespace(
+        map=folder / "room.scene", walk=folder / "walk", truth=walk.map_from_camera
+    )
+
+
+def fails(result, code, *words):
+    assert (result.code, result.out) == (code, ""), result.err
+    (line,) = result.err.strip().splitlines()
+    assert line.startswith("placegraph: ")
+    for word in words:
+        assert str(word) in line
+
+
+# --- the answer ---
+
+
+def test_json_pictures_and_trajectory(run, world, tmp_path):
+    png, gif, tum = (tmp_path / f"a.{ending}" for ending in ("png", "gif", "tum"))
+    before = world.map.read_bytes()
+    result = run(
+        "scene", "localize", world.map, world.walk, "--json",
+        "--png", png, "--gif", gif, "--tum", tum,
+    )  # fmt: skip
+    assert (result.code, result.err) == (0, "")
+    told = result.json
+    assert told["status"] in {"OK", "AMBIGUOUS"}
+    assert told["frames"] == list(range(FRAMES))
+    best = told["modes"][0]
+    pose, _ = split_pose(world.truth[-1])
+    assert (best["x"], best["y"]) == (
+        pytest.approx(pose[0], abs=0.2),
+        pytest.approx(pose[1], abs=0.2),
+    )
+    assert np.cos(np.radians(best["yaw_deg"]) - pose[3]) > np.cos(np.radians(5))
+    assert best["evidence"]
+
+    written = read_tum(tum)
+    assert written.poses[-1] == pytest.approx(np.array(best["map_from_camera"]), abs=1e-6)
+    assert len(written) == FRAMES
+    apart = np.linalg.norm(written.poses[:, :3, 3] - world.truth[:, :3, 3], axis=1)
+    assert apart.max() < 0.3
+    assert written.stamps == pytest.approx(read_tum(world.walk / "odometry.tum").stamps)
+
+    assert [len(counts) for counts in told["stats"]["particles"]] == [FRAMES], "one pass"
+    with Image.open(gif) as image:
+        assert image.n_frames == FRAMES + 1, "each frame of the pass, and the result"
+
+    scene, options = open_map(world.map), FilterOptions(record=True, passes=COARSE_TO_FINE)
+    finer = scene.localize(open_capture(world.walk), options=options)
+    assert len(finer.history) == len(COARSE_TO_FINE)
+    plain = write_plan(scene, replace(finer, history=()), tmp_path / "plain.png")
+    several = write_plan(scene, finer, tmp_path / "several.png")
+    with Image.open(png) as one, Image.open(plain) as none, Image.open(several) as rows:
+        assert one.width == none.width == 1200
+        assert one.height > none.height, "a row of particles above the plan"
+        assert rows.width == 1600, "a row for each of several passes"
+    assert world.map.read_bytes() == before
+
+
+def test_some_frames_as_text(run, world):
+    result = run("scene", "localize", world.map, world.walk, "--frames", "2:5", "--quiet")
+    assert (result.code, result.err) == (0, "")
+    status, _, reason = result.out.splitlines()[0].partition(": ")
+    assert status in {"OK", "AMBIGUOUS", "LOST"}
+    assert reason
+    numbers = result.out.splitlines()[1].split()
+    assert numbers[:2] == ["1.", "x"]
+    pose, _ = split_pose(world.truth[4])
+    assert float(numbers[2]) == pytest.approx(pose[0], abs=0.3)
+    assert "yaw_deg" in numbers
+    assert "+  " in result.out, "what spoke for it"
+    again = run("scene", "localize", world.map, world.walk, "--frames", "2:5", "--quiet")
+    assert again.out == result.out, "the same seed gives the same answer"
+
+
+def test_options_reach_the_filter(run, world):
+    at, _ = split_pose(world.truth[0])
+    told = run(
+        "scene", "localize", world.map, world.walk, "--frames", ":5", "--json", "--coarse",
+        "--near", f"{at[0]:.1f},{at[1]:.1f},{at[2]:.1f}", "--radius", "0.5", "--yaw-deg",
+        f"{np.degrees(at[3]):.0f}", "--height", "1.6", "--every", "0.3", "--no-colour",
+        "--device", "cpu", "--seed", "7",
+    ).json  # fmt: skip
+    assert told["frames"] == [0, 2, 4], "0.2 s apart; every 0.3 s"
+    pose, _ = split_pose(world.truth[4])
+    assert told["modes"][0]["x"] == pytest.approx(pose[0], abs=0.3)
+    assert not any(e["statement"] == "colour" for e in told["modes"][0]["evidence"])
+    assert len(told["stats"]["particles"]) == 1, "one pass"
+
+
+# --- the refinement ---
+
+
+def off(told, truth):
+    """How far the answered pose lies from a true one [m]."""
+    return np.linalg.norm(np.array(told["map_from_camera"])[:3, 3] - truth[:3, 3])
+
+
+def test_a_pose_is_refined_and_every_frame_with_it(run, world, tmp_path):
+    tum, look = tmp_path / "a.tum", tmp_path / "look.png"
+    ask = ("scene", "localize", world.map, world.walk, "--frames", "1:6")
+    result = run(*ask, "--json", "--tum", tum, "--overlay", look)
+    assert (result.code, result.err) == (0, "")
+    told, refinement = result.json, result.json["refinement"]
+    assert refinement["accepted"], refinement["reason"]
+    assert refinement["stats"]["matcher"] == "guided"
+    best, coarse = told["modes"][0], refinement["coarse"]
+    assert np.shape(best["covariance"]) == np.shape(coarse["covariance"]) == (6, 6)
+    assert off(best, world.truth[-1]) < max(0.04, off(coarse, world.truth[-1]))
+    moved = np.subtract(best["map_from_camera"], coarse["map_from_camera"])[:3, 3]
+    assert np.linalg.norm(moved) == pytest.approx(refinement["stats"]["shift_m"], abs=1e-4)
+
+    written = read_tum(tum)
+    assert written.poses == pytest.approx(np.array(told["trajectory"]), abs=1e-6)
+    assert written.poses[-1] == pytest.approx(np.array(best["map_from_camera"]), abs=1e-6)
+    assert written.stamps == pytest.approx(read_tum(world.walk / "odometry.tum").stamps[1:])
+    # plain walls alone are seen: how high the camera is they do not tell, and the answer knows it
+    apart = np.linalg.norm(written.poses[:, :2, 3] - world.truth[1:, :2, 3], axis=1)
+    high = np.abs(written.poses[:, 2, 3] - world.truth[1:, 2, 3])
+    assert high.max() < 3.0 * np.sqrt(best["covariance"][2][2])
+    assert apart.max() < 0.06, "all frames are refined, not the last alone"
+    assert refinement["reason"] in tum.read_text(encoding="utf-8").splitlines()[0]
+    with Image.open(look) as sheet:
+        rows = sheet.height / (90 + 20)
+    assert 3.0 <= rows < 4.0, "query and map, lines, and the same before"
+
+    without = run(*ask, "--json", "--no-refine", "--overlay", look).json
+    assert without["refinement"] is None
+    assert without["modes"][0]["map_from_camera"] == coarse["map_from_camera"]
+    with Image.open(look) as sheet:
+        assert sheet.height / (90 + 20) < 3.0, "nothing was before"
+
+
+def test_of_a_tracked_capture_the_newest_frames_are_refined(run, world, tmp_path, study):
+    """33 frames: the first three as they were tracked, 30 refined, all of them in the file."""
+    rng = np.random.default_rng(3)
+    interior = study.furnish(rng)
+    walk = stroll(study, rng, frames=33, through="123")
+    camera = Camera(96, 54, 69.0, 69.0, 48.0, 27.0)
+    folder = write_walk(interior, walk, tmp_path / "long", rng, camera=camera)
+    tum = tmp_path / "a.tum"
+    told = run("scene", "localize", world.map, folder, "--json", "--tum", tum).json
+    assert told["refinement"]["accepted"], told["refinement"]["reason"]
+    written = read_tum(tum).poses
+    assert len(written) == len(told["trajectory"]) == 33
+    assert written == pytest.approx(np.array(told["trajectory"]), abs=1e-6)
+    assert written[-1] == pytest.approx(np.array(told["modes"][0]["map_from_camera"]), abs=1e-6)
+    coarse = run("scene", "localize", world.map, folder, "--json", "--no-refine").json
+    moved = np.linalg.norm(np.subtract(coarse["trajectory"], written)[:, :3, 3], axis=1)
+    assert moved[:3].max() < 1e-6
+    assert moved[3:].min() > 1e-6
+    off = np.linalg.norm(written[:, :3, 3] - walk.map_from_camera[:, :3, 3], axis=1)
+    assert np.median(off[3:]) < 0.02
+
+
+def test_senses_that_are_off_are_off_for_the_refinement_too(run, world):
+    def stats(*options):
+        result = run(
+            "scene", "localize", world.map, world.walk, "--frames", ":4", "--json", *options
+        )
+        return result.json["refinement"]["stats"]
+
+    both = stats()
+    assert "depth_cost" in both
+    assert set(both["held_back"]) == {"depth", "images"}
+    images = stats("--no-depth")
+    assert images["matches"] > 0
+    assert "depth_cost" not in images
+    assert "depth" not in images.get("held_back", ())
+    depth = stats("--no-colour")
+    assert "matches" not in depth
+    assert set(depth["held_back"]) == {"depth"}
+    assert stats("--no-depth", "--no-colour")["inliers"] == 0
+
+
+def test_a_person_reads_what_became_of_it(run, world):
+    ask = ("scene", "localize", world.map, world.walk, "--frames", "2:6")
+    lines = run(*ask, "--quiet").out.splitlines()
+    (line,) = [line for line in lines if line.startswith("Refined by depth")]
+    assert "The pose moved by" in line
+    assert line.endswith("°.")
+    lines = run(*ask, "--quiet", "--no-depth", "--no-colour").out.splitlines()
+    (line,) = [line for line in lines if line.startswith("Not refined: ")]
+    assert line.endswith("The coarse pose stands.")
+    assert "efined" not in run(*ask, "--quiet", "--no-refine").out
+
+
+def test_steps_are_told(run, world, monkeypatch):
+    told = []
+
+    class Bar:
+        def __init__(self, *_, **__): ...
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_): ...
+        def add_task(self, *_, **__): ...
+        def update(self, _, description, **__):
+            told.append(description)
+
+    monkeypatch.setattr("placegraph.cli.scene.answer.Progress", Bar)
+    run("scene", "localize", world.map, world.walk, "--frames", ":3", "--no-depth")
+    for step in ("matching images", "checking", "drawing"):
+        assert step in told
+    assert told.index("matching images") < told.index("checking") < told.index("drawing")
+    told.clear()
+    run("scene", "localize", world.map, world.walk, "--frames", ":3")
+    assert "aligning depth" in told
+
+
+def test_an_image_feature_matcher(run, world):
+    pytest.importorskip("cv2", reason="needs OpenCV")
+    told = run(
+        "scene", "localize", world.map, world.walk, "--frames", ":2", "--json", "--no-depth",
+        "--matcher", "sift",
+    ).json  # fmt: skip
+    assert told["refinement"]["stats"]["matcher"] == "sift"
+
+
+def test_matchers_by_name(tmp_path):
+    assert matcher_of("auto", None, "cpu") == "auto"
+    assert matcher_of("guided", None, "cuda") == "guided"
+    with pytest.raises(OptionError, match="--matcher is 'orb'; there are auto, guided, sift, "):
+        matcher_of("orb", None, "cpu")
+    with pytest.raises(OptionError, match="--weights belongs to"):
+        matcher_of("auto", tmp_path / "a.pt", "cpu")
+
+
+def test_weights_reach_the_matcher(tmp_path):
+    pytest.importorskip("kornia", reason="needs kornia")
+    with pytest.raises(InputError, match=r"a\.pt"):
+        matcher_of("xfeat", tmp_path / "a.pt", "cpu")
+
+
+# --- frames ---
+
+
+class Rows(list):
+    """A capture that is only as long."""
+
+    path = "walk"
+
+    def __getitem__(self, which):
+        found = super().__getitem__(which)
+        return Rows(found) if isinstance(which, slice) else found
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        (None, range(25)), (":", range(25)), ("10:20", range(10, 20)), ("-5:", range(20, 25)),
+        (":-20", range(5)), ("::10", [0, 10, 20]), ("1:9:4", [1, 5]), ("7", [7]), ("-1", [24]),
+        ("-3", [22]), ("20:99", range(20, 25)), (" 3 : 5 ", [3, 4]),
+    ],
+)  # fmt: skip
+def test_frames(text, rows):
+    assert list(chosen_frames(Rows(range(25)), text)) == list(rows)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "1:b", "1:2:3:4", "1.5", "5:5", "9:3", "30:", "25", "-26", "::0", "9:3:-1"]
+)
+def test_no_frames(text):
+    with pytest.raises(OptionError, match="--frames"):
+        chosen_frames(Rows(range(25)), text)
+
+
+# --- what a person reads ---
+
+
+def estimate_of(status, *probabilities, evidence=()):
+    pose = np.array([1.25, -2.5, 1.6, np.pi / 2])
+    matrix = pose_matrix(pose, level_from_camera((0.0, 1.0, 0.0)))
+    covariance = np.diag([9e-4, 16e-4, 1e-4, 1e-5, 1e-5, np.radians(2.0) ** 2])
+    modes = tuple(
+        PoseMode(matrix, pose, covariance, p, "study", matrix, lambda: evidence)
+        for p in probabilities
+    )
+    return PoseEstimate(status, modes, "Because [of/] that.")
+
+
+def test_a_mode_in_words():
+    words = pose_words(estimate_of(Status.OK, 0.93).modes[0])
+    assert words == (
+        "x 1.250 m  y -2.500 m  z 1.600 m  yaw_deg 90.00   93.0%  ±5.0 cm ±2.00°  in study"
+    )
+
+
+def test_lost_without_modes(capsys):
+    show(estimate_of(Status.LOST))
+    assert capsys.readouterr().out == "LOST: Because [of/] that.\n"
+
+
+def test_much_evidence_and_many_modes(capsys):
+    of_objects = [
+        Evidence(
+            f"chair {k}", "for" if k else "against", 9.0 - k, (ObjectRef(str(k), "chair", ""),)
+        )
+        for k in range(9)
+    ]
+    depth = Evidence("depth", "silent", 0.1, note="62% of [the/] readings")
+    evidence = (*of_objects, depth)
+    show(estimate_of(Status.AMBIGUOUS, 0.6, 0.3992, 0.0004, evidence=evidence))
+    out = capsys.readouterr().out
+    assert "2. x" in out
+    assert "3. x" not in out
+    assert "-  chair 0" in out
+    assert "+  chair 5" in out
+    assert "chair 6" not in out
+    assert "3 more objects" in out
+    assert "62% of [the/] readings" in out
+
+
+@pytest.mark.parametrize(
+    ("accepted", "reason", "stats", "line"),
+    [
+        (
+            True, "Refined by depth.", {"shift_m": 0.0321, "turn_deg": 0.413},
+            "Refined by depth. The pose moved by 3.2 cm and 0.41°.",
+        ),
+        (
+            False, "Not refined: Bad.", {"shift_m": 0.25, "turn_deg": 3.0},
+            "Not refined: Bad. The pose given stands; the one refused lies 25.0 cm and 3.00° from it.",
+        ),
+        (False, "Not refined: dark.", {"shift_m": 0.001, "turn_deg": 0.04},
+         "Not refined: dark. The pose given stands."),
+        (False, "Not refined: PoseLib is missing.", {},
+         "Not refined: PoseLib is missing. The pose given stands."),
+    ],
+)  # fmt: skip
+def test_a_refinement_in_words(accepted, reason, stats, line):
+    coarse = estimate_of(Status.OK, 0.93).modes[0]
+    found = Refinement(accepted, reason, coarse, coarse.map_from_camera[None], stats)
+    assert refinement_words(found, "pose given") == line
+
+
+# --- what is refused ---
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--frames", "9:"), "--frames"), (("--frames", "x"), "--frames"),
+        (("--near", "1"), "--near"), (("--near", "1,b"), "--near"), (("--near", "1,2,3,4"), "--near"),
+        (("--near", "nan,2"), "prior"), (("--near", "1,2", "--radius", "0"), "--radius"),
+        (("--near", "1,2", "--radius", "inf"), "--radius"), (("--yaw-deg", "90"), "--near"),
+        (("--height", "nan"), "heights"), (("--device", "abacus"), "device"),
+        (("--no-semantic", "--no-depth", "--no-colour"), "leave one on"),
+        (("--matcher", "orb"), "there are auto, guided"), (("--weights", "a.pt"), "--weights"),
+        (("--matcher", "guided", "--weights", "a.pt"), "guided has none"),
+        (("--no-refine", "--matcher", "sift"), "--no-refine"),
+        (("--no-refine", "--weights", "a.pt"), "--no-refine"),
+    ],
+)  # fmt: skip
+def test_bad_options(options, word, run, world):
+    fails(run("scene", "localize", world.map, world.walk, *options, "--quiet"), 7, word)
+
+
+def test_what_is_no_map_or_no_capture(run, world, tmp_path):
+    fails(run("scene", "localize", tmp_path / "no.scene", world.walk), 3, "no.scene")
+    fails(run("scene", "localize", world.walk / "odometry.tum", world.walk), 4, "odometry.tum")
+    fails(run("scene", "localize", world.map, tmp_path / "nowhere"), 3, "nowhere")
+    fails(run("scene", "localize", world.map, tmp_path), 3, tmp_path.name)
+    damaged = tmp_path / "damaged.scene"
+    damaged.write_bytes(world.map.read_bytes()[:-50])
+    fails(run("scene", "localize", damaged, world.walk), 4, "damaged.scene")
+
+
+def test_pictures_that_cannot_be_written(run, world, tmp_path):
+    for option in ("--png", "--gif", "--tum", "--overlay"):
+        out = tmp_path / "no" / "a"
+        result = run(
+            "scene", "localize", world.map, world.walk, "--frames", "0", "--quiet", option, out
+        )
+        fails(result, 3, out)
+
+
+def test_info_draws_the_room(run, world, tmp_path):
+    result = run("scene", "info", world.map, "--png", tmp_path / "room.png")
+    assert (result.code, result.err) == (0, "")
+    with Image.open(tmp_path / "room.png") as image:
+        assert image.size[0] == 1200
+    fails_to_write = run("scene", "info", world.map, "--png", tmp_path / "no" / "room.png")
+    fails(fails_to_write, 3, "room.png")
+
+
+def test_help(run):
+    result = run("scene", "localize", "--help")
+    assert result.code == 0
+    for word in ("--frames", "--near", "--png", "--tum", "--no-refine", "--overlay", "AMBIGUOUS",
+                 "Example:"):  # fmt: skip
+        assert word in result.out
+    assert "localize" in run("scene", "--help").out
+
+
+def test_mistyped(run, world):
+    for arguments in ([world.map], [world.map, world.walk, "--seed", "many"]):
+        result = run("scene", "localize", *arguments)
+        assert (result.code, result.out) == (2, "")
+        assert "Usage: " in result.err
+
+
+def test_json_is_plain(run, world):
+    result = run("scene", "localize", world.map, world.walk, "--frames", "0:2", "--json")
+    assert json.loads(result.out) == json.loads(json.dumps(result.json, allow_nan=False))

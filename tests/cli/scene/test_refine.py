@@ -1,0 +1,210 @@
+"""`placegraph scene refine`: poses given roughly become exact, and what is refused."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph.cli.scene.pose import map_from_camera_of
+from placegraph.formats.capture.tum import read_tum
+from placegraph.geometry import Camera, level_from_camera, split_pose
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory, study):
+    """Map file, capture folder, true poses and a rough estimate of a walk through the room.
+
+    `narrow` is the same walk by a camera that sees hardly anything but walls.
+    """
+    folder, rng = tmp_path_factory.mktemp("refine"), np.random.default_rng(3)
+    interior = study.furnish(rng)
+    build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
+    walk = stroll(study, rng, frames=FRAMES, through="123")
+    for name, camera in (
+        ("walk", Camera(160, 120, 90.0, 90.0, 80.0, 60.0)),
+        ("narrow", Camera(160, 90, 115.0, 115.0, 80.0, 45.0)),
+    ):
+        write_walk(interior, walk, folder / name, rng, camera=camera)
+    truth, frames = walk.map_from_camera, [1, 2, 4]
+    rough, wrong = truth.copy(), truth[4].copy()
+    rough[:, 0, 3] += 0.06
+    wrong[:2, 3] += (-1.2, 0.9)
+    told = {
+        "status": "OK", "reason": "Drawn.", "frames": frames,
+        "trajectory": rough[frames].tolist(),
+        "modes": [{"map_from_camera": pose.tolist()} for pose in (rough[4], wrong)],
+    }  # fmt: skip
+    (folder / "est.json").write_text(json.dumps(told), encoding="utf-8")
+    return SimpleNamespace(
+        map=folder / "room.scene", walk=folder / "walk", narrow=folder / "narrow", truth=truth,
+        estimate=folder / "est.json", told=told,
+    )  # fmt: skip
+
+
+def fails(result, code, *words):
+    assert (result.code, result.out) == (code, ""), result.err
+    (line,) = result.err.strip().splitlines()
+    assert line.startswith("placegraph: ")
+    for word in words:
+        assert str(word) in line
+
+
+def near(truth, *, way=(0.0, 0.0, 0.0), turn_deg=0.0):
+    """--pose beside a true one, without its tilt."""
+    (x, y, z, yaw), _ = split_pose(truth)
+    numbers = (x + way[0], y + way[1], z + way[2], np.degrees(yaw) + turn_deg)
+    return ",".join(f"{v:.4f}" for v in numbers)
+
+
+def off(told, truth):
+    """How far the answered pose lies from a true one [m]."""
+    return np.linalg.norm(np.array(told["modes"][0]["map_from_camera"])[:3, 3] - truth[:3, 3])
+
+
+# --- the answer ---
+
+
+def test_a_rough_pose_becomes_exact(run, world, tmp_path):
+    """Of the last frame chosen; all its frames follow, in the TUM file too."""
+    tum, png, look = (tmp_path / name for name in ("a.tum", "a.png", "look.png"))
+    start = near(world.truth[4], way=(0.15, -0.12, 0.03), turn_deg=8)
+    result = run(
+        "scene", "refine", world.map, world.walk, "--frames", ":5", "--pose", start, "--json",
+        "--tum", tum, "--png", png, "--overlay", look,
+    )  # fmt: skip
+    assert (result.code, result.err) == (0, "")
+    told = result.json
+    assert told["status"] == "OK", told["reason"]
+    assert told["refinement"]["accepted"]
+    assert told["frames"] == list(range(5))
+    assert off(told, world.truth[4]) < 0.03
+    assert off({"modes": [told["refinement"]["coarse"]]}, world.truth[4]) > 0.19
+    written = read_tum(tum)
+    assert written.poses == pytest.approx(np.array(told["trajectory"]), abs=1e-6)
+    assert np.linalg.norm(written.poses[:, :3, 3] - world.truth[:5, :3, 3], axis=1).max() < 0.05
+    with Image.open(png) as plan, Image.open(look) as sheet:
+        assert plan.width == 1200
+        assert sheet.height > 3 * 90, "before and after"
+
+
+def test_gravity_gives_the_tilt_that_is_not_given(world):
+    from placegraph import open_capture
+
+    frame = open_capture(world.walk)[4]
+    given = map_from_camera_of("1,2,1.5,40", frame.gravity)
+    np.testing.assert_allclose(split_pose(given)[1], level_from_camera(frame.gravity), atol=1e-12)
+    np.testing.assert_allclose(split_pose(given)[0], [1, 2, 1.5, np.radians(40)])
+    told = map_from_camera_of("1,2,1.5,40,-5", frame.gravity)
+    assert told[2, 2] == pytest.approx(np.sin(np.radians(-5))), "what is given stands"
+
+
+def test_from_an_estimate(run, world):
+    """Its own frames and best mode; other frames and another mode where asked for."""
+
+    def told(*options):
+        result = run(
+            "scene", "refine", world.map, world.walk, "--estimate", world.estimate, "--json",
+            *options,
+        )  # fmt: skip
+        assert (result.code, result.err) == (0, "")
+        return result.json
+
+    answer = told()
+    assert answer["frames"] == [1, 2, 4]
+    assert off(answer, world.truth[4]) < 0.03
+    answer = told("--frames", "0:3")
+    assert answer["frames"] == [0, 1, 2]
+    assert off(answer, world.truth[2]) < 0.03
+    coarse = answer["refinement"]["coarse"]["map_from_camera"]
+    np.testing.assert_allclose(coarse, world.told["trajectory"][1], atol=1e-9)
+    answer = told("--mode", "2")
+    coarse = answer["refinement"]["coarse"]["map_from_camera"]
+    np.testing.assert_allclose(coarse, world.told["modes"][1]["map_from_camera"], atol=1e-9)
+
+
+def test_a_wrong_pose_is_not_trusted(run, world):
+    """Looking elsewhere, from elsewhere: whatever becomes of it, it is not OK."""
+    result = run(
+        "scene", "refine", world.map, world.walk, "--pose", "1.0,2.5,1.6,200", "--frames", ":5",
+        "--quiet",
+    )  # fmt: skip
+    assert (result.code, result.err) == (0, "")
+    status, _, reason = result.out.splitlines()[0].partition(": ")
+    assert status in {"AMBIGUOUS", "LOST"}
+    assert reason
+
+
+def test_what_nothing_holds_stays_where_it_was_given(run, world):
+    """Walls alone do not tell the height; the one given is right."""
+    start = near(world.truth[4], way=(0.06, 0.0, 0.0))
+    told = run(
+        "scene", "refine", world.map, world.narrow, "--frames", "4", "--pose", start, "--json"
+    ).json
+    best = told["modes"][0]
+    assert abs(best["z"] - split_pose(world.truth[4])[0][2]) < 0.1, told["status"]
+    assert best["covariance"][2][2] < 0.1**2, "no less is known than before"
+
+
+def test_senses_and_matchers(run, world):
+    ask = ("scene", "refine", world.map, world.walk, "--estimate", world.estimate, "--json")
+    images = run(*ask, "--no-depth", "--matcher", "guided").json["refinement"]["stats"]
+    assert images["matches"] > 0
+    assert images["matcher"] == "guided"
+    assert "depth_cost" not in images
+    depth = run(*ask, "--no-colour").json["refinement"]["stats"]
+    assert "matches" not in depth
+    assert "depth_cost" in depth
+
+
+# --- what is refused ---
+
+
+def test_options_that_contradict(run, world):
+    pose, estimate = ("--pose", "1,2,1.5,0"), ("--estimate", world.estimate)
+    for options, *words in (
+        ((), "--pose", "--estimate"),
+        ((*pose, *estimate), "one of"),
+        ((*pose, "--mode", 2), "--mode"),
+        (("--pose", "1,2,1.5"), "--pose is"),
+        (("--pose", "1e12,0,0,0"), "map_from_camera"),
+        ((*estimate, "--mode", 3), "modes 1 to 2"),
+        ((*estimate, "--frames", "3"), "frames 1, 2, 4"),
+        ((*pose, "--frames", "9:"), "--frames"),
+        ((*pose, "--matcher", "orb"), "there are auto, guided"),
+        ((*pose, "--weights", "a.pt"), "--weights"),
+        ((*pose, "--no-depth", "--no-colour"), "leave one on"),
+        ((*pose, "--device", "abacus"), "device"),
+        ((*pose, "--seed", "-1"), "seed is -1"),
+    ):
+        fails(run("scene", "refine", world.map, world.walk, "--quiet", *options), 7, *words)
+
+
+def test_an_estimate_of_another_capture(run, world, tmp_path):
+    """More frames than there are; a file that is none."""
+    longer = tmp_path / "longer.json"
+    longer.write_text(json.dumps(world.told | {"frames": [1, 2, 40]}), encoding="utf-8")
+    ask = ("scene", "refine", world.map, world.walk, "--estimate")
+    fails(run(*ask, longer), 7, "frame 40", f"{FRAMES} frames")
+    longer.write_text("{}", encoding="utf-8")
+    fails(run(*ask, longer), 3, "longer.json")
+    fails(run(*ask, tmp_path / "none.json"), 3, "none.json")
+
+
+def test_what_is_no_map_or_no_capture(run, world, tmp_path):
+    pose = ("--pose", "1,2,1.5,0")
+    fails(run("scene", "refine", tmp_path / "no.scene", world.walk, *pose), 3, "no.scene")
+    fails(run("scene", "refine", world.map, tmp_path, *pose), 3, tmp_path.name)
+
+
+def test_help(run):
+    result = run("scene", "refine", "--help")
+    assert result.code == 0
+    for word in ("--pose", "--estimate", "--matcher", "--overlay", "AMBIGUOUS", "Example:"):
+        assert word in result.out
+    assert "refine" in run("scene", "--help").out

@@ -1,0 +1,328 @@
+"""`placegraph scene render`: pictures of a drawn room, and what is refused."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph import open_capture, open_map
+from placegraph.cli.scene.pose import map_from_camera_of
+from placegraph.errors import OptionError
+from placegraph.formats.capture.tum import write_tum
+from placegraph.geometry import Camera, split_pose
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.refine.render import render
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
+
+ROOM = """
+[flat]
+name = Study
+height = 2.6
+[drawing]
+######====######
+#SSS       BB  #
+#SSS  tt 1 BB  #
+#SSS  tt       #
+#              #
+#LL  2   TTT   +
+#CCCC    TTT   #
+################
+[legend]
+1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
+2 spot:
+S sofa: look=fabric darkred trim=fabric firebrick
+B shelf: label=bookcase height=1.9
+t roundtable: label=side table height=0.45
+T table: label=desk look=wood burlywood
+C cabinet: label=sideboard height=0.8 look=wood peru
+L lamp:
+"""
+FRAMES = 4
+FILES = ["colour.png", "depth.png", "objects.png", "objects.json", "objects_preview.png"]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Map file, capture folder, true poses and an estimate of a walk through the room."""
+    folder, rng = tmp_path_factory.mktemp("render"), np.random.default_rng(5)
+    drawing = Flat.parse(ROOM)
+    interior = drawing.furnish(rng)
+    build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
+    walk = stroll(drawing, rng, frames=FRAMES, through="12")
+    write_walk(interior, walk, folder / "walk", rng, camera=Camera(96, 54, 69.0, 69.0, 48.0, 27.0))
+    truth, frames = walk.map_from_camera, [1, 3]
+    estimate = {
+        "status": "OK", "reason": "Drawn.", "frames": frames,
+        "trajectory": truth[frames].tolist(),
+        "modes": [{"map_from_camera": truth[k].tolist()} for k in (3, 0)],
+    }  # fmt: skip
+    (folder / "est.json").write_text(json.dumps(estimate), encoding="utf-8")
+    return SimpleNamespace(
+        folder=folder, map=folder / "room.scene", walk=folder / "walk", truth=truth,
+        camera=folder / "walk/camera.json", estimate=folder / "est.json", told=estimate,
+    )  # fmt: skip
+
+
+def fails(result, code, *words):
+    assert (result.code, result.out) == (code, ""), result.err
+    (line,) = result.err.strip().splitlines()
+    assert line.startswith("placegraph: ")
+    for word in words:
+        assert str(word) in line
+
+
+def read(path):
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+def at(pose):
+    """--pose of a matrix."""
+    (x, y, z, yaw), _ = split_pose(pose)
+    forward, right = pose[:3, 2], pose[:3, 0]
+    pitch = np.arcsin(forward[2])
+    roll = np.arcsin(-right[2] / np.cos(pitch))
+    return ",".join(f"{v:.9f}" for v in (x, y, z, *np.degrees([yaw, pitch, roll])))
+
+
+# --- pictures ---
+
+
+def test_pictures_from_a_pose(run, world, tmp_path):
+    out = tmp_path / "new" / "out"
+    pose = world.truth[2]
+    result = run(
+        "scene", "render", world.map, "-o", out, "--pose", at(pose), "--camera", world.camera
+    )
+    assert (result.code, result.err) == (0, "")
+    assert sorted(f.name for f in out.iterdir()) == sorted(FILES)
+    assert all(name in result.out for name in FILES)
+    assert "The map fills 100% of it" in result.out
+
+    scene, camera = open_map(world.map), open_capture(world.walk).camera
+    drawn = render(scene, pose, camera)
+    assert np.abs(read(out / "colour.png").astype(int) - drawn.colour).mean() < 0.1
+    depth = read(out / "depth.png")
+    assert depth.dtype == np.uint16
+    assert np.abs(depth / 1000.0 - drawn.depth).max() < 0.02
+    values = read(out / "objects.png")
+    assert (values.astype(int) - 1 == drawn.objects).mean() > 0.999
+    named = json.loads((out / "objects.json").read_text(encoding="utf-8"))
+    assert set(named) == {str(v) for v in np.unique(values)}
+    for value, told in named.items():
+        row = int(value) - 1
+        assert (told["id"], told["label"]) == (scene.graph.ids[row], scene.graph.labels[row])
+        assert told["share"] == pytest.approx((values == int(value)).mean(), abs=1e-6)
+    preview = read(out / "objects_preview.png")
+    assert preview.shape == drawn.colour.shape
+    assert not (out / "overlay.png").exists()
+
+
+def test_a_pose_is_laid_over_its_frame(run, world, tmp_path):
+    """The estimate's last frame without a word; another one, or another mode, if asked for."""
+
+    def told(*options):
+        result = run("scene", "render", world.map, "-o", tmp_path, "--capture", world.walk,
+                     "--json", *options)  # fmt: skip
+        assert (result.code, result.err) == (0, "")
+        return result.json
+
+    answer = told("--estimate", world.estimate)
+    assert answer["frame"] == 3
+    np.testing.assert_allclose(answer["map_from_camera"], world.truth[3])
+    assert [*FILES, "overlay.png"] == [f.rsplit("/", 1)[-1] for f in answer["files"]]
+    sheet = read(tmp_path / "overlay.png")
+    query = read(sorted((world.walk / "rgb").iterdir())[3])
+    band = (sheet.shape[0] - 8) // 2 - 54
+    np.testing.assert_array_equal(sheet[band : band + 54, :96], query)
+    np.testing.assert_array_equal(sheet[band : band + 54, 104:], read(tmp_path / "colour.png"))
+
+    for options, frame, row in (
+        (("--estimate", world.estimate, "--frame", 1), 1, 1),
+        (("--estimate", world.estimate, "--frame", -1), 3, 3),
+        (("--estimate", world.estimate, "--mode", 2), 3, 0),
+        (("--pose", at(world.truth[1])), 3, 1),
+        (("--pose", at(world.truth[1]), "--frame", "0"), 0, 1),
+    ):
+        answer = told(*options)
+        assert answer["frame"] == frame
+        np.testing.assert_allclose(answer["map_from_camera"], world.truth[row], atol=1e-6)
+    assert answer["covered"] == 1.0
+    assert len(answer["depth_m"]) == 2
+    assert answer["objects"][0]["share"] >= answer["objects"][-1]["share"]
+
+
+def test_poses_of_a_tum_file(run, world, tmp_path):
+    """The row with the frame's stamp; any row; the last."""
+    tum = tmp_path / "walk.tum"
+    stamps = [frame.stamp for frame in open_capture(world.walk)]
+    write_tum(tum, stamps[1:], world.truth[1:])
+
+    def told(*options):
+        return run("scene", "render", world.map, "-o", tmp_path, "--tum", tum, "--json", *options)
+
+    for options, row in (
+        (("--capture", world.walk, "--frame", 2), 2),
+        (("--capture", world.walk), 3),
+        (("--camera", world.camera), 3),
+        (("--camera", world.camera, "--row", 0), 1),
+        (("--camera", world.camera, "--row", -2), 2),
+        (("--capture", world.walk, "--frame", 0, "--row", 1), 2),
+    ):
+        answer = told(*options).json
+        np.testing.assert_allclose(answer["map_from_camera"], world.truth[row], atol=1e-6)
+    assert answer["frame"] == 0
+    fails(told("--capture", world.walk, "--frame", 0), 3, "walk.tum", "stamp", "--row")
+    fails(told("--camera", world.camera, "--row", 3), 7, "--row is 3", "0 to 2")
+
+
+def test_an_empty_picture_says_so(run, world, tmp_path):
+    result = run("scene", "render", world.map, "-o", tmp_path, "--pose", "500,0,1,0",
+                 "--camera", world.camera)  # fmt: skip
+    assert result.code == 0
+    assert "empty" in result.out
+    assert not read(tmp_path / "depth.png").any()
+    assert not read(tmp_path / "objects.png").any()
+    assert json.loads((tmp_path / "objects.json").read_text(encoding="utf-8")) == {}
+
+
+def test_what_is_too_far_for_sixteen_bits(run, world, tmp_path):
+    far = world.truth[0][:2, 3]
+    result = run("scene", "render", world.map, "-o", tmp_path, "--pose",
+                 f"{far[0] + 80},{far[1]},1.3,180", "--camera", world.camera, "--json")  # fmt: skip
+    assert result.json["depth_m"][0] > 65.5
+    assert read(tmp_path / "objects.png").any()
+    assert not read(tmp_path / "depth.png").any()
+
+
+def test_quiet_and_samples(run, world, tmp_path):
+    shades = []
+    for samples in (1, 16):
+        result = run("scene", "render", world.map, "-o", tmp_path, "--quiet", "--pose",
+                     at(world.truth[0]), "--camera", world.camera, "--samples", samples)  # fmt: skip
+        assert (result.code, result.out, result.err) == (0, "", "")
+        shades.append(read(tmp_path / "colour.png"))
+    assert (shades[0] != shades[1]).any()
+
+
+# --- poses as text ---
+
+
+@pytest.mark.parametrize(
+    ("text", "forward", "down"),
+    [
+        ("1,2,3,0", (1, 0, 0), (0, 0, -1)),
+        ("1,2,3,90", (0, 1, 0), (0, 0, -1)),
+        ("1,2,3,90,30", (0, 0.75**0.5, 0.5), (0, 0.5, -(0.75**0.5))),
+        ("1, 2, 3, 0, -90", (0, 0, -1), (-1, 0, 0)),
+        ("1,2,3,0,0,90", (1, 0, 0), (0, 1, 0)),
+        ("1,2,3,-180,0,180", (-1, 0, 0), (0, 0, 1)),
+    ],
+)
+def test_poses(text, forward, down):
+    pose = map_from_camera_of(text)
+    np.testing.assert_allclose(pose[:3, 3], (1, 2, 3))
+    np.testing.assert_allclose(pose[:3, 2], forward, atol=1e-12)
+    np.testing.assert_allclose(pose[:3, 1], down, atol=1e-12)
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
+
+
+def test_yaw_is_the_one_that_localize_prints(rng):
+    for _ in range(50):
+        x, y, z, yaw = rng.uniform(-3, 3, 4)
+        pitch, roll = rng.uniform(-80, 80), rng.uniform(-80, 80)
+        pose, _ = split_pose(map_from_camera_of(f"{x},{y},{z},{np.degrees(yaw)},{pitch},{roll}"))
+        np.testing.assert_allclose(pose, (x, y, z, yaw), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1,2,3", "1,2,3,4,5,6,7", "a,b,c,d", "1,2,3,nan", "1,2,3,0,91"]
+)
+def test_no_poses(text):
+    with pytest.raises(OptionError, match="--pose is"):
+        map_from_camera_of(text)
+
+
+# --- what is refused ---
+
+
+def test_options_that_contradict(run, world, tmp_path):
+    pose, camera = ("--pose", "1,2,1,0"), ("--camera", world.camera)
+    for options, *words in (
+        ((*camera,), "--pose", "--tum", "--estimate"),
+        ((*pose, *camera, "--estimate", world.estimate), "one of"),
+        (pose, "--camera", "--capture"),
+        ((*pose, *camera, "--capture", world.walk), "one of"),
+        ((*pose, *camera, "--frame", 1), "--frame"),
+        ((*pose, *camera, "--row", 1), "--row"),
+        ((*pose, *camera, "--mode", 2), "--mode"),
+        ((*pose, "--capture", world.walk, "--frame", 9), "--frame is 9", "0 to 3"),
+        ((*pose, *camera, "--samples", 3), "samples is 3"),
+        ((*pose, *camera, "--device", "abacus"), "device"),
+        (("--estimate", world.estimate, *camera, "--mode", 3), "modes 1 to 2"),
+        (("--estimate", world.estimate, *camera, "--mode", 0), "--mode is 0"),
+        (("--estimate", world.estimate, "--capture", world.walk, "--frame", 2), "frames 1, 3"),
+        (
+            ("--estimate", world.estimate, "--capture", world.walk, "--frame", 1, "--mode", 2),
+            "last",
+        ),
+    ):
+        fails(run("scene", "render", world.map, "-o", tmp_path / "no", *options), 7, *words)
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"modes": 5}, {"modes": [{}]}, {"modes": [{"map_from_camera": [[1, 2], [3, 4]]}]},
+        {"frames": ["x"]}, {"trajectory": [[1]]}, {"frames": None}, {"trajectory": {}},
+        {"frames": [1, 1e999]},
+    ],
+)  # fmt: skip
+def test_what_is_no_estimate(change, run, world, tmp_path):
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(world.told | change), encoding="utf-8")
+    result = run("scene", "render", world.map, "-o", tmp_path, "--estimate", path,
+                 "--camera", world.camera)  # fmt: skip
+    fails(result, 3, "bad.json", "")
+
+
+def test_files_that_are_none(run, world, tmp_path):
+    def tell(*options):
+        return run("scene", "render", world.map, "-o", tmp_path / "out", *options)
+
+    lost = tmp_path / "lost.json"
+    lost.write_text(
+        json.dumps(world.told | {"status": "LOST", "modes": [], "frames": [], "trajectory": []}),
+        encoding="utf-8",
+    )
+    camera = "--camera", world.camera
+    fails(tell("--estimate", lost, *camera), 3, "lost.json", "LOST", "Drawn.")
+    fails(tell("--estimate", tmp_path / "none.json", *camera), 3, "none.json")
+    fails(tell("--estimate", world.map, *camera), 3, "room.scene")
+    fails(tell("--tum", tmp_path / "none.tum", *camera), 3, "none.tum")
+    fails(tell("--pose", "1,2,1,0", "--camera", tmp_path / "none.json"), 3, "none.json")
+    fails(tell("--pose", "1,2,1,0", "--capture", tmp_path), 3, tmp_path.name)
+    broken = json.loads(world.estimate.read_text(encoding="utf-8"))
+    broken["modes"][0]["map_from_camera"][0][0] = 7.0
+    (tmp_path / "bent.json").write_text(json.dumps(broken), encoding="utf-8")
+    fails(tell("--estimate", tmp_path / "bent.json", *camera), 7, "not rigid")
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    result = run("scene", "render", world.map, "-o", tmp_path / "file/out", "--pose", "1,2,1,0",
+                 *camera)  # fmt: skip
+    fails(result, 3, "--out")
+    result = run("scene", "render", tmp_path / "no.scene", "-o", tmp_path, "--pose", "1,2,1,0",
+                 *camera)  # fmt: skip
+    fails(result, 3, "no.scene")
+
+
+def test_help(run):
+    result = run("scene", "render", "--help")
+    assert result.code == 0
+    for word in ("--pose", "--tum", "--estimate", "--capture", "overlay.png", "Example:"):
+        assert word in result.out
+    assert "render" in run("scene", "--help").out

@@ -1,0 +1,384 @@
+"""The command line: exit codes, one sentence on stderr, answers and nothing else on stdout."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from placegraph import __version__
+from placegraph.store import writing
+from placegraph_lab.worlds.town.town import Town
+
+CLEAR = "I am on Speicherweg. The museum is south of me."
+SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
+IMPOSSIBLE = "A lighthouse is north of me and a zoo is to the south."
+COMMANDS = ["city build", "city locate", "city info", "city check", "city fetch", "city evaluate",
+            "city convert-kitti360pose", "demo"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def osm(tmp_path_factory):
+    return Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("cli") / "town.osm")
+
+
+@pytest.fixture(scope="module")
+def city(osm):
+    from placegraph.outdoor.map.build import build_city
+
+    path = osm.with_name("town.city")
+    build_city(osm, path)
+    return path
+
+
+def fails(result, code, *words):
+    """Check that a run failed with one sentence on stderr, and nothing on stdout."""
+    assert result.code == code
+    assert result.out == ""
+    lines = result.err.strip().splitlines()
+    assert len(lines) == 1, result.err
+    assert lines[0].startswith("placegraph: ")
+    assert lines[0].rstrip('"').endswith(".")
+    for word in words:
+        assert str(word) in lines[0]
+
+
+# --- help and version ---
+
+
+def test_version(run):
+    result = run("--version")
+    assert (result.code, result.out.strip()) == (0, __version__)
+
+
+@pytest.mark.parametrize("command", ["", "city", *COMMANDS])
+def test_help(command, run):
+    result = run(*command.split(), "--help")
+    assert result.code == 0
+    assert "Usage: " in result.out
+    assert result.err == ""
+    known = {"": ["city", "scene", "demo"], "city": [c.split()[1] for c in COMMANDS[:-1]]}
+    for word in known.get(command, ["--help"]):
+        assert word in result.out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["", "city", "nonsense", "city nonsense", "city build", "city build a.osm", "city locate",
+     "city locate a.city", "city info", "city build a.osm -o b --cell-size wide",
+     "city locate a.city bench --top many", "city info a.city --nonsense"],
+)  # fmt: skip
+def test_mistyped_commands(arguments, run):
+    result = run(*arguments.split())
+    assert result.code == 2
+    assert "Usage: " in result.err
+    assert result.out == ""
+
+
+def test_the_installed_script_and_the_module(city):
+    script = Path(sys.executable).with_name("placegraph")
+    for command in (
+        [script],
+        *([sys.executable, "-m", m] for m in ("placegraph", "placegraph.cli")),
+    ):
+        done = subprocess.run(  # noqa: S603  # our own script
+            [*command, "city", "locate", city, CLEAR, "--json"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert json.loads(done.stdout)["status"] == "OK"
+        assert done.stderr == ""
+    missing = subprocess.run(  # noqa: S603  # our own script
+        [script, "city", "info", "missing.city"], capture_output=True, text=True, check=False
+    )
+    assert (missing.returncode, missing.stdout) == (3, "")
+    assert "Traceback" not in missing.stderr
+
+
+# --- build ---
+
+
+def test_build(run, osm, tmp_path):
+    out = tmp_path / "a.city"
+    result = run("city", "build", osm, "-o", out)
+    assert result.code == 0
+    assert result.out.startswith(f"{out}: 215 objects in 158 cells")
+    assert "reading" not in result.out, "progress is for stderr"
+    assert out.exists()
+
+
+def test_build_as_json(run, osm, tmp_path):
+    out = tmp_path / "a.city"
+    result = run("city", "build", osm, "-o", out, "--json")
+    assert result.err == ""
+    told = result.json
+    assert told["bytes"] == out.stat().st_size
+    assert (told["objects"], told["cells"], told["left_out"]) == (215, 158, {})
+
+
+def test_build_in_silence(run, osm, tmp_path):
+    result = run("city", "build", osm, "-o", tmp_path / "a.city", "--quiet")
+    assert (result.code, result.out, result.err) == (0, "", "")
+
+
+def test_build_says_what_was_left_out(run, tmp_path):
+    path = tmp_path / "clipped.osm"
+    path.write_text(
+        '<osm version="0.6"><node id="1" lat="50" lon="10"><tag k="shop" v="bakery"/></node>'
+        '<way id="1"><nd ref="7"/><nd ref="8"/><tag k="highway" v="path"/></way></osm>'
+    )
+    result = run("city", "build", path, "-o", tmp_path / "a.city")
+    assert result.code == 0
+    assert "Left out: 1 ways without positions." in result.out
+
+
+def test_build_options(run, osm, tmp_path):
+    out = tmp_path / "a.city"
+    options = ("--cell-size", "40", "--stride", "20", "--edge-distance", "30")
+    assert run("city", "build", osm, "-o", out, *options, "--json").json["cell_size"] == 40.0
+    fails(run("city", "build", osm, "-o", out, "--cell-size", "0"), 7, "cell_size")
+    fails(run("city", "build", osm, "-o", out, "--stride", "nan"), 7, "stride")
+    fails(run("city", "build", osm, "-o", out, "--vocabulary", tmp_path / "no"), 3, "no")
+
+
+def test_build_refuses(run, osm, city, tmp_path):
+    out = tmp_path / "a.city"
+    fails(run("city", "build", tmp_path / "no.osm", "-o", out), 3, "no.osm", "does not exist")
+    fails(run("city", "build", city, "-o", out), 3, "town.city", "unknown ending")
+    fails(run("city", "build", osm, "-o", osm), 7, "town.osm")
+    fails(run("city", "build", osm, "-o", tmp_path / "no" / "a.city"), 4, "a.city")
+    fails(run("city", "build", osm, "-o", tmp_path), 4, tmp_path.name)
+    (tmp_path / "empty.osm.pbf").touch()
+    fails(run("city", "build", tmp_path / "empty.osm.pbf", "-o", out), 3, "empty.osm.pbf")
+    (tmp_path / "bad.osm.bz2").write_bytes(b"BZh9garbage")
+    fails(run("city", "build", tmp_path / "bad.osm.bz2", "-o", out), 3, "bad.osm.bz2")
+    with writing(out):
+        fails(run("city", "build", osm, "-o", out), 5, "a.city")
+    assert not out.exists()
+
+
+# --- locate ---
+
+
+def test_locate(run, city):
+    result = run("city", "locate", city, CLEAR)
+    assert (result.code, result.err) == (0, "")
+    assert result.out.startswith("OK: ")
+    assert "Speichermuseum" in result.out
+    assert "cell c" in result.out
+
+
+def test_locate_as_json(run, city):
+    result = run("city", "locate", city, CLEAR, "--json", "--top", "3")
+    assert result.err == ""
+    told = result.json
+    assert told["status"] == "OK"
+    assert told["question"] is None
+    best = told["modes"][0]
+    assert best["latitude"] == pytest.approx(53.5496, abs=3e-4)
+    assert best["longitude"] == pytest.approx(9.9918, abs=3e-4)
+    assert {e["verdict"] for e in best["evidence"]} == {"for"}
+    assert best["evidence"][0]["objects"][0]["id"].startswith("way/")
+    assert told["understood"]["text"] == CLEAR
+
+
+def test_ambiguous_and_impossible(run, city):
+    told = run("city", "locate", city, SQUARES, "--json").json
+    assert told["status"] == "AMBIGUOUS"
+    assert told["question"].endswith("?")
+    assert told["question"] in run("city", "locate", city, SQUARES).out
+    lost = run("city", "locate", city, IMPOSSIBLE)
+    assert (lost.code, lost.err) == (0, ""), "not to be found is no error"
+    assert lost.out.startswith("LOST: ")
+    assert run("city", "locate", city, IMPOSSIBLE, "--json").json["modes"] == []
+
+
+def test_text_from_standard_input(run, city):
+    assert run("city", "locate", city, "-", "--json", stdin=CLEAR + "\n").json["status"] == "OK"
+    fails(run("city", "locate", city, "-", stdin=""), 6, "empty")
+    fails(run("city", "locate", city, "-", stdin="x" * 200_000), 6, "characters")
+
+
+def test_bytes_that_are_no_text(city):
+    done = subprocess.run(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-m", "placegraph.cli", "city", "locate", city, "-"],
+        input=b"\xff\xfe\x00bench",
+        capture_output=True,
+        env=os.environ | {"PYTHONUTF8": "1"},
+        check=False,
+    )
+    assert done.returncode == 6
+    assert done.stdout == b""
+    assert b"Traceback" not in done.stderr
+
+
+def test_locate_options(run, city):
+    near = run(
+        "city", "locate", city, SQUARES, "--json", "--near", "9.9928,53.5524", "--radius", "50"
+    )
+    assert near.json["status"] == "OK"
+    away = run("city", "locate", city, SQUARES, "--json", "--near", "-79.39,43.66")
+    assert away.json["status"] == "LOST"
+    left = "I am on Gartenweg, and a bookshop is left of me."
+    assert run("city", "locate", city, left, "--json", "--heading-deg", "0").json["status"] == "OK"
+    for wind, latitude in (("north", 53.5524), ("south", 53.5502)):
+        text = f"I am next to a fountain on a square, and I am {wind} of you."
+        told = run("city", "locate", city, text, "--json", "--listener", "9.9941,53.5511").json
+        assert told["modes"][0]["latitude"] == pytest.approx(latitude, abs=4e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--near", "here"), "--near"), (("--near", "9.99"), "--near"),
+        (("--near", "1,2,3"), "--near"), (("--near", "nan,53"), "near"),
+        (("--near", "200,53"), "near"), (("--listener", "9.99;53"), "--listener"),
+        (("--near", "9.99,53.55", "--radius", "0"), "radius"), (("--top", "0"), "top"),
+        (("--radius", "nan"), "radius"), (("--heading-deg", "nan"), "heading"),
+        (("--heading-deg", "inf"), "heading"),
+    ],
+)  # fmt: skip
+def test_bad_options(options, word, run, city):
+    fails(run("city", "locate", city, CLEAR, *options), 7, word)
+
+
+def test_what_is_no_map(run, osm, city, tmp_path):
+    for command in (["locate"], ["info"], ["check"]):
+        text = ["bench"] if command == ["locate"] else []
+        fails(run("city", *command, tmp_path / "no.city", *text), 3, "no.city", "does not exist")
+        fails(run("city", *command, osm, *text), 4, "town.osm", "not a placegraph map")
+        fails(run("city", *command, tmp_path, *text), 3, tmp_path.name)
+        damaged = tmp_path / "damaged.city"
+        damaged.write_bytes(city.read_bytes()[:-100])
+        fails(run("city", *command, damaged, *text), 4, "damaged.city")
+
+
+def test_page_and_picture(run, city, tmp_path):
+    page, picture = tmp_path / "a.html", tmp_path / "a.png"
+    result = run("city", "locate", city, SQUARES, "--html", page, "--png", picture, "--json")
+    assert result.json["status"] == "AMBIGUOUS"
+    assert "<svg" in page.read_text("utf-8")
+    with Image.open(picture) as image:
+        assert min(image.size) > 100
+    fails(run("city", "locate", city, CLEAR, "--html", tmp_path / "no" / "a.html"), 3, "a.html")
+    fails(run("city", "locate", city, CLEAR, "--png", tmp_path / "no" / "a.png"), 3, "a.png")
+
+
+def test_names_and_texts_are_printed_as_they_are(run, tmp_path):
+    """Brackets mean markup to a console; in a name they are brackets."""
+    path = tmp_path / "brackets.osm"
+    path.write_text(
+        '<osm version="0.6"><node id="1" lat="50" lon="10"><tag k="shop" v="bakery"/>'
+        '<tag k="name" v="Kern [/b] [red]:smile:"/></node>'
+        '<node id="2" lat="50.0001" lon="10"><tag k="amenity" v="[/x]"/></node></osm>'
+    )
+    city = tmp_path / "a.city"
+    assert run("city", "build", path, "-o", city).code == 0
+    result = run("city", "locate", city, "I am next to a bakery [/bold].")
+    assert result.code == 0
+    assert "Kern [/b] [red]:smile:" in result.out
+    info = run("city", "info", city)
+    assert info.code == 0
+    assert "brackets.osm" in info.out
+
+
+# --- asking back ---
+
+
+def test_ask_until_the_place_is_clear(run, city):
+    question = run("city", "locate", city, SQUARES, "--json").json["question"]
+    assert "Rathausplatz" in question
+    answered = "maybe\nRathausplatz\n" + "yes\n" * 5
+    result = run("city", "locate", city, SQUARES, "--ask", "--json", stdin=answered)
+    assert result.code == 0
+    told = result.json
+    assert told["status"] == "OK"
+    assert told["modes"][0]["latitude"] == pytest.approx(53.5524, abs=3e-4)
+    assert question in result.err
+    assert "'maybe' is no answer" in result.err
+    other = run("city", "locate", city, SQUARES, "--ask", "--json", stdin="Fischmarkt\nyes\n")
+    assert other.json["modes"][0]["latitude"] == pytest.approx(53.5500, abs=3e-4)
+
+
+def test_ask_asks_nothing_where_all_is_clear(run, city):
+    result = run("city", "locate", city, CLEAR, "--ask", "--json")
+    assert result.json["status"] == "OK"
+    assert result.err == ""
+
+
+def test_whoever_goes_away_still_gets_what_is_known(run, city):
+    for stdin in ("", "don't know\n"):
+        result = run("city", "locate", city, SQUARES, "--ask", "--json", stdin=stdin)
+        assert result.code == 0
+        assert result.json["status"] == "AMBIGUOUS"
+
+
+# --- info, check, fetch, demo ---
+
+
+def test_info(run, city, tmp_path):
+    result = run("city", "info", city)
+    assert result.code == 0
+    assert "objects" in result.out
+    assert "215" in result.out
+    told = run("city", "info", city, "--json").json
+    assert told["bytes"] == city.stat().st_size
+    west, south, east, north = told["west_south_east_north_deg"]
+    assert west < 9.9937 < east
+    assert south < 53.5511 < north
+    assert told["source"] == "town.osm"
+    assert run("city", "info", city, "--png", tmp_path / "a.png").code == 0
+    with Image.open(tmp_path / "a.png") as image:
+        assert min(image.size) > 100
+
+
+def test_check(run, city, tmp_path):
+    assert run("city", "check", city).out == f"{city} is sound.\n"
+    assert run("city", "check", city, "--json").json == []
+    lone = tmp_path / "lone.osm"
+    lone.write_text(
+        '<osm version="0.6"><node id="1" lat="50" lon="10"><tag k="shop" v="bakery"/></node></osm>'
+    )
+    run("city", "build", lone, "-o", tmp_path / "lone.city")
+    found = run("city", "check", tmp_path / "lone.city", "--json").json
+    assert any("No cell" in line for line in found)
+    listed = run("city", "check", tmp_path / "lone.city").out
+    assert listed.count("\n- ") + 1 == len(found)
+
+
+def test_fetch_refuses_before_it_asks_the_network(run, tmp_path):
+    result = run("city", "fetch", "Vaduz", "-o", tmp_path / "a.txt")
+    assert result.code != 0
+    assert result.out == ""
+    assert "a.txt" in result.err
+
+
+def test_demo(run, tmp_path):
+    result = run("demo", "--out", tmp_path / "new" / "demo")
+    assert result.code == 0
+    for word in ("OK", "AMBIGUOUS", "LOST", "To be sure"):
+        assert word in result.out
+    way = result.out.partition("Somebody speaks")[2].partition("\nBuilt ")[0]
+    assert [word for word in way.split() if word in ("AMBIGUOUS:", "OK:")] == (
+        ["AMBIGUOUS:", "AMBIGUOUS:", "OK:"]
+    )
+    off = {
+        name: float(line.split()[1])
+        for line in result.out.splitlines()
+        if line.split()[:1] in (["coarse"], ["refined"])
+        for name in line.split()[:1]
+    }
+    assert off["refined"] < off["coarse"], "centimetres, median of all frames"
+    assert off["refined"] < 1.0
+    assert "OK: altbau fits" in result.out, "the film's flat among five homes"
+    made = {p.name for p in (tmp_path / "new" / "demo").iterdir()}
+    assert made >= {
+        f"{n}.{e}" for n in ("clear", "ambiguous", "impossible") for e in ("html", "png")
+    }
+    assert made >= {"altbau.glb", "altbau.scene", "walk", "walk.png", "walk.gif", "overlay.png"}
+    (tmp_path / "file").touch()
+    fails(run("demo", "--out", tmp_path / "file"), 3, "file")

@@ -1,0 +1,158 @@
+"""Depth in another unit: refused where it is absurd, told where it is likely, else silence."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.indoor.likelihood.depth_unit import FACTORS, check_unit, hint, suspected_factor
+from placegraph.indoor.likelihood.observe import FINE, sight, views
+from placegraph.indoor.options import FilterOptions
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+OPTIONS = FilterOptions().only(depth=True)
+KNOWN = sorted({*FACTORS, *(1 / f for f in FACTORS)})
+
+
+def scaled(capture, factor):
+    """Frames in memory whose depth is `factor` times too long."""
+    return [
+        Frame.from_arrays(
+            f.rgb(), f.camera, depth=f.depth() * np.float32(factor), depth_camera=f.depth_camera,
+            odometry=f.odometry, gravity=f.gravity, stamp=f.stamp, index=f.index,
+        )
+        for f in capture
+    ]  # fmt: skip
+
+
+def suspected(scene, frames):
+    return suspected_factor(_views(scene, frames), scene.visibility(OPTIONS).background)
+
+
+def _views(scene, frames):
+    background = scene.visibility(OPTIONS).background
+    return views([sight(f, None, OPTIONS) for f in frames], FINE, OPTIONS, background)
+
+
+def test_metres_are_metres(room, flat, walk, flat_walk):
+    """In their own map, one by one, and in that of another place."""
+    for scene, capture in ((room, walk), (flat, flat_walk), (flat, walk), (room, flat_walk)):
+        assert suspected(scene, capture) is None
+    for scene, capture in ((room, walk), (flat, flat_walk)):
+        assert [suspected(scene, [f]) for f in capture] == [None] * len(capture)
+
+
+@pytest.mark.parametrize("factor", KNOWN)
+def test_known_factors_are_named(flat, flat_walk, factor):
+    found = suspected(flat, scaled(flat_walk[:5], factor))
+    # feet and fifths are neighbours
+    assert abs(np.log(found / factor)) < np.log(1.7)
+    assert (found > 1) == (factor > 1)
+
+
+@settings(max_examples=10)
+@given(st.floats(0.75, 1.35))
+def test_a_scale_a_little_off_is_no_other_unit(flat, flat_walk, factor):
+    assert suspected(flat, scaled(flat_walk[:2], factor)) is None
+
+
+def test_no_depth_no_suspicion(room, walk):
+    background = room.visibility(OPTIONS).background
+    blind = [v._replace(depth=np.zeros_like(v.depth)) for v in _views(room, walk[:2])]
+    assert suspected_factor(blind, background) is None
+    few = [v._replace(depth=np.where(np.arange(len(v.depth)) < 9, v.depth, 0)) for v in blind]
+    assert suspected_factor(few, background) is None
+    assert not hint(blind, background, walk[0])
+
+
+# ------------------------------------------------------------------------------- refusing
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [(1000.0, "1000 times too long"), (39.37, "39 times too long"),
+     (0.001, "1000 times too short"), (0.01, "100 times too short")],
+)  # fmt: skip
+def test_absurd_depth_is_refused(room, walk, factor, says):
+    frames = scaled(walk[:3], factor)
+    with pytest.raises(OptionError, match="metres") as raised:
+        room.localize(frames)
+    assert says in str(raised.value)
+    with pytest.raises(OptionError, match="metres"):
+        room.refine(frames, np.eye(4))
+    # who does not look at depth does not mind
+    room.localize(frames, options=FilterOptions().only(colour=True))
+
+
+@pytest.mark.parametrize(("scale", "fits"), [(1, "1000 would fit"), (60000, "would fit")])
+def test_the_file_and_the_mend_are_named(room, walk, tmp_path, scale, fits):
+    capture = rescaled(walk, tmp_path, scale)
+    with pytest.raises(InputError, match=r"camera\.json") as raised:
+        room.localize(capture, frames=slice(0, 3))
+    assert fits in str(raised.value)
+    assert f"{scale:g} units a metre" in str(raised.value)
+    assert str(raised.value).endswith(".")
+
+
+def rescaled(walk, tmp_path, scale):
+    folder = shutil.copytree(walk.path, tmp_path / "capture")
+    content = json.loads((folder / "camera.json").read_text())
+    content["depth"]["scale"] = scale
+    (folder / "camera.json").write_text(json.dumps(content))
+    return open_capture(folder)
+
+
+def test_a_hand_before_the_lens_is_no_unit(walk):
+    """Half a decimetre and more is a distance; so is the far end of a large map."""
+    for metres, diagonal in ((0.08, 5.0), (25.0, 5.0), (80.0, 40.0)):
+        seen = [sight(f, None, OPTIONS) for f in walk[:2]]
+        check_unit(diagonal, [replace(s, depth=np.full_like(s.depth, metres)) for s in seen])
+
+
+def test_one_frame_of_many_may_be_absurd(walk):
+    frames = [*scaled(walk[:4], 1.0), *scaled(walk[4:5], 1000.0)]
+    check_unit(5.0, [sight(f, None, OPTIONS) for f in frames])
+
+
+def test_too_few_readings_say_nothing(walk):
+    (frame,) = scaled(walk[:1], 1000.0)
+    told = sight(frame, None, OPTIONS)
+    with pytest.raises(OptionError, match="metres"):
+        check_unit(5.0, [told])
+    few = np.where(np.arange(told.depth.size).reshape(told.depth.shape) % 400, np.nan, told.depth)
+    check_unit(5.0, [replace(told, depth=few.astype(np.float32))])
+
+
+# ------------------------------------------------------------------------------- telling
+
+
+@pytest.mark.parametrize(("scale", "says"), [(5000, "too short"), (200, "too long")])
+def test_a_likely_unit_is_told_where_the_pose_is_not_found(room, walk, tmp_path, scale, says):
+    """TUM's scale for millimetres, and the other way round: lost, and why."""
+    capture = rescaled(walk, tmp_path, scale)
+    estimate = room.localize(capture, frames=slice(0, 5))
+    assert estimate.status is not Status.OK
+    assert f"about 5.0 times {says}" in estimate.reason
+    assert f"is {scale} units a metre; 1000 would fit" in estimate.reason
+    assert estimate.reason.endswith(".")
+
+
+def test_of_frames_in_memory_it_asks_for_metres(room, walk):
+    estimate = room.localize(Capture.from_frames(scaled(walk[:5], 5.0)))
+    assert estimate.status is not Status.OK
+    assert "about 5.0 times too long; give depth in metres" in estimate.reason
+
+
+def test_who_is_found_or_truly_elsewhere_is_not_bothered(room, flat, walk):
+    assert "times too" not in room.localize(walk, frames=slice(0, 5)).reason
+    lost = flat.localize(walk, frames=slice(0, 5))
+    assert lost.status is Status.LOST
+    assert "times too" not in lost.reason

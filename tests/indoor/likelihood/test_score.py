@@ -1,0 +1,419 @@
+"""Scores of poses against the same equations written slowly, ray by ray, in plain numpy."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.geometry import Camera, level_from_camera, rotation_z
+from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.likelihood.observe import noise, sight, views
+from placegraph.indoor.likelihood.score import COLOUR, DEPTH, SEMANTIC, View, score_poses
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.surface import Surface, colour_at, opponent
+from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.pose.evidence import look
+from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.rays.embree import obstacle
+
+CALIBRATED = noise(Likelihood())
+PAPER = noise(Likelihood(kind="gaussian"))
+MODELS = pytest.mark.parametrize("model", [CALIBRATED, PAPER], ids=["calibrated", "paper"])
+
+
+@pytest.fixture(params=["embree", "bvh"])
+def backend(request):
+    if request.param == "embree" and (reason := obstacle()):
+        pytest.skip(reason)
+    return request.param
+
+
+def cast(caster, pose, view):
+    """Hits of a view's rays from one pose (4,)."""
+    return caster.cast(np.array(pose[:3]), view.directions @ rotation_z(pose[3]).T)
+
+
+def slow_scores(caster, surface, pose, view, model):
+    """Semantic, depth and colour of one pose: the equations of `score` and `options.Likelihood`."""
+    hits = cast(caster, pose, view)
+    used = view.patch >= 0
+    return (
+        slow_semantic(hits, surface, view, used, model) if view.terms[SEMANTIC] else 0.0,
+        slow_depth(hits, view, used, model) if view.terms[DEPTH] else 0.0,
+        slow_colour(hits, surface, view, used, model) if view.terms[COLOUR] else 0.0,
+    )
+
+
+def slow_semantic(hits, surface, view, used, model):
+    """Per patch: the mean ratio over its rays, whatever objects they hit; misses are column N."""
+    nothing = view.semantic.shape[1] - 1
+    said = []
+    for patch, weight in enumerate(view.weight):
+        rows = np.flatnonzero(used & (view.patch == patch))
+        if not rows.size or weight == 0:
+            continue
+        ratios = [
+            view.semantic[patch, surface.object_of[t] if t >= 0 else nothing]
+            for t in hits.triangle[rows]
+        ]
+        mean = float(np.mean(ratios))
+        said.append(mean if model.gaussian else weight * math.log(mean))
+    if model.gaussian:
+        return float(np.mean(said)) if said else 0.0
+    return sum(said)
+
+
+def slow_depth(hits, view, used, model):
+    rows = np.flatnonzero(used & (view.depth > 0))
+    expected, measured = hits.distance[rows].astype(float), view.depth[rows].astype(float)
+    if model.gaussian:
+        if not rows.size:
+            return 0.0
+        return 2 * (1 - float(np.minimum(np.abs(expected - measured) / model.depth_clip, 1).mean()))
+    total = 0.0
+    for e, m, usual in zip(expected, measured, view.usual_depth[rows], strict=True):
+        if not math.isfinite(e):
+            continue  # where the map ends nothing is known
+        off = (e - m) / (model.depth_floor + model.depth_slope * m)
+        good = 1 / (1 + off * off)
+        cost = model.near_cost if e > m else model.far_cost
+        total += good * model.depth_gain - (1 - good) * cost - usual
+    return model.depth_weight * total / used.sum()
+
+
+def slow_colour(hits, surface, view, used, model):
+    shown = np.full((len(used), 3), np.nan)
+    for r in np.flatnonzero(used & (hits.triangle >= 0)):
+        footprint = np.float32(hits.distance[r] * view.footprint)
+        shown[r] = opponent(*colour_at(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint))
+    seen = view.colour.astype(float)
+    there = ~np.isnan(shown[:, 0])
+    if model.gaussian:  # SSIM of the lightness of each tile of 4 x 4
+        total = 0.0
+        for tile in range(len(used) // 16):
+            rows = 16 * tile + np.flatnonzero(there[16 * tile : 16 * tile + 16])
+            if rows.size > 1:
+                total += rows.size * ssim(seen[rows, 0], shown[rows, 0])
+        return max(0.0, 2 * total / used.sum())
+    if there.sum() < 16:
+        return 0.0
+    told = 0.0
+    for c in range(3):
+        q, r = seen[there, c], shown[there, c]
+        if q.var() > 1e-4 and r.var() > 1e-4:
+            rho = min(max(np.corrcoef(q, r)[0, 1], 0.0), 0.99)
+            told -= 0.5 * math.log(1 - rho * rho) / 3
+    return model.colour_weight * there.sum() / used.sum() * told
+
+
+def ssim(a, b):
+    """Wang et al. 2004, for lightness from 0 to 3."""
+    c1, c2 = (0.01 * 3) ** 2, (0.03 * 3) ** 2
+    covariance = ((a - a.mean()) * (b - b.mean())).mean()
+    above = (2 * a.mean() * b.mean() + c1) * (2 * covariance + c2)
+    return above / ((a.mean() ** 2 + b.mean() ** 2 + c1) * (a.var() + b.var() + c2))
+
+
+def poses_in(bounds, rng, count):
+    low, high = bounds
+    return np.column_stack([rng.uniform(low, high, (count, 3)), rng.uniform(-4, 4, count)])
+
+
+def camera_view(rng, objects, model, *, stride=8, terms=(True, True, True)):
+    """A view of chance: patches, depths and colours of no scene at all."""
+    camera = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
+    columns, rows = 160 // stride, 90 // stride
+    across, down = -(-columns // 4), -(-rows // 4)
+    y, x = np.mgrid[: 4 * down, : 4 * across]
+    y, x = (a.reshape(down, 4, across, 4).swapaxes(1, 2).ravel() for a in (y, x))
+    inside = (x < columns) & (y < rows)
+    uv = np.column_stack([(x + 0.5) * 160 / columns, (y + 0.5) * 90 / rows])
+    directions = camera.directions(uv) @ level_from_camera((0.1, 1, 0.2)).T
+    grid = 6
+    patch = (y * grid // (4 * down)) * grid + x * grid // (4 * across)
+    depth = rng.uniform(0.5, 5, len(x)) * (rng.random(len(x)) < 0.8)
+    return View(
+        directions=directions.astype(np.float32),
+        patch=np.where(inside, patch, -1).astype(np.int32),
+        semantic=rng.uniform(0.2, 2.0, (grid * grid + 1, objects + 1)).astype(np.float32),
+        weight=(rng.random(grid * grid + 1) * (rng.random(grid * grid + 1) < 0.7)).astype("f4"),
+        depth=depth.astype(np.float32),
+        usual_depth=(rng.normal(0, 0.5, len(x)) * (not model.gaussian)).astype(np.float32),
+        colour=(rng.random((len(x), 3)) * (3, 1, 1) - (0, 0.5, 0.5)).astype(np.float32),
+        footprint=1 / 100 * 160 / columns,
+        terms=np.array(terms),
+    )
+
+
+def seen_by_itself(caster, surface, pose, view):
+    """The view that a perfect camera at this pose has of the map."""
+    hits = cast(caster, pose, view)
+    hit = hits.triangle >= 0
+    colour = np.zeros_like(view.colour)
+    for r in np.flatnonzero(hit):
+        footprint = np.float32(hits.distance[r] * view.footprint)
+        colour[r] = opponent(*colour_at(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint))
+    return view._replace(depth=np.where(hit, hits.distance, 0).astype(np.float32), colour=colour)
+
+
+def compared(caster, surface, poses, view, model):
+    """Scores, fast and slow, of those poses all of whose rays hit the same triangles in both.
+
+    Rays along an edge, or at two surfaces in one place, go either way in four bytes.
+    """
+    got = score_poses(caster.tracer, surface, poses, view, model)
+    used = view.patch >= 0
+    alike = [
+        (look(caster.tracer, p, view.directions)[0] == cast(caster, p, view).triangle)[used].all()
+        for p in poses
+    ]
+    assert np.mean(alike) > 0.5
+    expected = [slow_scores(caster, surface, p, view, model) for p in poses[alike]]
+    return got[alike], np.array(expected)
+
+
+def agree(got, expected, share=1.0):
+    """To 2e-3, which is the moments of colours in four bytes; `share` of them, the rest to 0.1."""
+    error = np.abs(got - expected) / np.maximum(1.0, np.abs(expected))
+    assert np.quantile(error, share) < 2e-3
+    assert error[:, :2].max() < (1e-4 if share == 1.0 else 0.1)
+
+
+# ------------------------------------------------------------------------------ reference
+
+
+@MODELS
+def test_scores_of_chance(model, room, backend, rng):
+    caster = RayCaster(room.mesh.vertices, room.mesh.triangles, backend=backend)
+    view = camera_view(rng, len(room), model)
+    poses = poses_in(room.bounds + np.array([[-0.3], [0.3]]), rng, 60)
+    got, expected = compared(caster, room.surface, poses, view, model)
+    agree(got, expected)
+    assert (np.ptp(got, axis=0) > 0.1).all()
+
+
+@MODELS
+@pytest.mark.parametrize("kind", ["instances", "labels"])
+def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
+    """Real views, at poses about where they were taken, where scores are high and sharp."""
+    likelihood = Likelihood(kind="gaussian" if model.gaussian else "calibrated")
+    options = FilterOptions(likelihood=likelihood)
+    encoder = InstancesEncoder(room) if kind == "instances" else None
+    frame = walk[4]
+    around = room.visibility(options).background
+    (view,) = views([sight(frame, encoder, options)], 10.0, options, around)
+    at = truth(walk)[4]
+    yaw = math.atan2(at[1, 2], at[0, 2])
+    poses = np.array([*at[:3, 3], yaw]) + rng.normal(size=(40, 4)) * (0.1, 0.1, 0.05, 0.05)
+    got, expected = compared(room.caster, room.surface, poses, view, model)
+    agree(got, expected)
+    assert view.terms.tolist() == [encoder is not None, True, True]
+    far = poses_in(room.bounds, rng, 40)
+    elsewhere = score_poses(room.caster.tracer, room.surface, far, view, model)
+    wanted = view.terms
+    assert (np.median(got, axis=0) > np.median(elsewhere, axis=0))[wanted].all()
+
+
+@MODELS
+def test_maps_with_holes(model, room, rng):
+    """Half the triangles are gone: rays leave the map, patches see several objects or none."""
+    mesh = room.mesh
+    kept = rng.random(len(mesh)) < 0.5
+    holed = replace(
+        mesh, triangles=mesh.triangles[kept], object_of=mesh.object_of[kept],
+        texture_of=mesh.texture_of[kept],
+    )  # fmt: skip
+    caster, surface = RayCaster(holed.vertices, holed.triangles), Surface.of(holed)
+    view = camera_view(rng, len(room), model)
+    poses = poses_in(room.bounds, rng, 60)
+    missed = [(cast(caster, p, view).triangle < 0).mean() for p in poses]
+    assert 0.1 < np.mean(missed) < 0.95
+    got, expected = compared(caster, surface, poses, view, model)
+    agree(got, expected)
+
+
+@MODELS
+@pytest.mark.parametrize(
+    "terms",
+    [(True, False, False), (False, True, False), (False, False, True), (True, True, False)],
+)
+def test_only_the_terms_asked_for(model, terms, room, rng):
+    view = camera_view(rng, len(room), model, terms=terms)
+    poses = poses_in(room.bounds, rng, 20)
+    got = score_poses(room.caster.tracer, room.surface, poses, view, model)
+    whole = score_poses(
+        room.caster.tracer, room.surface, poses, view._replace(terms=np.ones(3, bool)), model
+    )
+    np.testing.assert_allclose(got[:, terms], whole[:, terms], rtol=1e-5, atol=1e-5)
+    assert not got[:, ~np.array(terms)].any()
+
+
+# ---------------------------------------------------------------------------------- Eq. 2
+
+
+def test_the_papers_scores_lie_between_0_and_2(room, rng):
+    for _ in range(5):
+        view = camera_view(rng, len(room), PAPER)
+        poses = poses_in(room.bounds + np.array([[-5], [5]]), rng, 100)
+        scores = score_poses(room.caster.tracer, room.surface, poses, view, PAPER)
+        assert scores.min() >= 0
+        assert scores.max() <= 2
+
+
+def test_a_perfect_camera_scores_2(room, rng):
+    """Whoever sees exactly what the map shows gets all of 6; nearby poses get less."""
+    pose = np.array([2.2, 2.1, 1.6, 0.7])
+    view = camera_view(rng, len(room), PAPER)
+    hits = cast(room.caster, pose, view)
+    assert (hits.triangle >= 0).all()
+    view = seen_by_itself(room.caster, room.surface, pose, view)
+    # one patch a sample, sure of its object
+    used = np.flatnonzero(view.patch >= 0)
+    patch = np.full(len(view.patch), -1, np.int32)
+    patch[used] = np.arange(len(used))
+    semantic = np.zeros((len(used) + 1, len(room) + 1), np.float32)
+    semantic[np.arange(len(used)), room.mesh.object_of[hits.triangle[used]]] = 2.0
+    weight = np.append(np.ones(len(used)), 0).astype(np.float32)
+    view = view._replace(patch=patch, semantic=semantic, weight=weight)
+    poses = pose + np.array([[0, 0, 0, 0], [0.3, 0, 0, 0], [0, 0, 0, 0.3], [0, 0, 0.3, 0]])
+    scores = score_poses(room.caster.tracer, room.surface, poses, view, PAPER)
+    np.testing.assert_allclose(scores[0], 2.0, atol=0.02)
+    assert (scores[1:] < scores[0] - 0.05).all()
+    best = score_poses(room.caster.tracer, room.surface, poses, view, CALIBRATED)
+    assert (best[1:, 1:] < best[0, 1:]).all()
+
+
+# ------------------------------------------------------------------------------- no hits
+
+
+@MODELS
+def test_a_camera_off_the_map(model, room, rng):
+    """Nothing is hit: nothing is known, which is no reason for or against; Eq. 2 gives nothing."""
+    view = camera_view(rng, len(room), model)
+    view.semantic[:, -1] = 0.0 if model.gaussian else 1.0
+    away = np.array([[500.0, 0, 1.6, 0.0], [0, 0, 400.0, 1.0], [0, 0, -50.0, 2.0]])
+    away[1:, 3] = 0  # above and below, level
+    scores = score_poses(room.caster.tracer, room.surface, away, view, model)
+    np.testing.assert_allclose(scores, 0.0, atol=1e-6)
+
+
+@MODELS
+def test_frames_without_readings_or_patches_score_nothing(model, room, rng):
+    view = camera_view(rng, len(room), model)
+    view = view._replace(
+        depth=np.zeros_like(view.depth), usual_depth=np.zeros_like(view.depth),
+        weight=np.zeros_like(view.weight),
+    )  # fmt: skip
+    scores = score_poses(
+        room.caster.tracer, room.surface, poses_in(room.bounds, rng, 9), view, model
+    )
+    assert not scores[:, :2].any()
+    assert np.isfinite(scores).all()
+
+
+@MODELS
+def test_grey_images_tell_nothing_of_colour(model, room, rng):
+    """A blank image correlates with nothing; and a map of one colour neither."""
+    view = camera_view(rng, len(room), model)
+    view = view._replace(colour=np.full((len(view.patch), 3), 0.5, np.float32))
+    poses = poses_in(room.bounds, rng, 9)
+    scores = score_poses(room.caster.tracer, room.surface, poses, view, model)
+    assert np.isfinite(scores).all()
+    if not model.gaussian:
+        assert not scores[:, COLOUR].any()
+    mesh = room.mesh
+    plain = Mesh.plain(mesh.vertices, mesh.triangles, mesh.object_of)
+    view = camera_view(rng, len(room), model)
+    blank = score_poses(room.caster.tracer, Surface.of(plain), poses, view, model)
+    assert np.isfinite(blank).all()
+    if not model.gaussian:
+        assert not blank[:, COLOUR].any()
+
+
+# ------------------------------------------------------------------- one by one, in parallel
+
+
+@MODELS
+@pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 130])
+def test_poses_are_scored_one_by_one(model, count, room, rng):
+    """However many there are, each gets the score it gets alone."""
+    view = camera_view(rng, len(room), model, stride=16)
+    poses = poses_in(room.bounds, rng, count)
+    together = score_poses(room.caster.tracer, room.surface, poses, view, model)
+    assert together.shape == (count, 3)
+    for k in range(0, count, 13):
+        alone = score_poses(room.caster.tracer, room.surface, poses[k : k + 1], view, model)
+        np.testing.assert_array_equal(alone[0], together[k])
+
+
+def test_whole_turns_change_nothing(room, rng):
+    view = camera_view(rng, len(room), CALIBRATED)
+    poses = poses_in(room.bounds, rng, 10)
+    turned = poses + np.array([0, 0, 0, 2 * np.pi])
+    a, b = (
+        score_poses(room.caster.tracer, room.surface, p, view, CALIBRATED) for p in (poses, turned)
+    )
+    agree(a, b, 0.9)
+
+
+def test_moving_map_and_camera_together_changes_nothing(rng, boxes):
+    """Two boxes in a box, here and 40 m from here, turned by a quarter."""
+    drawn = boxes(
+        {
+            "room": ((0, 0, 0), (5, 4, 3)),
+            "shelf": ((1, 1, 0), (2, 1.5, 2)),
+            "desk": ((3.5, 2, 0), (4, 4, 1)),
+        }
+    )
+    vertices, triangles = drawn.vertices, drawn.triangles
+    colours = rng.integers(0, 256, (24, 3))
+    quarter = rotation_z(np.pi / 2)
+    shift = np.array([40.0, -7.0, 2.0])
+    view = camera_view(rng, 3, CALIBRATED)
+    poses = poses_in(((0.3, 0.3, 1), (4.7, 3.7, 2.5)), rng, 30)
+    moved = np.column_stack([poses[:, :3] @ quarter.T + shift, poses[:, 3] + np.pi / 2])
+    got = []
+    for points, at in ((vertices, poses), (vertices @ quarter.T + shift, moved)):
+        mesh = Mesh.plain(points, triangles, drawn.thing_of, colours)
+        tracer = RayCaster(mesh.vertices, mesh.triangles).tracer
+        got.append(score_poses(tracer, Surface.of(mesh), at, view, CALIBRATED))
+    agree(*got, 0.9)
+    assert np.ptp(got[0]) > 5
+
+
+# ----------------------------------------------------------------------------- the errors' law
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.05, 0.3, 1.0])
+def test_depth_before_a_wall_by_hand(distance, boxes):
+    """One wall 2 m ahead, read `distance` too near or too far: Cauchy's tails, costs by side."""
+    wall = boxes({"wall": ((2.0, -50, -50), (3.0, 50, 50))})
+    mesh = Mesh.plain(wall.vertices, wall.triangles)
+    tracer = RayCaster(mesh.vertices, mesh.triangles).tracer
+    surface = Surface.of(mesh)
+    view = View(
+        directions=np.tile(np.float32([1, 0.01, 0.01]), (16, 1)),
+        patch=np.zeros(16, np.int32),
+        semantic=np.ones((2, 2), np.float32),
+        weight=np.zeros(2, np.float32),
+        depth=np.full(16, 2 - distance, np.float32),
+        usual_depth=np.full(16, 0.25, np.float32),
+        colour=np.zeros((16, 3), np.float32),
+        footprint=0.01,
+        terms=np.array([False, True, False]),
+    )
+    pose = np.zeros((1, 4))
+
+    def ratio(measured, cost):
+        good = 1 / (1 + ((2 - measured) / (0.05 + 0.03 * measured)) ** 2)
+        return 60 * (good * 3.5 - (1 - good) * cost - 0.25)
+
+    nearer = score_poses(tracer, surface, pose, view, CALIBRATED)[0, DEPTH]
+    assert nearer == pytest.approx(ratio(2 - distance, 1.5), rel=1e-3)
+    beyond = view._replace(depth=np.full(16, 2 + distance, np.float32))
+    farther = score_poses(tracer, surface, pose, beyond, CALIBRATED)[0, DEPTH]
+    assert farther == pytest.approx(ratio(2 + distance, 2.0), rel=1e-3)
+    view = view._replace(usual_depth=np.zeros(16, np.float32))  # Eq. 2 knows of none
+    clipped = score_poses(tracer, surface, pose, view, PAPER)[0, DEPTH]
+    assert clipped == pytest.approx(2 * (1 - min(distance / 0.5, 1)), abs=1e-4)

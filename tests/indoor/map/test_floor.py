@@ -1,0 +1,114 @@
+"""Where the floor is: by its label, or as the largest low surface that looks up."""
+
+import numpy as np
+import pytest
+
+from placegraph.indoor.map.floor import floor_height, is_floor, label_words
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.build import scene_of_model
+
+ROOM = {
+    "slab": ((0, 0, -0.2), (5, 4, 0.1)),
+    "wall": ((0, 0, 0.1), (0.1, 4, 2.7)),
+    "roof": ((0, 0, 2.7), (5, 4, 2.9)),
+    "table": ((1, 1, 0.75), (3, 2, 0.8)),
+}
+
+
+def height(model):
+    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+    return floor_height(mesh, [t.label for t in model.things])
+
+
+def named(floor, **others):
+    """The room with its slab called `floor`, and further boxes."""
+    return {floor: ROOM["slab"]} | {k: v for k, v in ROOM.items() if k != "slab"} | others
+
+
+@pytest.mark.parametrize("label", ["slab", "floor", "Floor", "kitchen_floor", "ground"])
+def test_the_upper_side_of_the_slab(label, boxes):
+    assert height(boxes(named(label))) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_a_floor_that_looks_down():
+    """A mesh turned inside out: one sheet of floor, seen from below, and a ceiling above it."""
+    square = np.array([[0, 0, 0.5], [5, 0, 0.5], [5, 4, 0.5], [0, 4, 0.5]])
+    points = np.concatenate([square, square + np.array([0, 0, 2.5])])
+    down = np.array([[0, 2, 1], [0, 3, 2], [4, 6, 5], [4, 7, 6]])
+    for triangles in (down, down[:, ::-1]):
+        for label in ("thing", "floor"):
+            mesh = Mesh.plain(points, triangles, [0, 0, 1, 1])
+            assert floor_height(mesh, [label, "thing"]) == 0.5
+
+
+def test_a_label_wins_over_a_larger_surface(boxes):
+    model = boxes({"carpark": ((0, 0, -0.5), (9, 9, 0)), "floor": ((1, 1, 0.9), (3, 3, 1.0))})
+    assert height(model) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_floor_that_stands_upright_tells_no_height(boxes):
+    """Its narrow upper edge is level, and as high as the room is long."""
+    standing = {"floor": ((0, 0, 0), (0.1, 4, 5)), "slab": ((0, 0, -0.2), (5, 4, 0.1))}
+    assert height(boxes(standing)) == pytest.approx(0.1, abs=1e-6)
+    assert height(boxes({"floor": standing["floor"]})) is None
+
+
+def test_furniture_alone_is_no_floor(boxes):
+    walls = {"wall": ROOM["wall"], "north wall": ((0, 3.9, 0), (5, 4, 2.7))}
+    assert height(boxes(walls)) is None
+    assert height(boxes(walls | {"shelf": ((1, 1, 1.5), (3, 3, 1.6))})) is None
+    assert height(boxes({"ceiling": ROOM["roof"]} | walls)) is None
+    assert height(boxes({"plate": ((0, 0, 0), (0.3, 0.3, 0.1))} | walls)) is None
+
+
+def test_scans_are_noisy_and_reach_below_the_floor(rng):
+    """A floor of 8 x 6 m with 2 cm of noise, a table, walls, and reflections a metre below."""
+    x, y = np.meshgrid(np.arange(0, 8, 0.1), np.arange(0, 6, 0.1), indexing="ij")
+    z = rng.normal(1.0, 0.02, x.shape)
+    z[30:50, 20:30] = 1.75
+    z[10:12, 10:12] = -0.4
+    z[0, :] = z[-1, :] = 3.5
+    points = np.stack([x, y, z], axis=2).reshape(-1, 3)
+    corner = (np.arange(79)[:, None] * 60 + np.arange(59)).ravel()
+    triangles = np.concatenate(
+        [
+            np.stack([corner, corner + 60, corner + 61], 1),
+            np.stack([corner, corner + 61, corner + 1], 1),
+        ]
+    )
+    assert floor_height(Mesh.plain(points, triangles), ["unknown"]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_one_giant_triangle():
+    corners = np.array([[-500, -500, 2], [500, -500, 2], [0, 900, 2]])
+    assert floor_height(Mesh.plain(corners, [[0, 1, 2]]), ["x"]) == 2.0
+    upright = corners[:, [0, 2, 1]]
+    assert floor_height(Mesh.plain(upright, [[0, 1, 2]]), ["x"]) is None
+
+
+@pytest.mark.parametrize(
+    ("label", "words"),
+    [
+        ("HouseWall", ["house", "wall"]), ("house_wall", ["house", "wall"]), ("TV", ["tv"]),
+        ("TVCabinet", ["tv", "cabinet"]), ("floor lamp", ["floor", "lamp"]), ("", []), ("42", []),
+        ("Fußboden", ["fußboden"]), ("wall-1", ["wall"]),
+    ],
+)  # fmt: skip
+def test_words_of_labels(label, words):
+    assert label_words(label) == words
+
+
+def test_what_is_called_floor():
+    assert all(map(is_floor, ["floor", "Floor", "LivingRoomFloor", "wet floor 2"]))
+    assert not any(map(is_floor, ["floor lamp", "floorboard", "", "FloorMat"]))
+
+
+def test_the_shared_house(shared):
+    from dataclasses import replace
+
+    from placegraph.formats.mesh.glb import read_glb
+
+    model = read_glb(shared / "data" / "house" / "map" / "house.glb")
+    nameless = replace(model, things=tuple(replace(t, label="thing") for t in model.things))
+    assert height(nameless) == pytest.approx(0.0, abs=0.01)
+    assert scene_of_model(model).floors.tolist() == [0.0]

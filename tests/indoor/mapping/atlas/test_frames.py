@@ -1,0 +1,182 @@
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.atlas import frame_colours
+from placegraph.indoor.mapping.atlas.views import keyframes, sharpness
+from placegraph.indoor.rays import RayCaster
+
+CAMERA = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
+DOWN = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
+"""Rotation map_from_camera of a camera that looks straight down."""
+
+
+def above(x, y, height=1.5):
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = DOWN, (x, y, height)
+    return pose
+
+
+def photograph(mesh, field, pose, camera=CAMERA, *, gain=1.0, depth=True, blurred=False):
+    """Frame of a mesh painted by `field`, taken from a pose, by ray casting."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
+    along = rays @ pose[:3, :3].T
+    far = RayCaster(mesh.vertices, mesh.triangles).cast(pose[:3, 3], along).distance.astype(float)
+    hit = np.isfinite(far)
+    colours = np.zeros((len(rays), 3))
+    colours[hit] = field(pose[:3, 3] + far[hit, None] * along[hit])
+    image = np.clip(np.rint(colours * gain), 0, 255).reshape(camera.height, camera.width, 3)
+    if blurred:
+        image = np.mean([np.roll(image, s, axis=1) for s in range(-4, 5)], axis=0)
+    metres = far.reshape(camera.height, camera.width) if depth else None
+    return Frame.from_arrays(image.astype(np.uint8), camera, depth=metres, odometry=pose)
+
+
+def soft(points):
+    """Colours from 40 to 140, so that a longer exposure does not saturate."""
+    return 90 + 50 * np.sin(points * (7.0, 8.0, 9.0) + (0, 1, 2))
+
+
+@pytest.fixture
+def floor(grid):
+    points, rows = grid(20, 20)  # 2 x 2 m
+    return Mesh.plain(points, rows)
+
+
+def asked(colour_of, points, normal=(0.0, 0.0, 1.0)):
+    points = np.asarray(points, float)
+    normals = np.repeat([normal], len(points), axis=0)
+    return colour_of(points, normals, np.zeros(len(points), np.int64))
+
+
+def inner(rng, count=300, low=0.4, high=1.6):
+    return np.column_stack([rng.uniform(low, high, (count, 2)), np.zeros(count)])
+
+
+POSES = np.array([above(x, y) for x in (0.6, 1.0, 1.4) for y in (0.6, 1.0, 1.4)])
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_a_floor_photographed_from_above(floor, rng, depth):
+    frames = [photograph(floor, soft, p, depth=depth) for p in POSES]
+    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles, texel=0.01)
+    points, rise = inner(rng), np.array([0, 0, 1.0])
+    colours, known = asked(colour_of, points)
+    assert known.all()
+    assert np.abs(colours - soft(points)).max() < 6
+    assert not asked(colour_of, points, (0.0, 0.0, -1.0))[1].any()  # nobody saw it from below
+    assert not asked(colour_of, points + rise)[1].any()  # all look right through it
+    assert not asked(colour_of, points - rise)[1].any()  # the floor stands before it
+
+
+def test_exposures_are_evened_out(floor, rng):
+    gains = np.array([0.6, 1.0, 1.5, 0.8, 1.2, 1.0, 0.7, 1.4, 1.0])
+    frames = [photograph(floor, soft, p, gain=g) for p, g in zip(POSES, gains, strict=True)]
+    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    points = inner(rng)
+    ratio = asked(colour_of, points)[0] / soft(points)
+    # one exposure for all; which one, nobody can say
+    assert np.abs(ratio / np.median(ratio, axis=0) - 1).max() < 0.08
+    assert 0.85 < np.median(ratio) < 1.15
+
+
+def test_what_stands_in_front_is_not_painted_on_what_lies_behind(floor, boxes, rng):
+    model = boxes({"box": ((0.8, 0.8, 0.3), (1.2, 1.2, 0.5))})
+    count = len(floor.vertices)
+    both = Mesh.plain(
+        np.concatenate([floor.vertices, model.vertices]),
+        np.concatenate([floor.triangles, model.triangles + count]),
+    )
+
+    def field(points):
+        return np.where(points[:, 2:] > 0.1, (250, 0, 0), soft(points))
+
+    for mesh, depth in ((both, False), (floor, True)):  # by the mesh alone, and by depth alone
+        frames = [photograph(both, field, p, depth=depth) for p in POSES]
+        colour_of = frame_colours(frames, POSES, mesh.vertices, mesh.triangles)
+        colours, known = asked(colour_of, inner(rng, 2000))
+        assert 0.8 < known.mean() <= 1.0
+        assert np.mean(colours[known][:, 1] < 20) < 0.01
+
+
+def test_one_wrong_view_is_outvoted(floor, rng):
+    frames = [photograph(floor, soft, p) for p in POSES]
+    hand = np.array(frames[4].rgb())
+    hand[30:60, 40:80] = (255, 0, 255)
+    frames[4] = Frame.from_arrays(hand, CAMERA, depth=frames[4].depth(), odometry=POSES[4])
+    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    points = inner(rng, low=0.8, high=1.2)
+    off = np.abs(asked(colour_of, points)[0] - soft(points)).max(axis=1)
+    assert np.mean(off > 20) < 0.02
+
+
+def test_of_one_place_the_sharpest_frame_is_kept(floor, field, rng):
+    near = np.array([above(1.0 + s, 1.0) for s in (0.0, 0.01, 0.02)])
+    frames = [photograph(floor, field, p, blurred=i != 1) for i, p in enumerate(near)]
+    assert np.argmax([sharpness(f.rgb()) for f in frames]) == 1
+    assert keyframes(near, 10) == [[0, 1, 2]]
+    colour_of = frame_colours(frames, near, floor.vertices, floor.triangles)
+    alone = frame_colours(frames[1:2], near[1:2], floor.vertices, floor.triangles)
+    points = inner(rng, low=0.8, high=1.2)
+    assert (asked(colour_of, points)[0] == asked(alone, points)[0]).all()
+
+
+def test_keyframes_are_few_enough_and_in_order():
+    walk = np.array([above(0.2 * i, 0.0) for i in range(100)])
+    assert [g[0] for g in keyframes(walk, 100)] == list(range(100))
+    for most in (1, 7, 30):
+        groups = keyframes(walk, most)
+        assert 0 < len(groups) <= most
+        rows = list(itertools.chain(*groups))
+        assert rows == sorted(rows)
+    turning = np.repeat(np.eye(4)[None], 12, axis=0)
+    for i, pose in enumerate(turning):
+        angle = np.radians(30 * i)
+        pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    assert len(keyframes(turning, 100)) == 12
+    assert len(keyframes(walk * np.array([1e7, 1, 1, 1])[:, None] ** [0, 0, 0, 1], 3)) == 3
+
+
+def test_lenses_and_sizes(floor, rng):
+    bent = replace(CAMERA, distortion=(-0.2, 0.05, 0.001, -0.001))
+    large = Camera(1200, 900, 1000.0, 1000.0, 600.0, 450.0)
+    frames = [photograph(floor, soft, p, (bent, large)[i % 2]) for i, p in enumerate(POSES[2:6])]
+    colour_of = frame_colours(frames, POSES[2:6], floor.vertices, floor.triangles, texel=0.02)
+    points = inner(rng, low=0.8, high=1.2)
+    colours, known = asked(colour_of, points)
+    assert known.all()
+    assert np.abs(colours - soft(points)).max() < 8
+
+
+def test_a_rendered_walk_gives_the_room_back(room, walk, truth, spots, rng):
+    told = []
+    mesh = room.mesh
+    colour_of = frame_colours(
+        list(walk), truth(walk), mesh.vertices, mesh.triangles, progress=lambda *n: told.append(n)
+    )
+    assert told[-1] == (len(walk), len(walk))
+    row, u, v, at = spots(mesh, 5000, rng)
+    colours, known = colour_of(at, room.normals[row].astype(float), row.astype(np.int64))
+    assert known.mean() > 0.05  # of all faces, those inside furniture included
+    want = mesh.colour_at(row, u, v)[known].astype(float)
+    for channel in range(3):  # the walk has light of its own
+        assert np.corrcoef(colours[known, channel], want[:, channel])[0, 1] > 0.65
+
+
+@pytest.mark.parametrize(
+    ("options", "word"), [({"texel": 0}, "texel"), ({"views": 0}, "views"), ({}, "poses")]
+)
+def test_what_is_refused(floor, options, word):
+    poses = POSES[:1] if options else POSES[:2]
+    frames = [photograph(floor, soft, POSES[0])]
+    with pytest.raises(OptionError, match=word):
+        frame_colours(frames, poses, floor.vertices, floor.triangles, **options)
+    with pytest.raises(OptionError, match="poses"):
+        frame_colours([], np.zeros((0, 4, 4)), floor.vertices, floor.triangles)

@@ -1,0 +1,263 @@
+"""What changed between two maps of one drawn room, in the same axes and in others."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.geometry import rotation_z
+from placegraph.indoor.map.structure import structure
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.mapping.change.diff import DiffOptions, diff
+from placegraph.indoor.mapping.change.register import moved, rigid
+from placegraph.indoor.mapping.change.update import update
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.worlds.flat.flat import Flat
+
+
+def built(interior, folder, name):
+    interior.write_glb(folder / f"{name}.glb")
+    return build_scene(folder / f"{name}.glb", None)
+
+
+def with_mesh(scene, mesh, *, ids=None, labels=None, floor=None):
+    """The same objects with another mesh, other ids, other labels."""
+    return SceneMap.create(
+        mesh,
+        scene.graph.ids if ids is None else ids,
+        scene.graph.labels if labels is None else labels,
+        names=scene.graph.names,
+        floor=float(scene.floors[0]) if floor is None else floor,
+        encoded=scene.encoded,
+        source="later",
+    )
+
+
+def only(scene, keep):
+    """The part of a map whose triangles are kept (T,), with the objects that have any."""
+    mesh = scene.mesh
+    rows = np.unique(mesh.object_of[keep])
+    place = np.full(len(scene), -1)
+    place[rows] = np.arange(len(rows))
+    mesh = replace(
+        mesh,
+        triangles=mesh.triangles[keep],
+        object_of=place[mesh.object_of[keep]].astype(np.int32),
+        texture_of=mesh.texture_of[keep],
+    )
+    graph = scene.graph
+    return SceneMap.create(
+        mesh,
+        [graph.ids[i] for i in rows],
+        [graph.labels[i] for i in rows],
+        names=[graph.names[i] for i in rows],
+        floor=float(scene.floors[0]),
+        encoded=scene.encoded,
+    )
+
+
+@pytest.fixture(scope="module")
+def later(room_world, tmp_path_factory):
+    """The room after a while: the desk's chair moved, the lamp gone; and its map."""
+    interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
+    scene = built(interior, tmp_path_factory.mktemp("later"), "later")
+    truth = rigid(rotation_z(0.6), np.zeros(3))
+    middle = room_world.interior.thing("chair").bounds.mean(axis=0)
+    truth[:3, 3] = middle + np.array([0.5, -0.6, 0.0]) - truth[:3, :3] @ middle
+    return SimpleNamespace(scene=scene, motion=truth, middle=middle)
+
+
+def by_name(found, kind):
+    return {change.name or change.label: change for change in found.of(kind)}
+
+
+def test_a_map_differs_from_itself_by_nothing(room):
+    found = diff(room, room)
+    assert len(found) == 0
+    assert "doubtful" not in found.alignment
+    assert not found.unseen
+    assert found.same == room.graph.ids
+    np.testing.assert_allclose(found.b_from_a, np.eye(4), atol=1e-3)
+
+
+def test_what_moved_and_what_vanished_is_named(room, later):
+    found = diff(room, later.scene)
+    assert set(by_name(found, "moved")) == {"chair"}
+    assert set(by_name(found, "vanished")) == {"lamp"}
+    assert len(found) == 2
+    chair = by_name(found, "moved")["chair"]
+    off = moved(chair.after_from_before, later.middle[None]) - moved(
+        later.motion, later.middle[None]
+    )
+    assert np.linalg.norm(off) < 0.03
+    assert chair.turn_deg == pytest.approx(np.degrees(0.6), abs=3.0)
+    assert chair.shift_m == pytest.approx(np.hypot(0.5, 0.6), abs=0.05)
+    assert 0.5 < chair.confidence < 1.0
+
+
+def test_the_other_way_round_the_lamp_appears(room, later):
+    found = diff(later.scene, room)
+    assert set(by_name(found, "appeared")) == {"lamp"}
+    lamp = by_name(found, "appeared")["lamp"]
+    row = room.graph.names.index("lamp")
+    np.testing.assert_allclose(lamp.box.mean(axis=0), room.graph.positions[row], atol=0.02)
+    assert len(lamp.piece.triangles) == np.count_nonzero(room.mesh.object_of == row)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.4, 3.0])
+def test_maps_may_have_other_axes_and_other_ids(room, later, turn):
+    b_from_a = rigid(rotation_z(turn), np.array([3.0, -2.0, 0.4]))
+    mesh = later.scene.mesh
+    there = replace(mesh, vertices=moved(b_from_a, mesh.vertices.astype(float)).astype(np.float32))
+    ids = [f"n{i}" for i in range(len(later.scene))]
+    other = with_mesh(later.scene, there, ids=ids, floor=0.4)
+    found = diff(room, other)
+    np.testing.assert_allclose(found.b_from_a, b_from_a, atol=0.02)
+    assert set(by_name(found, "moved")) == {"chair"}
+    assert set(by_name(found, "vanished")) == {"lamp"}
+    assert len(found) == 2
+    assert by_name(found, "moved")["chair"].other.startswith("n")
+    given = diff(room, other, options=DiffOptions(b_from_a=b_from_a))
+    assert {c.id for c in given} == {c.id for c in found}
+    assert given.alignment.startswith("given")
+
+
+def test_a_transform_that_does_not_fit_is_refused(room, later):
+    wrong = rigid(np.eye(3), np.array([30.0, 0.0, 0.0]))
+    with pytest.raises(OptionError, match="b_from_a: only"):
+        diff(room, later.scene, options=DiffOptions(b_from_a=wrong))
+    with pytest.raises(OptionError, match="not rigid"):
+        DiffOptions(b_from_a=np.diag([2.0, 2.0, 2.0, 1.0]))
+
+
+def test_another_label_is_told(room):
+    row = room.graph.labels.index("desk")
+    labels = [("workbench" if i == row else label) for i, label in enumerate(room.graph.labels)]
+    found = diff(room, with_mesh(room, room.mesh, labels=labels))
+    assert [(c.kind, c.label, c.new_label) for c in found] == [("relabelled", "desk", "workbench")]
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_what_has_no_name_in_one_map_is_not_relabelled(room, later, numbered):
+    ids = None if numbered else [f"n{i}" for i in range(len(later.scene))]
+    words = ("unknown", "object", "Thing", "object 7")
+    labels = [words[i % len(words)] for i in range(len(later.scene))]
+    nameless = with_mesh(later.scene, later.scene.mesh, ids=ids, labels=labels)
+    found = diff(room, nameless)
+    assert {(c.kind, c.label) for c in found} == {("moved", "chair"), ("vanished", "lamp")}
+    assert not any(c.new_label for c in found)
+    back = diff(nameless, room)
+    assert sorted(c.kind for c in back) == ["appeared", "moved"]
+
+
+def test_what_has_its_id_near_by_is_not_gone(room):
+    """A scan shows a third of each thing that is not built in, and blurs it; walls are numbered anew."""
+    mesh, rng = room.mesh, np.random.default_rng(5)
+    built_in = structure(room.graph.labels)
+    loose = ~built_in[mesh.object_of]
+    keep = ~loose | (rng.uniform(size=len(mesh)) < 0.35)
+    for row in np.flatnonzero(~built_in):
+        keep[np.flatnonzero(mesh.object_of == row)[0]] = True
+    blur = np.zeros(len(mesh.vertices), np.bool_)
+    blur[mesh.triangles[loose]] = True
+    vertices = mesh.vertices + (blur[:, None] * rng.normal(0.0, 0.03, (len(blur), 3)))
+    texture_of, used = mesh.texture_of[keep], mesh.object_of[keep]
+    part = replace(
+        mesh, vertices=vertices.astype(np.float32), triangles=mesh.triangles[keep],
+        object_of=used, texture_of=texture_of,
+    )  # fmt: skip
+    labels = [
+        label if b else "unknown" for label, b in zip(room.graph.labels, built_in, strict=True)
+    ]
+    assert not diff(room, with_mesh(room, part, labels=labels)).of("vanished")
+
+
+def test_ids_of_another_numbering_say_nothing(room):
+    """Of nameless objects numbers agree by chance: what lies where tells which is which."""
+    count = len(room)
+    shuffled = [room.graph.ids[(i + 3) % count] for i in range(count)]
+    found = diff(room, with_mesh(room, room.mesh, ids=shuffled, labels=["unknown"] * count))
+    assert len(found) == 0
+
+
+def test_what_is_built_in_does_not_vanish(room):
+    centres = room.mesh.vertices[room.mesh.triangles].mean(axis=1)
+    over = room.mesh.object_of == room.graph.labels.index("ceiling")
+    under = room.mesh.object_of == room.graph.labels.index("floor")
+    for gone in (over, under, under & (centres[:, 0] > 0.2)):
+        assert len(diff(room, only(room, ~gone))) == 0
+        assert all(c.confidence < 0.5 for c in diff(only(room, ~gone), room))
+
+
+def test_what_the_other_map_does_not_cover_is_unseen_not_vanished(room):
+    centres = room.mesh.vertices[room.mesh.triangles].mean(axis=1)
+    spanning = [room.graph.labels.index(label) for label in ("floor", "ceiling")]
+    half = only(room, (centres[:, 0] > 3.1) & ~np.isin(room.mesh.object_of, spanning))
+    found = diff(room, half, options=DiffOptions(b_from_a=np.eye(4)))
+    far = {id_ for id_, at in zip(room.graph.ids, room.graph.positions, strict=True) if at[0] < 2}
+    assert far <= set(found.unseen)
+    assert not {c.id for c in found} & far
+
+
+def test_two_places_are_not_laid_on_each_other(room, boxes):
+    from placegraph.indoor.mapping.build import scene_of_model
+
+    elsewhere = scene_of_model(
+        boxes({"floor": ((0, 0, -0.1), (30, 2, 0)), "wall": ((0, 2, 0), (30, 2.1, 5))})
+    )
+    with pytest.raises(OptionError, match="no way is found"):
+        diff(room, elsewhere)
+
+
+HALL = """
+[flat]
+height = 2.6
+[drawing]
+{walls}
+#SSS{gap}#
+#SSS{gap}#
+#SSS{gap}#
+#   {gap}#
+#   {gap}#
+#LL {gap}#
+#LL {gap}#
+#   {gap}#
+#BBB{gap}#
+#BBB{gap}#
+#   {gap}#
+{walls}
+[legend]
+S sofa: look=fabric darkred
+B shelf: label=bookcase
+L lamp:
+"""
+
+
+def hall(folder, width):
+    drawn = HALL.format(walls="#" * (width + 5), gap=" " * width)
+    return built(Flat.parse(drawn).furnish(np.random.default_rng(3)), folder, "hall")
+
+
+def test_a_room_that_shares_three_walls_with_another_is_doubtful(room, tmp_path):
+    other = hall(tmp_path, 15)
+    for one, two in ((room, other), (other, room)):
+        found = diff(one, two)
+        assert len(found) > 5
+        assert "doubtful" in found.alignment
+        assert all(c.confidence < 0.5 for c in found)
+        assert update(one, found).graph.ids == one.graph.ids
+
+
+def test_a_room_that_shares_a_corner_with_another_is_refused(room, tmp_path):
+    """Floors and ceilings agree, of any two rooms."""
+    other = hall(tmp_path, 22)
+    for one, two in ((room, other), (other, room)):
+        with pytest.raises(OptionError, match=r"no way is found.*4\d% of their walls"):
+            diff(one, two)
+
+
+def test_the_same_seed_gives_the_same_diff(room, later):
+    one, other = (diff(room, later.scene).to_dict() for _ in range(2))
+    assert one == other

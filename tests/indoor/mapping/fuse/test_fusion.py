@@ -1,0 +1,236 @@
+"""Frames with poses become a coloured mesh: where surfaces are, what colour, and what is said."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import rotation_z
+from placegraph.indoor.mapping.fuse import FuseOptions, fuse
+from placegraph.indoor.rays import RayCaster
+
+PLAIN = FuseOptions(gains=False)
+
+
+@pytest.fixture(scope="module")
+def fused(views):
+    return fuse(*views, voxel=0.06)
+
+
+def normals_of(mesh):
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    return np.cross(b - a, c - a)
+
+
+def test_a_room_is_found_where_it_is(fused, scene):
+    gap = np.abs(fused.vertices[:, None] - scene.room).min(axis=(1, 2))
+    assert np.quantile(gap, 0.95) < 0.06 / 5
+    inward = np.array([0.1, 0.0, 1.2]) - fused.vertices[fused.triangles[:, 0]]
+    facing = (normals_of(fused) * inward).sum(axis=1)
+    assert (facing < 0).mean() < 0.01
+    area = 0.5 * np.linalg.norm(normals_of(fused), axis=1).sum()
+    size = scene.room[1] - scene.room[0]
+    whole = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
+    assert 0.85 * whole < area < 1.02 * whole
+
+
+def test_walls_have_their_colour(fused, scene):
+    gaps = np.abs(fused.vertices[:, None] - scene.room).reshape(-1, 6)
+    middle = np.sort(gaps, axis=1)[:, 1] > 0.2  # not near an edge of the room
+    off = np.abs(fused.colours[middle].astype(int) - scene.paint[gaps[middle].argmin(axis=1)])
+    assert middle.sum() > 2000
+    assert np.quantile(off, 0.99) <= 2
+
+
+def test_edges_have_two_triangles_but_for_borders(fused):
+    edges = np.sort(fused.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert (count > 2).mean() < 1e-3
+    assert (count == 1).mean() < 0.05
+    assert (fused.triangles.min(), fused.triangles.max()) == (0, len(fused.vertices) - 1)
+
+
+@settings(max_examples=12)
+@given(
+    distance=st.floats(0.6, 3.0), slope=st.floats(-1.0, 1.0), turn=st.floats(-3.0, 3.0),
+    seed=st.integers(0, 9),
+)  # fmt: skip
+def test_a_plane_is_flat(scene, distance, slope, turn, seed):
+    voxel = 0.04
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_z(turn) @ scene.pose_at([0, 0, 0], turn)[:3, :3]
+    pose[:3, 3] = 3 * turn
+    noise = np.random.default_rng(seed)
+    views = [scene.plane_view(distance, slope=slope, noise=noise, pose=pose) for _ in range(4)]
+    mesh = fuse([f for f, _ in views], [p for _, p in views], voxel=voxel)
+    points = (mesh.vertices - pose[:3, 3]) @ pose[:3, :3]
+    off = (points[:, 2] - slope * points[:, 0] - distance) / np.hypot(1, slope)
+    assert np.sqrt((off**2).mean()) < voxel / 5
+    assert ((normals_of(mesh) @ pose[:3, :3])[:, 2] < 0).mean() > 0.99
+
+
+def test_a_ball_is_round(scene):
+    radius, frames, poses = 0.5, [], []
+    for yaw in np.arange(0, 6.2, 0.6):
+        pose = scene.pose_at([-2 * np.cos(yaw), -2 * np.sin(yaw), 0.0], yaw)
+        rays = scene.rays_of(scene.camera, pose)
+        a, b = (rays**2).sum(axis=-1), rays @ pose[:3, 3]
+        root = b * b - a * (4 - radius**2)
+        with np.errstate(invalid="ignore"):
+            depth = (-b - np.sqrt(root)) / a
+        frames.append(
+            Frame.from_arrays(np.full((90, 120, 3), 50, np.uint8), scene.camera, depth=depth)
+        )
+        poses.append(pose)
+    mesh = fuse(frames, np.array(poses), voxel=0.04)
+    off = np.linalg.norm(mesh.vertices, axis=1) - radius
+    assert np.abs(np.median(off)) < 0.04 / 10
+    assert np.quantile(np.abs(off), 0.95) < 0.04 / 4
+    outward = (normals_of(mesh) * mesh.vertices[mesh.triangles[:, 0]]).sum(axis=1)
+    assert (outward > 0).mean() > 0.99
+
+
+def test_a_furnished_room_is_where_its_mesh_is(room, walk, truth):
+    mesh = fuse(walk.frames, truth(walk), voxel=0.04)
+    rows = np.random.default_rng(0).permutation(len(mesh.triangles))[:2000]
+    points = mesh.vertices[mesh.triangles[rows]].mean(axis=1)
+    out = normals_of(mesh)[rows]
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    hits = RayCaster(room.mesh.vertices, room.mesh.triangles).cast(points + 0.15 * out, -out)
+    off = np.abs(hits.distance - 0.15)
+    assert np.median(off) < 0.01
+    assert (off < 0.05).mean() > 0.9
+    assert mesh.stats.agreement < 0.02
+    assert len(mesh.stats.residuals) == len(walk.frames)
+
+
+def test_the_order_of_frames_changes_little(fused, views):
+    frames, poses = views
+    order = np.random.default_rng(3).permutation(len(frames))
+    other = fuse([frames[i] for i in order], poses[order], voxel=0.06)
+    assert len(other.vertices) == pytest.approx(len(fused.vertices), rel=0.01)
+    row = np.lexsort(fused.vertices.T)[::50]
+    gap = np.linalg.norm(fused.vertices[row, None] - other.vertices, axis=2).min(axis=1)
+    assert np.quantile(gap, 0.98) < 1e-3
+
+
+def test_threads_change_nothing(views, threads):
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("numba has one thread here")
+    frames, poses = views[0][:4], views[1][:4]
+    threads(1)
+    one = fuse(frames, poses, voxel=0.08)
+    threads(2)
+    two = fuse(frames, poses, voxel=0.08)
+    for name in ("vertices", "triangles", "colours"):
+        assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+def test_odometry_serves_where_no_pose_is_given(views, fused):
+    again = fuse(views[0], voxel=0.06)
+    assert np.array_equal(again.vertices, fused.vertices)
+
+
+def test_frames_that_cannot_be_used_are_counted(views):
+    frames, poses = list(views[0][:8]), views[1][:8].copy()
+    poses[1, 0, 3] = np.nan
+    poses[3, :3, 3] += 9.0
+    poses[5, :3, :3] *= 2.0
+    blind = Frame.from_arrays(frames[6].rgb(), frames[6].camera)
+    dark = Frame.from_arrays(frames[7].rgb(), frames[7].camera, depth=np.zeros((90, 120)))
+    left_out, told = Counter(), []
+    found = fuse(
+        [*frames[:6], blind, dark], poses, voxel=0.08, left_out=left_out,
+        progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+    assert left_out["frames with a broken pose"] == 3
+    assert left_out["frames without depth"] == 2
+    assert told == [(n + 1, 8) for n in range(8)]
+    assert found.stats.frames == 3
+    assert np.flatnonzero(np.isfinite(found.stats.residuals)).tolist() == [0, 2, 4]
+
+
+def test_nothing_to_fuse_is_an_error(views):
+    frame = views[0][0]
+    blind = Frame.from_arrays(frame.rgb(), frame.camera)
+    with pytest.raises(InputError, match="1 frames without depth"):
+        fuse([blind], np.eye(4)[None])
+    with pytest.raises(InputError, match="no frame"):
+        fuse([])
+    with pytest.raises(InputError, match="no surface"):
+        fuse([frame], np.eye(4)[None], options=replace(PLAIN, least=1e9))
+
+
+def test_a_broken_image_is_an_error_that_names_it(room_world, render):
+    walk = render(room_world, "broken", 5, frames=3)
+    broken = sorted((walk.path / "depth").iterdir())[1]
+    broken.write_bytes(broken.read_bytes()[:100])
+    with pytest.raises(InputError, match=broken.name):
+        fuse(walk.frames)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"voxel": 0.0}, "voxel"), ({"voxel": np.nan}, "voxel"), ({"voxel": 5.0}, "voxel"),
+        ({"truncation": 0.01}, "truncation"), ({"reach": 0.0}, "reach"),
+        ({"poses": np.eye(4)[None]}, "poses"),
+    ],
+)  # fmt: skip
+def test_options_out_of_range_are_refused(views, options, what):
+    with pytest.raises(OptionError, match=what):
+        fuse(views[0][:2], **({"poses": views[1][:2]} | options))
+
+
+def test_memory_is_bounded(views):
+    frames, poses = views[0][:3], views[1][:3]
+    small = FuseOptions(memory=0.004)
+    found = fuse(frames, poses, voxel=0.02, options=small)
+    assert found.stats.voxel > 0.02
+    assert found.stats.memory <= 0.004e9
+    assert "2 cm" in found.stats.coarser
+    with pytest.raises(OptionError, match="memory ended at frame 1 of 3"):
+        fuse(frames, poses, voxel=0.02, options=replace(small, coarsen=False))
+    with pytest.raises(OptionError, match="memory"):
+        FuseOptions(memory=100.0)
+
+
+@pytest.mark.parametrize("voxel", [0.01, 0.3])
+def test_tiny_and_huge_voxels(scene, voxel):
+    frame, pose = scene.plane_view(1.0)
+    found = fuse([frame], pose[None], voxel=voxel)
+    assert np.abs(found.vertices[:, 2] - 1.0).max() < voxel / 5
+    assert found.stats.voxel == voxel
+
+
+def test_changes_of_exposure_vanish(scene):
+    made = [
+        scene.room_view(yaw, 0.2, gain=0.6 + 0.4 * (n % 2))
+        for n, yaw in enumerate(np.arange(0, 6.2, 0.3))
+    ]
+    frames, poses = zip(*made, strict=True)
+    spread = {}
+    for gains in (False, True):
+        found = fuse(frames, np.array(poses), voxel=0.08, options=FuseOptions(gains=gains))
+        far = np.abs(found.vertices[:, None] - scene.room).reshape(-1, 6)
+        wall = (far.argmin(axis=1) == 0) & (np.sort(far, axis=1)[:, 1] > 0.3)
+        spread[gains] = np.std(found.colours[wall, 0].astype(float))
+    assert spread[True] < 3 < spread[False]
+    assert found.stats.gains[1::2].mean() < found.stats.gains[::2].mean()
+    assert np.exp(np.log(found.stats.gains).mean()) == pytest.approx(1.0)
+
+
+def test_bad_poses_show_in_the_agreement(views):
+    frames, poses = views
+    rng = np.random.default_rng(1)
+    shaken = poses.copy()
+    shaken[:, :3, 3] += rng.normal(0, 0.1, (len(poses), 3))
+    good, bad = (fuse(frames, p, voxel=0.06).stats for p in (poses, shaken))
+    assert good.agreement < 0.01 < bad.agreement
+    assert good.apart < bad.apart

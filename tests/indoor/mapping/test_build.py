@@ -1,0 +1,474 @@
+"""Building scene maps: from files, from models, and from what is not sound."""
+
+import io
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+import placegraph as pg
+from placegraph.errors import InputError, MapLockedError, OptionError, PlacegraphError
+from placegraph.formats.mesh.glb import Z_UP
+from placegraph.formats.mesh.model import Picture
+from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
+from placegraph.indoor.mapping.build import build_scene, scene_of_model
+from placegraph.indoor.mapping.simplify.detail import Detail
+from placegraph.indoor.mapping.sources import FromCapture
+from placegraph.store import writing
+
+ROOM = {"floor": ((0, 0, -0.1), (5, 4, 0)), "table": ((1, 1, 0), (2, 2, 0.7))}
+
+PLY = """ply
+format ascii 1.0
+element vertex 7
+property float x
+property float y
+property float z
+property int objectId
+element face 3
+property list uchar int vertex_indices
+end_header
+0 0 1 1
+4 0 1 1
+4 4 1 1
+0 4 1 1
+1 1 2 2
+2 1 2 2
+2 2 2 5
+4 0 1 2 3
+3 4 5 6
+3 4 6 5
+"""
+
+
+@pytest.fixture
+def ply(tmp_path):
+    path = tmp_path / "room.ply"
+    path.write_text(PLY)
+    return path
+
+
+def test_a_ply_becomes_a_map(ply, tmp_path):
+    table = tmp_path / "labels.json"
+    table.write_text(
+        json.dumps([{"id": 1, "label": "floor"}, {"id": 2, "label": "table", "name": "T"}])
+    )
+    out = tmp_path / "room.scene"
+    scene = pg.build_scene(ply, out, labels=table)
+    assert scene.graph.ids == ("1", "2")
+    assert scene.graph.labels == ("floor", "table")
+    assert scene.graph.names == ("", "T")
+    assert scene.floors.tolist() == [1.0]
+    assert (scene.source, scene.scenes) == ("room.ply", ("room",))
+    opened = pg.open_map(out)
+    assert opened.graph == scene.graph
+    np.testing.assert_array_equal(opened.mesh.vertices, scene.mesh.vertices)
+    # What is written is what is built without a file.
+    unwritten = build_scene(ply, None, labels={"1": "floor", "2": "table"})
+    np.testing.assert_array_equal(unwritten.mesh.triangles, scene.mesh.triangles)
+
+
+def test_labels_may_name_some(ply, tmp_path):
+    scene = build_scene(ply, None, labels={2: "table"})
+    assert scene.graph.ids == ("unknown", "2")
+    assert scene.graph.labels == ("unknown", "table")
+    with pytest.raises(InputError, match="labels: none of the 1 ids"):
+        build_scene(ply, None, labels={"9": "lamp"})
+    with pytest.raises(InputError, match=r"no\.json does not exist"):
+        build_scene(ply, None, labels=tmp_path / "no.json")
+
+
+def test_labels_win_over_the_files_own_by_id_or_name(shared):
+    house = shared / "data" / "house" / "map" / "house.glb"
+    told = json.loads(house.with_name("objects.json").read_text())
+    scene = build_scene(house, None, labels={"3": "bedside", "Vase_01_001": "pot"})
+    assert scene.graph.labels[3] == "bedside"
+    assert scene.graph.labels[scene.graph.names.index("Vase_01_001")] == "pot"
+    assert scene.graph.labels[0] == told[0]["label"]
+
+
+def test_options(ply):
+    assert build_scene(ply, None, floor=0.25).floors.tolist() == [0.25]
+    assert build_scene(ply, None, floor=-3).floors.tolist() == [-3.0]
+    small = build_scene(ply, None, scale=0.5)
+    np.testing.assert_allclose(small.bounds, [[0, 0, 0.5], [2, 2, 1]])
+    turned = build_scene(ply, None, up="y", floor=0.0)
+    np.testing.assert_allclose(turned.bounds, [[0, -2, 0], [4, -1, 4]])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"up": "x"}, "up is 'x'"), ({"scale": 0}, "scale is 0"), ({"scale": np.nan}, "scale is nan"),
+        ({"detail": "huge"}, "detail is 'huge'.*full, fine, default"),
+        ({"floor": np.inf}, "floor is inf"),
+    ],
+)  # fmt: skip
+def test_bad_options(options, says, ply, tmp_path):
+    with pytest.raises(OptionError, match=says):
+        build_scene(ply, tmp_path / "a.scene", **options)
+    assert not (tmp_path / "a.scene").exists()
+
+
+def test_files_that_cannot_be_read_or_written(ply, tmp_path):
+    (tmp_path / "a.xyz").touch()
+    with pytest.raises(InputError, match=r"unknown ending.*\.glb.*COLMAP"):
+        build_scene(tmp_path / "a.xyz", tmp_path / "a.scene")
+    with pytest.raises(InputError, match="does not exist"):
+        build_scene(tmp_path / "no.glb", tmp_path / "a.scene")
+    with pytest.raises(OptionError, match="would be overwritten"):
+        build_scene(ply, ply)
+    out = tmp_path / "a.scene"
+    with writing(out), pytest.raises(MapLockedError):
+        build_scene(ply, out)
+
+
+# --- what is in the mesh ---
+
+
+def test_no_triangle(boxes, ply):
+    with pytest.raises(InputError, match="is empty; a scene map needs a mesh"):
+        scene_of_model(boxes({}))
+    ply.write_text(PLY.replace("element face 3", "element face 0").split("4 0 1 2 3")[0])
+    with pytest.raises(InputError, match="holds points, but no triangle"):
+        build_scene(ply, None)
+
+
+def test_vertices_that_are_no_numbers(boxes):
+    model = boxes(ROOM)
+    for value in (np.nan, np.inf):
+        model.vertices[9, 1] = value
+        with pytest.raises(InputError, match=r"1 vertices are not numbers.*'table_1'; repair"):
+            scene_of_model(model)
+    model = boxes(ROOM, uv=np.full((16, 2), np.nan))
+    with pytest.raises(InputError, match="texture coordinates are not numbers"):
+        scene_of_model(model)
+
+
+def test_vertices_that_nothing_uses_do_no_harm(boxes):
+    model = boxes(ROOM)
+    points = np.concatenate([model.vertices, [[np.nan] * 3, [1e30] * 3]])
+    scene = scene_of_model(
+        replace(model, vertices=points, uv=np.zeros((18, 2)), colours=np.zeros((18, 3), np.uint8))
+    )
+    assert len(scene.mesh.vertices) == 16
+
+
+def test_no_floor_needs_a_height(boxes):
+    walls = {"wall": ((0, 0, 0), (0.1, 4, 2.7)), "wall ": ((0, 3.9, 0), (5, 4, 2.7))}
+    with pytest.raises(InputError, match=r"drawn.glb shows no floor.*floor=0.0, or --floor 0"):
+        scene_of_model(boxes(walls))
+    assert scene_of_model(boxes(walls), floor=0.0).floors.tolist() == [0.0]
+
+
+def test_millimetres_are_noticed(boxes):
+    model = boxes({"floor": ((0, 0, -100), (5e5, 4e5, 0))})
+    with pytest.raises(
+        InputError, match=r"looks like millimetres. Pass scale=0.001 \(--scale 0.001; inches"
+    ):
+        scene_of_model(model)
+    assert scene_of_model(model, scale=0.001).bounds[1].tolist() == [500, 400, 0]
+    with pytest.raises(InputError, match="looks like centimetres"):
+        scene_of_model(boxes({"floor": ((0, 0, 0), (500, 400, 250))}))
+    tall = boxes({"floor": ((0, 0, 0), (50, 40, 100))})
+    assert scene_of_model(tall, scale=1.0, floor=0.0).bounds[1].tolist() == [50, 40, 100]
+
+
+def test_what_is_tiny_is_told(boxes):
+    notes = []
+    scene_of_model(boxes({"floor": ((0, 0, -0.01), (0.2, 0.2, 0.0))}), notes=notes)
+    assert "0.2 x 0.2" in notes[0]
+    assert "--scale" in notes[0]
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_a_floor_that_stands_is_laid_down(boxes, turned):
+    model = boxes(ROOM)
+    lying = replace(model, vertices=model.vertices @ (Z_UP if turned else Z_UP.T))
+    notes = []
+    scene = scene_of_model(lying, up="auto", notes=notes)
+    np.testing.assert_allclose(scene.bounds, scene_of_model(model).bounds, atol=2e-3)
+    assert "y points up" in notes[0]
+    one_s_way = scene_of_model(lying, up="z", floor=0.0)
+    assert np.ptp(one_s_way.bounds[:, 2]) > 3.0
+    standing = boxes({"floor": ((0, 0, 0), (4, 0.01, 3))})
+    with pytest.raises(InputError, match=r"labelled floor is not level.*--up"):
+        scene_of_model(standing, up="z")
+
+
+def test_one_giant_object_is_told(boxes):
+    model = scene_of_model(_hills(boxes))
+    assert len(model) == 1
+    notes = []
+    scene_of_model(_hills(boxes), notes=notes, detail="full")
+    assert "100 % of the surface" in notes[0]
+    assert "--segment" in notes[0]
+
+
+def test_triangles_without_area_are_left_out(boxes):
+    model = boxes(ROOM)
+    triangles = np.concatenate([model.triangles, [[0, 0, 1], [0, 1, 1]]])
+    left_out = Counter()
+    scene = scene_of_model(
+        replace(model, triangles=triangles, thing_of=np.append(model.thing_of, [1, 1]),
+                picture_of=np.append(model.picture_of, [0, 0])),
+        left_out=left_out,
+    )  # fmt: skip
+    assert len(scene.mesh) == 24
+    assert left_out == {"triangles without area": 2}
+
+
+def test_an_object_that_is_but_a_line_stays_one(boxes):
+    model = boxes(ROOM | {"wire": ((1, 1, 2), (3, 1, 2))})
+    scene = scene_of_model(model)
+    assert scene.graph.labels == ("floor", "table", "wire")
+    np.testing.assert_allclose(scene.graph.extents[2], [2, 0, 0])
+
+
+def test_objects_without_triangles_are_left_out(boxes):
+    model, left_out = boxes(ROOM), Counter()
+    keep = model.thing_of == 0
+    scene = scene_of_model(
+        replace(model, triangles=model.triangles[keep], thing_of=model.thing_of[keep],
+                picture_of=model.picture_of[keep]),
+        left_out=left_out,
+    )  # fmt: skip
+    assert scene.graph.labels == ("floor",)
+    assert left_out == {"objects without a triangle": 1}
+
+
+def test_objects_in_any_order_and_sharing_vertices(boxes, rng):
+    model = boxes(ROOM)
+    order = rng.permutation(24)
+    mixed = replace(model, triangles=model.triangles[order], thing_of=model.thing_of[order])
+    scene = scene_of_model(mixed)
+    assert scene.mesh.object_of.tolist() == [0] * 12 + [1] * 12
+    assert scene.graph == scene_of_model(model).graph
+
+
+def test_one_giant_triangle(boxes):
+    corners = np.array([[-9e4, -9e4, 0], [9e4, -9e4, 0], [0, 9e4, 0.0]])
+    model = boxes({"floor": ((0, 0, 0), (1, 1, 1))})
+    scene = scene_of_model(
+        replace(model, vertices=corners, triangles=np.array([[0, 1, 2]]), thing_of=np.zeros(1, int),
+                picture_of=np.zeros(1, int), colours=np.zeros((3, 3), np.uint8), uv=np.zeros((3, 2)))
+    )  # fmt: skip
+    assert len(scene.mesh) == 1
+    assert scene.floors.tolist() == [0.0]
+    assert np.abs(scene.bounds[:, :2]).max() == pytest.approx(9e4)
+
+
+def _hills(boxes, n=60):
+    x, y = np.meshgrid(np.arange(n) * 0.02, np.arange(n) * 0.02, indexing="ij")
+    points = np.stack([x, y, np.sin(x) * np.cos(y) * 0.02], axis=2).reshape(-1, 3)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    triangles = np.concatenate(
+        [
+            np.stack([corner, corner + n, corner + 1], 1),
+            np.stack([corner + n, corner + n + 1, corner + 1], 1),
+        ]
+    )
+    count = len(triangles)
+    return replace(
+        boxes({"floor": ((0, 0, 0), (1, 1, 1))}), vertices=points, triangles=triangles,
+        thing_of=np.zeros(count, int), picture_of=np.zeros(count, int),
+        colours=np.full((len(points), 3), 200, np.uint8), uv=np.zeros((len(points), 2)),
+    )  # fmt: skip
+
+
+def test_a_million_small_triangles(boxes):
+    model = _hills(boxes, 708)
+    scene = scene_of_model(model, detail="full")
+    assert len(scene.mesh) == len(model.triangles) > 999_000
+    assert scene.floors[0] == pytest.approx(0.0, abs=0.02)
+    fewer = scene_of_model(model)
+    assert 100 < len(fewer.mesh) < 1000
+    np.testing.assert_allclose(fewer.bounds, scene.bounds, atol=0.01)
+
+
+# --- textures ---
+
+
+def encoded(array, form="PNG", **options):
+    file = io.BytesIO()
+    Image.fromarray(np.asarray(array, np.uint8)).save(file, form, **options)
+    return file.getvalue()
+
+
+def look(boxes, picture, **options):
+    """Texture of a room with this picture."""
+    scene = scene_of_model(boxes(ROOM, pictures=(picture,)), **options)
+    return scene.mesh.textures[0], scene.encoded[0]
+
+
+def test_a_flat_colour_is_one_texel(boxes):
+    texture, _ = look(boxes, Picture(None, (0.2140411, 1.0, 0.0)))
+    np.testing.assert_allclose(texture, [[[127.5, 255, 0]]], atol=0.5)
+
+
+def test_a_jpeg_of_the_right_size_is_kept_in_full_detail(boxes, rng):
+    data = encoded(rng.integers(0, 256, (64, 64, 3)), "JPEG")
+    texture, blob = look(boxes, Picture(data), detail="full")
+    assert blob == data
+    assert texture.shape == (64, 64, 3)
+    _, small = look(boxes, Picture(data))
+    assert len(small) < len(data)
+
+
+def test_large_textures_become_small(boxes):
+    gradient = np.repeat(np.linspace(0, 255, 600)[:, None, None], 300, 1).repeat(3, 2)
+    for form in ("PNG", "JPEG"):
+        texture, _ = look(boxes, Picture(encoded(gradient, form)), detail=Detail(max_texture=100))
+        assert texture.shape == (100, 50, 3)
+        np.testing.assert_allclose(texture[:, 25, 0], np.linspace(1, 254, 100), atol=4)
+
+
+def test_the_base_colour_is_folded_in_as_light(boxes):
+    gray = np.full((4, 4, 3), 188)  # half of the light
+    texture, _ = look(boxes, Picture(encoded(gray), (0.5, 1.0, 0.0)))
+    np.testing.assert_allclose(texture, np.broadcast_to([137, 188, 0], (4, 4, 3)), atol=1)
+
+
+def test_mirrored_textures_are_laid_out_to_be_repeated(boxes):
+    picture = [[[255, 0, 0], [0, 0, 255]]]
+    texture, _ = look(boxes, Picture(encoded(picture), mirrored=(True, False)))
+    assert texture[0, :, 0].tolist() == [255, 0, 0, 255]
+    texture, _ = look(boxes, Picture(encoded(picture), mirrored=(True, True)))
+    assert texture.shape == (2, 4, 3)
+
+
+@pytest.mark.parametrize("mode", ["L", "P", "RGBA", "LA", "1", "CMYK", "I;16"])
+def test_pictures_of_any_mode(mode, boxes):
+    image = (
+        Image.fromarray(np.full((3, 3), 60_000, np.uint16))
+        if mode == "I;16"
+        else Image.new(mode, (3, 3))
+    )
+    file = io.BytesIO()
+    image.save(file, "TIFF" if mode == "CMYK" else "PNG")
+    assert look(boxes, Picture(file.getvalue()))[0].shape == (3, 3, 3)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@given(data=st.data())
+def test_broken_pictures_give_one_kind_of_error(data, boxes):
+    whole = encoded(
+        np.arange(192).reshape(8, 8, 3), data.draw(st.sampled_from(["PNG", "JPEG", "WEBP"]))
+    )
+    damaged = bytearray(whole)
+    for _ in range(data.draw(st.integers(0, 3))):
+        damaged[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    damaged = damaged[: data.draw(st.integers(0, len(whole)) | st.just(len(whole)))]
+    try:
+        look(boxes, Picture(bytes(damaged), name="house.glb: images[3]"))
+    except PlacegraphError as error:
+        assert isinstance(error, InputError)  # noqa: PT017  # either is right
+        assert "house.glb: images[3]" in str(error)  # noqa: PT017
+
+
+def test_light_and_srgb_are_inverse():
+    steps = np.arange(256) / 255.0
+    np.testing.assert_allclose(srgb_from_linear(linear_from_srgb(steps)), steps, atol=1e-9)
+    assert linear_from_srgb(np.array([0.5]))[0] == pytest.approx(0.21404114)
+
+
+# --- the shared house, as it is ---
+
+
+@pytest.fixture(scope="module")
+def house(shared, tmp_path_factory):
+    source = shared / "data" / "house" / "map" / "house.glb"
+    path = tmp_path_factory.mktemp("house") / "house.scene"
+    return build_scene(source, path), path, source
+
+
+def test_the_shared_house(house):
+    scene, path, source = house
+    told = json.loads(source.with_name("objects.json").read_text())
+    assert scene.graph.ids == tuple(str(o["id"]) for o in told)
+    assert scene.graph.names == tuple(o["name"] for o in told)
+    assert scene.graph.labels == tuple(o["label"] for o in told)
+    low = scene.graph.positions - scene.graph.extents / 2
+    np.testing.assert_allclose(low, [o["bbox_min"] for o in told], atol=6e-3)
+    assert scene.floors.tolist() == [0.0]
+    assert path.stat().st_size < source.stat().st_size
+    assert len(scene.mesh.textures) == 66
+    rows = {r: set() for r in scene.graph.relations}
+    for s, r, t in zip(
+        scene.graph.sources, scene.graph.relations, scene.graph.targets, strict=True
+    ):
+        rows[r].add((scene.graph.names[s], scene.graph.names[t]))
+    assert ("DeskPortraitC_01", "NightStand_01_001") in rows["standing on"]
+    assert ("TV_01_001", "HouseWallB_01_001") in rows["attached to"]
+    assert ("Handle_01_001", "Door_01_001") in rows["attached to"]
+
+
+def test_the_house_looks_as_in_its_pictures(house, shared):
+    """Objects and colours cast from the true pose agree with the first image of a sequence."""
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.formats.capture.tum import read_tum
+
+    scene, _, _ = house
+    folder = shared / "data" / "house" / "seq00"
+    frame = open_capture(folder)[0]
+    map_from_camera = read_tum(folder / "trajectory.tum").poses[0]
+    pixels = np.stack(np.meshgrid(np.arange(2, 320, 5), np.arange(2, 180, 5)), axis=-1).reshape(
+        -1, 2
+    )
+    rays = frame.label_camera.directions(pixels + 0.5) @ map_from_camera[:3, :3].T
+    hits = scene.caster.cast(np.broadcast_to(map_from_camera[:3, 3], rays.shape), rays)
+    assert (hits.triangle >= 0).all()
+    seen = scene.mesh.object_of[hits.triangle]
+    assert (seen == frame.labels()[pixels[:, 1], pixels[:, 0]]).mean() > 0.98
+    depth = frame.depth()[pixels[:, 1], pixels[:, 0]]
+    assert np.nanmedian(np.abs(hits.distance - depth)) < 0.03
+    mine = scene.mesh.colour_at(hits.triangle, hits.u, hits.v).astype(float)
+    theirs = frame.rgb()[pixels[:, 1] * 2, pixels[:, 0] * 2].astype(float)
+    for one, other in ((0, 1), (2, 1)):  # red and blue against green: lighting changes little of it
+        a, b = (np.log((c[:, one] + 8) / (c[:, other] + 8)) for c in (mine, theirs))
+        assert np.corrcoef(a, b)[0, 1] > 0.6
+
+
+def test_what_may_lie_on_its_side_is_told(boxes):
+    """A room of 7 x 5 x 2.6 m whose labels say nothing, as a y-up exporter would write it."""
+    model = boxes({"a": ((0, 0, 0), (7, 2.6, 5)), "b": ((1, 0, 1), (2, 0.7, 2))})
+    notes = []
+    scene_of_model(model, up="auto", floor=0.0, notes=notes)
+    assert "2.6 m along y" in notes[0]
+    assert "--up y" in notes[0]
+    upright = boxes({"a": ((0, 0, 0), (7, 5, 2.6)), "b": ((1, 0, 1), (2, 0.7, 2))})
+    quiet = []
+    scene_of_model(upright, up="auto", floor=0.0, notes=quiet)
+    assert quiet == []
+
+
+def test_what_lies_on_a_countrys_grid_is_to_be_moved(boxes):
+    far = boxes({"floor": ((500_000, 5_400_000, 0), (500_005, 5_400_004, 0.1))})
+    with pytest.raises(InputError, match="a country's grid's: subtract a corner"):
+        scene_of_model(far)
+
+
+def test_what_is_cut_anew_has_no_relations_of_what_it_was(boxes, tmp_path):
+    whole = scene_of_model(boxes({**ROOM, "cup": ((1.4, 1.4, 0.7), (1.5, 1.5, 0.8))}))
+    whole.export(tmp_path / "room.glb")
+    counts = Counter()
+    scene = build_scene(tmp_path / "room.glb", None, segment=True, left_out=counts)
+    assert counts["relations of objects that were cut anew"] == len(whole.graph.relations) > 0
+    edges = zip(scene.graph.sources, scene.graph.targets, strict=True)
+    half = scene.graph.extents / 2
+    for a, b in edges:
+        gap = np.abs(scene.graph.positions[a] - scene.graph.positions[b]) - half[a] - half[b]
+        assert gap.max() < 2.0, "what is related is near"
+    unasked = build_scene(tmp_path / "room.glb", None)
+    assert unasked.graph.labels == whole.graph.labels
+
+
+@pytest.mark.parametrize("how", [{"capture": FromCapture()}, {"reader": {"groups": "o"}}])
+def test_options_of_other_sources_are_refused(how, ply):
+    with pytest.raises(OptionError, match=r"room\.ply is no capture|groups: no option of \.ply"):
+        build_scene(ply, None, **how)

@@ -1,0 +1,230 @@
+"""What is wrong with maps of drawn rooms that were spoilt on purpose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.geometry import rotation_from_vector
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.check import check
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
+
+
+def spoilt(scene, *, mesh=None, ids=None, labels=None, names=None, floor=None, relations=()):
+    """The map with something else about it."""
+    return SceneMap.create(
+        scene.mesh if mesh is None else mesh,
+        scene.graph.ids if ids is None else ids,
+        scene.graph.labels if labels is None else labels,
+        names=scene.graph.names if names is None else names,
+        floor=float(scene.floors[0]) if floor is None else floor,
+        relations=relations or [(0, "next to", 1)],
+        encoded=scene.encoded if mesh is None or len(mesh.textures) > 1 else None,
+    )
+
+
+def turned(scene, matrix):
+    """The map's mesh after a linear map (3, 3)."""
+    vertices = scene.mesh.vertices.astype(float) @ np.asarray(matrix, float).T
+    return replace(scene.mesh, vertices=vertices.astype(np.float32))
+
+
+def said(findings, words):
+    """The findings whose sentence holds some words."""
+    return [f for f in findings if words in f.what]
+
+
+def test_a_sound_room_has_no_errors_and_no_warnings(room, flat):
+    for scene in (room, flat):
+        found = check(scene)
+        assert [f for f in found if f.severity != "note"] == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit", "scale"),
+    [(1000.0, "millimetres", "0.001"), (100.0, "centimetres", "0.01"), (3.28, "feet", "0.3048")],
+)
+def test_other_units_are_told_with_the_scale_that_mends_them(room, factor, unit, scale):
+    scene = spoilt(room, mesh=turned(room, factor * np.eye(3)))
+    (finding,) = said(check(scene), unit)
+    assert finding.severity == "error"
+    assert finding.mend == f"--scale {scale}"
+
+
+def test_a_map_that_lies_on_its_side_is_told(room):
+    lying = spoilt(room, mesh=turned(room, [[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    (finding,) = said(check(lying), "on its side")
+    assert (finding.severity, finding.mend) == ("error", "--up y")
+
+
+def test_a_floor_that_stands_upright_is_told(room):
+    """Along x too; and an object that is called floor but is a wall, with a sliver of level area."""
+    lying = spoilt(room, mesh=turned(room, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]))
+    (finding,) = said(check(lying), "the floor stands upright")
+    assert finding.severity == "error"
+    assert "along x" in finding.what
+    labels = list(room.graph.labels)
+    wall = labels.index("wall")
+    labels[wall] = "floor"
+    (finding,) = said(check(spoilt(room, labels=labels)), "floor stands upright")
+    assert finding.severity == "warning"
+    assert finding.objects == (room.graph.ids[wall],)
+
+
+def test_parts_of_things_do_not_tell_the_unit(room):
+    """Sofa and chair as low as half of them is, in a map whose desk is as usual."""
+    vertices = room.mesh.vertices.astype(float)
+    for row, label in enumerate(room.graph.labels):
+        if label in {"sofa", "chair", "side table"}:
+            own = np.unique(room.mesh.triangles[room.mesh.object_of == row])
+            vertices[own, 2] = 0.45 + 0.36 * vertices[own, 2]
+    cut = replace(room.mesh, vertices=vertices.astype(np.float32))
+    labels = ["plaster" if w == "wall" else w for w in room.graph.labels]
+    assert said(check(spoilt(room, mesh=cut, labels=labels)), "high") == []
+    low = {"sofa", "chair", "side table", "desk", "sideboard"}
+    labels = ["wardrobe" if w in low else "plaster" for w in room.graph.labels]
+    assert said(check(spoilt(room, labels=labels)), "high") == []  # one kind, mislabelled
+
+
+def test_kinds_of_things_that_agree_tell_the_unit(room):
+    """A doll's house: in no unit, but all things in it are a third as high as they are."""
+    small = spoilt(room, mesh=turned(room, 0.35 * np.eye(3)))
+    (finding,) = said(check(small), "high")
+    assert "things 0.3" in finding.what
+    assert "as high as" in finding.what
+
+
+def test_a_floor_elsewhere_is_told_with_where_it_is(room):
+    (finding,) = said(check(spoilt(room, floor=-1.0)), "hardly any level surface")
+    assert finding.severity == "error"
+    assert finding.mend == "--floor 0.00"
+
+
+@pytest.mark.parametrize(("degrees", "severity"), [(0.4, None), (2.0, "warning"), (6.0, "error")])
+def test_a_tilted_floor_is_told(room, degrees, severity):
+    rotation = rotation_from_vector([np.radians(degrees), 0.0, 0.0])
+    found = said(check(spoilt(room, mesh=turned(room, rotation))), "slopes")
+    assert [f.severity for f in found] == ([severity] if severity else [])
+    if severity:
+        assert f"{degrees:.1f} degrees" in found[0].what
+
+
+def test_heights_that_fit_nowhere_are_told(room):
+    found = said(check(room, options=FilterOptions(heights=(3.5,))), "no place is free")
+    assert [f.severity for f in found] == ["error"]
+    assert "--floor" in found[0].mend
+
+
+def test_holes_are_told_with_where_they_are(room):
+    labels = np.array(room.graph.labels)[room.mesh.object_of]
+
+    def without(*gone):
+        keep = ~np.isin(labels, gone)
+        rows = np.unique(room.mesh.object_of[keep])
+        place = np.full(len(room), -1)
+        place[rows] = np.arange(len(rows))
+        mesh = replace(
+            room.mesh,
+            triangles=room.mesh.triangles[keep],
+            object_of=place[room.mesh.object_of[keep]].astype(np.int32),
+            texture_of=room.mesh.texture_of[keep],
+        )
+        return SceneMap.create(
+            mesh,
+            [room.graph.ids[i] for i in rows],
+            [room.graph.labels[i] for i in rows],
+            floor=0.0,
+            encoded=room.encoded,
+        )
+
+    (open_above,) = said(check(without("ceiling")), "leave the map")
+    assert open_above.severity == "note"
+    assert "no ceiling" in open_above.what
+    (open_around,) = said(check(without("ceiling", "wall")), "leave the map")
+    assert open_around.severity == "warning"
+    assert "around" in open_around.what
+
+
+def test_flipped_normals_are_a_note(room):
+    mesh = replace(room.mesh, triangles=room.mesh.triangles[:, ::-1])
+    found = said(check(spoilt(room, mesh=mesh)), "backs of triangles")
+    assert [f.severity for f in found] == ["note"]
+    assert said(check(room), "backs of triangles") == []
+
+
+def test_double_triangles_twins_and_giants_are_told(room):
+    mesh = room.mesh
+    chair = room.graph.labels.index("chair")
+    again = mesh.object_of == chair
+    twice = replace(
+        mesh,
+        triangles=np.concatenate([mesh.triangles, mesh.triangles[again]]),
+        object_of=np.concatenate([mesh.object_of, np.full(again.sum(), len(room), np.int32)]),
+        texture_of=np.concatenate([mesh.texture_of, mesh.texture_of[again]]),
+    )
+    scene = spoilt(
+        room,
+        mesh=twice,
+        ids=[*room.graph.ids, "again"],
+        labels=[*room.graph.labels, "chair"],
+        names=[*room.graph.names, "again"],
+    )
+    found = check(scene)
+    (twins,) = said(found, "same space")
+    assert set(twins.objects) == {room.graph.ids[chair], "again"}
+    assert said(found, "lie on another one")
+    one = SceneMap.create(
+        replace(mesh, object_of=np.zeros(len(mesh), np.int32)),
+        ["0"], ["scan"], floor=0.0, encoded=room.encoded,
+    )  # fmt: skip
+    (giant,) = said(check(one), "knows no objects")
+    assert giant.severity == "error"
+
+
+def test_words_are_checked(room):
+    count = len(room)
+    unlabelled = check(spoilt(room, labels=["object"] * count))
+    assert [f.severity for f in said(unlabelled, "no label")] == ["warning"]
+    assert "--labels" in said(unlabelled, "no label")[0].mend
+    names = ["thing"] * count
+    assert len(said(check(spoilt(room, names=names)), "stand for several")[0].objects) <= 20
+    ids = ["Chair", "chair", *map(str, range(count - 2))]
+    assert set(said(check(spoilt(room, ids=ids)), "case or blanks")[0].objects) == {
+        "Chair",
+        "chair",
+    }
+
+
+def test_what_lies_far_off_is_told(room):
+    vertices = room.mesh.vertices.copy()
+    lamp = room.graph.labels.index("lamp")
+    own = np.unique(room.mesh.triangles[room.mesh.object_of == lamp])
+    vertices[own] += (60.0, 0.0, 0.0)
+    found = said(check(spoilt(room, mesh=replace(room.mesh, vertices=vertices))), "far off")
+    assert [f.objects for f in found] == [(room.graph.ids[lamp],)]
+
+
+def test_a_map_without_colours_is_told(room):
+    white = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
+    (finding,) = said(check(spoilt(room, mesh=white)), "no colours")
+    assert finding.severity == "warning"
+    grey = replace(white, colours=np.full_like(white.colours, 170))
+    (finding,) = said(check(spoilt(room, mesh=grey)), "one colour")
+    assert finding.severity == "note"
+    assert said(check(room), "colour") == []
+
+
+def test_costs_are_told_where_they_are_high(room):
+    assert said(check(room, size=50_000_000, seconds=9.0), "50 MB")
+    assert said(check(room, size=50_000_000, seconds=9.0), "9.0 s")
+    assert not said(check(room, size=1000, seconds=0.1), "MB")
+
+
+def test_findings_come_worst_first_and_as_plain_words(room):
+    scene = spoilt(room, mesh=turned(room, 1000.0 * np.eye(3)), labels=["x"] * len(room))
+    found = check(scene)
+    order = [("error", "warning", "note").index(f.severity) for f in found]
+    assert order == sorted(order)
+    assert all(isinstance(f.to_dict()["objects"], list) for f in found)

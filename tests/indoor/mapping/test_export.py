@@ -1,0 +1,206 @@
+"""Maps as files for other programs: read back they are the same map."""
+
+import json
+
+import numpy as np
+import pytest
+
+from placegraph import locks
+from placegraph.errors import MapError, MapLockedError, OptionError
+from placegraph.formats.mesh.spark_dsg import read_spark_dsg
+from placegraph.indoor.map.mesh import GRAIN, Mesh
+from placegraph.indoor.mapping.build import build_scene, scene_of_model
+from placegraph.indoor.mapping.export import MARK, export, losses, path_lines
+from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.scene_map import SceneMap
+
+
+@pytest.fixture
+def way():
+    poses = np.stack([np.eye(4)] * 5)
+    poses[:, 0, 3] = np.linspace(0, 2, 5)
+    return poses
+
+
+def same(one, other, *, names=True):
+    """Whether two maps have the same objects, in the same place."""
+    assert one.graph.ids == other.graph.ids
+    assert one.graph.labels == other.graph.labels
+    assert not names or one.graph.names == other.graph.names
+    assert one.attributes == other.attributes
+    assert one.floors == pytest.approx(other.floors, abs=GRAIN)
+    assert len(one.mesh) == len(other.mesh)
+    for row in range(len(one)):
+        corners = [
+            np.sort(m.vertices[m.triangles[m.object_of == row]].reshape(-1, 3), axis=0)
+            for m in (one.mesh, other.mesh)
+        ]
+        assert np.abs(corners[0] - corners[1]).max() <= GRAIN
+
+
+def test_glb_there_and_back(room, tmp_path, way):
+    path = tmp_path / "room.glb"
+    assert export(room, path, camera_paths={"walk": way}) == (path,)
+    back = build_scene(path, None, detail="full")
+    same(back, room)
+    third = np.full(len(room.mesh), 1 / 3, np.float32)
+    rows = np.arange(len(room.mesh), dtype=np.int32)
+    ours, theirs = (m.colour_at(rows, third, third).astype(int) for m in (room.mesh, back.mesh))
+    assert np.abs(ours - theirs).mean() < 4
+    assert b"EXT_texture_webp" not in path.read_bytes()  # which some programs do not know
+
+
+def test_ply_and_its_labels_there_and_back(room, tmp_path):
+    path = tmp_path / "room.ply"
+    files = export(room, path)
+    assert [f.name for f in files] == ["room.ply", "room.labels.json"]
+    same(build_scene(path, None, labels=files[1], detail="full"), room)
+
+
+def test_spark_dsg_there_and_back(room, tmp_path, way):
+    path = tmp_path / "room.json"
+    export(room, path, camera_paths={"walk": way, "again": way})
+    model = read_spark_dsg(path)
+    assert not model.left_out
+    assert len(model.relations) == len(room.graph.relations)
+    same(scene_of_model(model, detail="full"), room)
+    nodes = json.loads(path.read_text())["nodes"]
+    assert [n["attributes"]["name"] for n in nodes if n["layer"] == 4] == ["study"]
+    assert sum(n["partition"] != 0 for n in nodes) == 10
+
+
+def plain_map(ids=("0", "1"), colours=None):
+    """Two triangles of two objects that share an edge."""
+    mesh = Mesh.plain(
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1], colours
+    )
+    return SceneMap.create(mesh, ids, ["floor", "ramp"], floor=0.0, relations=[(1, "on", 0)])
+
+
+def test_vertex_colours_without_textures_are_exact(tmp_path):
+    colours = np.arange(12).reshape(4, 3) * 20
+    scene = plain_map(colours=colours)
+    for ending in ("glb", "ply", "json"):
+        path = tmp_path / f"a.{ending}"
+        export(scene, path)
+        back = (
+            read_spark_dsg(path)
+            if ending == "json"
+            else build_scene(path, None, floor=0.0, detail="full").mesh
+        )
+        owner = back.thing_of if ending == "json" else back.object_of
+        for row, corners in enumerate(([0, 1, 2], [0, 2, 3])):
+            (triangle,) = back.triangles[owner == row]
+            assert (back.colours[triangle] == colours[corners]).all()
+
+
+def test_ids_that_are_no_numbers_get_some(tmp_path):
+    scene = plain_map(("7", "sofa/1"))
+    export(scene, tmp_path / "a.ply")
+    told = json.loads((tmp_path / "a.labels.json").read_text())
+    assert told["written by"] == MARK
+    assert [entry["id"] for entry in told["objects"]] == [7, 8]
+    assert told["objects"][1]["attributes"] == {"id": "sofa/1"}
+
+
+TAKEN = {"label": "of a shop", "id": "EAN 4", "placegraph": "mine", "name": "n", "map id": "5"}
+
+
+def odd_map(ids):
+    """Objects with attributes of all the names we use, one of them without a name."""
+    mesh = Mesh.plain([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1])
+    return SceneMap.create(
+        mesh, ids, ["floor", "ramp"], names=["", "ramp"], floor=0.0, attributes=[TAKEN, {}],
+        relations=[(1, "leads to", 0)],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", ["glb", "ply", "json"])
+def test_attributes_of_any_name_come_back(ending, tmp_path):
+    scene = odd_map(("7", "8"))
+    files = export(scene, tmp_path / f"a.{ending}")
+    if ending == "json":
+        back = scene_of_model(read_spark_dsg(files[0]), detail="full")
+    else:
+        labels = files[1] if ending == "ply" else None
+        back = build_scene(files[0], None, labels=labels, floor=0.0, detail="full")
+    same(back, scene)
+    assert ("leads to" in back.graph.relations) == (ending != "ply")
+    assert any("Relations (1)" in said for said in losses(scene, files[0])) == (ending == "ply")
+
+
+def test_an_id_that_becomes_a_number_takes_no_attribute_s_place(tmp_path):
+    files = export(odd_map(("sofa/1", "8")), tmp_path / "a.ply")
+    back = build_scene(files[0], None, labels=files[1], floor=0.0)
+    assert back.attributes[back.graph.ids.index("9")] == TAKEN | {"map map id": "sofa/1"}
+
+
+def test_a_node_that_was_renamed_has_its_new_name(tmp_path):
+    export(odd_map(("7", "8")), tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    for other, name in ((b'{"name":"floo2"', "floo2"), (b'{"name":"floor"', "")):
+        (tmp_path / "b.glb").write_bytes(data.replace(b'{"name":"floor"', other))
+        assert build_scene(tmp_path / "b.glb", None, floor=0.0).graph.names[0] == name
+
+
+def test_merged_scenes_become_rooms(tmp_path):
+    scene = merge_scenes({"one": plain_map(), "two": plain_map()})
+    export(scene, tmp_path / "a.json")
+    content = json.loads((tmp_path / "a.json").read_text())
+    rooms = [n["attributes"]["name"] for n in content["nodes"] if n["layer"] == 4]
+    assert rooms == list(scene.scenes)
+    assert read_spark_dsg(tmp_path / "a.json").floor is None
+    export(scene, tmp_path / "a.glb")
+    back = build_scene(tmp_path / "a.glb", None, floor=0.0)
+    assert back.graph.ids == scene.graph.ids
+
+
+def test_what_it_did_not_write_stays(tmp_path):
+    scene = plain_map()
+    for name in ("a.glb", "a.ply", "a.json"):
+        path = tmp_path / name
+        path.write_text("a work of years")
+        with pytest.raises(OptionError, match=f"{name} is there already"):
+            export(scene, path)
+        assert path.read_text() == "a work of years"
+        export(scene, path, overwrite=True)
+        again = export(scene, path)  # now it is its own
+        assert all(MARK.encode() in f.read_bytes()[:4096] for f in again)
+    (tmp_path / "a.labels.json").write_text("[]")
+    with pytest.raises(OptionError, match=r"a\.labels\.json is there"):
+        export(scene, tmp_path / "a.ply")
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_where_it_cannot_be_written(tmp_path):
+    scene = plain_map()
+    with pytest.raises(OptionError, match=r"unknown ending; a map becomes \.glb, \.ply, \.json"):
+        export(scene, tmp_path / "a.obj")
+    with pytest.raises(MapError, match="cannot be written"):
+        export(scene, tmp_path / "no" / "a.glb")
+    (tmp_path / "b.glb").mkdir()
+    with pytest.raises(MapError, match="not a plain file"):
+        export(scene, tmp_path / "b.glb")
+    with locks.exclusive(tmp_path / "a.glb"), pytest.raises(MapLockedError):
+        export(scene, tmp_path / "a.glb")
+
+
+def test_camera_paths_that_do_not_fit(tmp_path, way):
+    scene = plain_map()
+    with pytest.raises(OptionError, match="no place"):
+        export(scene, tmp_path / "a.ply", camera_paths={"walk": way})
+    for poses in (way[0], way[:0], way * np.nan, [[1]]):
+        with pytest.raises(OptionError, match="walk"):
+            export(scene, tmp_path / "a.glb", camera_paths={"walk": poses})
+    with pytest.raises(OptionError, match="27"):
+        export(scene, tmp_path / "a.json", camera_paths={str(k): way for k in range(27)})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_way_is_drawn_with_pyramids_that_look_ahead(way):
+    lines = path_lines(way)
+    assert len(lines) == 4 + 5 * 8
+    assert lines[:4] == pytest.approx(np.stack([way[:-1, :3, 3], way[1:, :3, 3]], axis=1))
+    assert lines[4:, :, 2].max() > 0  # OpenCV's z looks forward
+    assert lines[4:, :, 2].min() == 0
+    assert len(path_lines(way[:1])) == 8

@@ -1,0 +1,298 @@
+"""The particle filter: its equations, on likelihoods that can be written down."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.geometry import between, compose, wrap
+from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise
+from placegraph.indoor.pose.filter import FEWEST, ParticleFilter, run_pass
+from placegraph.indoor.pose.particles import Particles, kld_count
+
+OPTIONS = FilterOptions()
+PAPER = FilterOptions.paper()
+SPREAD = np.array([0.1, 0.1, 0.1, 0.08])
+seeds = st.integers(0, 2**32 - 1)
+
+
+def near(poses, target, spread=SPREAD):
+    """A Gaussian log-likelihood (N,) around a pose: a scorer whose views are poses."""
+    error = poses - target
+    error[:, 3] = wrap(error[:, 3])
+    return -0.5 * np.sum((error / spread) ** 2, axis=1)
+
+
+def filter_of(poses, rng, options=OPTIONS, scorer=near, most=2000):
+    return ParticleFilter(scorer, options, rng, Particles.even(np.array(poses, float)), most)
+
+
+def scattered(rng, count, box=3.0):
+    return rng.uniform((-box, -box, 1.4, -np.pi), (box, box, 1.8, np.pi), (count, 4))
+
+
+# --------------------------------------------------------------------------- the equations
+
+
+def test_prediction_moves_all_and_weighs_none_anew(rng):
+    poses = scattered(rng, 50)
+    filter_ = filter_of(poses, rng, replace(OPTIONS, motion=MotionNoise(0, 0, 0, 0)))
+    filter_.weigh(np.array([0, 0, 1.6, 0]))
+    before = filter_.particles
+    step = np.array([0.5, 0.1, 0, 0.3])
+    filter_.move(step)
+    np.testing.assert_allclose(filter_.particles.poses, compose(poses, step))
+    np.testing.assert_array_equal(filter_.particles.log_weights, before.log_weights)
+
+
+def test_prediction_errs_as_the_options_say(rng):
+    options = replace(OPTIONS, motion=MotionNoise(0.05, 0, 0.02, 0))
+    filter_ = filter_of(np.zeros((20_000, 4)), rng, options)
+    filter_.move(np.zeros(4))
+    np.testing.assert_allclose(
+        filter_.particles.poses.std(axis=0), [0.05, 0.05, 0.05, 0.02], rtol=0.03
+    )
+
+
+def test_update_multiplies_weights_by_likelihoods(rng):
+    """Where enough particles stay effective, Bayes' rule as it stands."""
+    poses = scattered(rng, 400, box=0.2)
+    target, wide = np.array([0, 0, 1.6, 0]), np.array([1, 1, 1, 2.0])
+    filter_ = filter_of(poses, rng, scorer=lambda p, view: near(p, view, wide))
+    filter_.weigh(target)
+    filter_.weigh(target)
+    expected = np.exp(2 * near(poses, target, wide))
+    np.testing.assert_allclose(filter_.particles.weights, expected / expected.sum(), rtol=1e-9)
+    np.testing.assert_array_equal(filter_.particles.poses, poses)
+
+
+@given(seeds, st.integers(30, 300), st.floats(-4, 4))
+@settings(max_examples=50)
+def test_sharp_likelihoods_leave_a_tenth_effective(seed, count, sharpness):
+    """Whatever the likelihood's scale: enough stay, their order stays, and no more is flattened."""
+    values = np.random.default_rng(seed).normal(size=count) * 10.0**sharpness
+    filter_ = filter_of(np.zeros((count, 4)), None, scorer=lambda _, view: view)
+    filter_.weigh(values)
+    got = filter_.particles
+    wanted = max(4.0, 0.1 * count)
+    untouched, _ = Particles.even(np.zeros((count, 4))).reweighted(values)
+    if untouched.effective() >= wanted:
+        np.testing.assert_allclose(got.log_weights, untouched.log_weights)
+    else:
+        # a bisection of twelve steps; below a thousandth nothing is flattened any further
+        lowest = Particles.even(np.zeros((count, 4))).reweighted(1e-3 * values)[0].effective()
+        assert got.effective() >= min(wanted, lowest) * 0.999
+        assert got.effective() <= max(wanted * 1.3, lowest * 1.001)
+    order = np.argsort(values)
+    assert (np.diff(got.log_weights[order]) >= -1e-9).all()
+
+
+def test_the_papers_likelihood_is_left_as_it_is(rng):
+    """Eq. 2 is the paper's; its particles may die."""
+    values = np.append(np.zeros(199), 50.0)
+    filter_ = filter_of(np.zeros((200, 4)), rng, PAPER, scorer=lambda _, view: view)
+    filter_.weigh(values)
+    assert filter_.particles.effective() == pytest.approx(1.0, abs=1e-6)
+    expected, _ = Particles.even(np.zeros((200, 4))).reweighted(values)
+    np.testing.assert_array_equal(filter_.particles.log_weights, expected.log_weights)
+    gentle = filter_of(np.zeros((200, 4)), rng, scorer=lambda _, view: view)
+    gentle.weigh(values)
+    assert gentle.particles.effective() > 19
+
+
+# ------------------------------------------------------------------------------- resampling
+
+
+def test_resampling_to_as_many_as_kld_says(rng):
+    for box in (0.01, 0.3, 1.5):
+        filter_ = filter_of(scattered(rng, 300, box) * (1, 1, 1, box / 3), rng)
+        wanted = kld_count(filter_.particles, OPTIONS)
+        filter_.renew()
+        assert len(filter_.particles) == np.clip(wanted, FEWEST, 2000)
+        np.testing.assert_allclose(filter_.particles.weights, 1 / len(filter_.particles))
+
+
+def test_counts_stay_between_their_bounds(rng):
+    filter_ = filter_of(scattered(rng, 500), rng, most=90)
+    filter_.renew()
+    assert len(filter_.particles) == 90
+    filter_ = filter_of(np.tile([1.0, 2, 1.6, 0], (500, 1)), rng)
+    filter_.renew()
+    assert len(filter_.particles) == FEWEST
+
+
+def test_without_kld_as_many_as_before(rng):
+    filter_ = filter_of(np.tile([1.0, 2, 1.6, 0], (500, 1)), rng, replace(OPTIONS, kld=False))
+    filter_.renew()
+    assert len(filter_.particles) == 500
+
+
+def test_resampling_draws_by_weight(rng):
+    poses = np.repeat([[0.0, 0, 1.6, 0], [5, 0, 1.6, 0]], 100, axis=0)
+    filter_ = filter_of(poses, rng, scorer=lambda p, _: np.log(np.where(p[:, 0] > 1, 3, 1)))
+    filter_.weigh(None)
+    filter_.renew()
+    share = (filter_.particles.poses[:, 0] > 1).mean()
+    assert share == pytest.approx(0.75, abs=2 / len(filter_.particles))
+
+
+def test_modes_come_heaviest_first(rng):
+    poses = np.array([[0, 0, 1.6, 0], [0.1, 0, 1.6, 0], [3, 0, 1.6, 0], [0, 0, 1.6, 2]], float)
+    filter_ = filter_of(poses, rng)
+    filter_.particles, _ = filter_.particles.reweighted(np.array([1.0, 2.0, 3.0, 0.5]))
+    np.testing.assert_array_equal(filter_.modes(), poses[[2, 1, 3]])
+    filter_.options = replace(OPTIONS, modes=1)
+    np.testing.assert_array_equal(filter_.modes(), poses[[2]])
+
+
+# -------------------------------------------------------------------------------- injection
+
+
+def test_a_frame_explained_far_worse_is_noticed(rng):
+    filter_ = filter_of(np.zeros((50, 4)), rng, scorer=lambda p, view: np.full(len(p), view))
+    for value, dropped in ((10.0, False), (0.0, False), (-30.0, True), (8.0, False)):
+        filter_.weigh(value)
+        assert filter_.dropped is dropped
+    # the running mean: 10, 8, 0.4, ...
+    assert filter_.usual == pytest.approx(0.8 * (0.8 * 8 + 0.2 * -30) + 0.2 * 8)
+
+
+def test_injected_poses_replace_some_of_every_mode(rng):
+    """Particles lie mode by mode after resampling; none of the modes may vanish."""
+    homes = np.repeat(np.arange(5.0), 20)
+    filter_ = filter_of(np.column_stack([homes, np.zeros((100, 3))]), rng)
+    elsewhere = np.full((40, 4), 9.0)
+    filter_.inject(elsewhere)
+    at = filter_.particles.poses[:, 0]
+    assert (at == 9).sum() == 40
+    counts = [(at == home).sum() for home in range(5)]
+    assert sum(counts) == 60
+    assert min(counts) >= 11
+    np.testing.assert_allclose(filter_.particles.weights, 0.01)
+
+
+def test_at_least_half_stay_and_never_more_than_there_is_room_for(rng):
+    filter_ = filter_of(np.zeros((30, 4)), rng, most=40)
+    filter_.inject(np.ones((500, 4)))
+    stayed = (filter_.particles.poses[:, 0] == 0).sum()
+    assert stayed == 15
+    assert len(filter_.particles) == 40
+
+
+# ------------------------------------------------------------------------------ whole passes
+
+
+def walk(count, step=(0.15, 0.02, 0, 0.08)):
+    """True poses (T, 4) and the steps between them; step 0 is none."""
+    true = [np.array([-1.0, 0.5, 1.6, -0.4])]
+    for _ in range(count - 1):
+        true.append(compose(true[-1], np.array(step)))
+    true = np.array(true)
+    steps = np.zeros((count, 4))
+    steps[1:] = between(true[:-1], true[1:])
+    return true, steps
+
+
+def test_a_pass_follows_the_camera(rng):
+    """From everywhere to the true pose; the particles become few on the way."""
+    true, steps = walk(12)
+    filter_ = filter_of(scattered(rng, 3000), rng, most=3000)
+    run = run_pass(filter_, true, steps, range(12))
+    error = run.modes[0] - true[-1]
+    assert np.linalg.norm(error[:3]) < 0.12
+    assert abs(float(wrap(error[3]))) < 0.1
+    assert run.counts[0] == 3000
+    assert run.counts[-1] < 150
+    assert run.counts[-1] >= FEWEST
+    assert len(run.counts) == 12
+    assert run.particles.weights.sum() == pytest.approx(1)
+    assert run.record == ()
+
+
+def test_without_kld_the_number_stays(rng):
+    true, steps = walk(6)
+    filter_ = filter_of(scattered(rng, 700), rng, replace(OPTIONS, kld=False), most=700)
+    assert run_pass(filter_, true, steps, range(6)).counts == (700,) * 6
+
+
+def test_steps_are_taken_between_frames_not_before_the_first(rng):
+    """A particle that starts right stays right: step t leads from frame t - 1 to frame t."""
+    true, steps = walk(8)
+    still = replace(OPTIONS, motion=MotionNoise(0, 0, 0, 0))
+    filter_ = filter_of(np.tile(true[0], (FEWEST, 1)), rng, still)
+    run = run_pass(filter_, true, steps, range(8))
+    np.testing.assert_allclose(run.particles.poses, np.tile(true[-1], (FEWEST, 1)), atol=1e-12)
+
+
+def test_what_is_recorded(rng):
+    true, steps = walk(5)
+    filter_ = filter_of(scattered(rng, 400), rng, replace(OPTIONS, record=True))
+    run = run_pass(filter_, true, steps, [3, 5, 7, 9, 11])
+    assert [frame for frame, _, _ in run.record] == [3, 5, 7, 9, 11]
+    for (_, poses, weights), count in zip(run.record, run.counts, strict=True):
+        assert poses.shape == (count, 4)
+        assert weights.sum() == pytest.approx(1)
+    np.testing.assert_array_equal(run.record[-1][1], run.particles.poses)
+
+
+def test_progress_and_the_same_seed():
+    true, steps = walk(5)
+    ticks, modes = [], []
+    for _ in range(2):
+        rng = np.random.default_rng(7)
+        filter_ = filter_of(scattered(rng, 500), rng)
+        modes.append(run_pass(filter_, true, steps, range(5), tick=lambda: ticks.append(1)).modes)
+    assert len(ticks) == 10
+    np.testing.assert_array_equal(*modes)
+
+
+def kidnapped(rng, options):
+    """A camera carried 8 m away after frame 9; poses from elsewhere are drawn around the truth."""
+    true, steps = walk(20, step=(0.05, 0, 0, 0))
+    true = true.copy()
+    true[10:, 0] += 8.0
+    asked = []
+
+    def elsewhere(t, count):
+        asked.append((t, count))
+        return true[t] + rng.normal(size=(count, 4)) * SPREAD
+
+    start = true[0] + rng.normal(size=(100, 4)) * SPREAD
+    filter_ = filter_of(start, rng, options, most=200)
+    run = run_pass(filter_, true, steps, range(20), elsewhere)
+    return np.linalg.norm(run.modes[0, :2] - true[-1, :2]), asked, run
+
+
+def test_a_kidnapped_camera_is_found_again(rng):
+    distance, asked, run = kidnapped(rng, OPTIONS)
+    assert distance < 0.2
+    # asked about the frame before that at hand, since all take the step to it
+    assert asked[0] == (10, 21)
+    assert all(count == 21 for _, count in asked)
+    assert max(run.counts) <= 200
+
+
+def test_without_injection_it_stays_lost(rng):
+    distance, asked, _ = kidnapped(rng, replace(OPTIONS, injection=0.0))
+    assert distance > 5
+    assert not asked
+
+
+def test_nothing_is_injected_while_all_is_well(rng):
+    true, steps = walk(12)
+    asked = []
+    filter_ = filter_of(true[0] + rng.normal(size=(200, 4)) * SPREAD, rng)
+    run_pass(filter_, true, steps, range(12), lambda t, n: asked.append((t, n)))
+    assert not asked
+
+
+def test_the_paper_runs_by_the_same_code(rng):
+    """Eq. 2's likelihood, particles at random, and KLD-sampling: Sec. 3.2 to 3.5."""
+    true, steps = walk(10)
+    options = replace(PAPER, likelihood=Likelihood(kind="gaussian"), motion=MotionNoise())
+    filter_ = filter_of(scattered(rng, 8000), rng, options, most=8000)
+    run = run_pass(filter_, true, steps, range(10))
+    assert np.linalg.norm(run.modes[0, :3] - true[-1, :3]) < 0.2
+    assert run.counts[-1] < 300

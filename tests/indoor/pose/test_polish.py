@@ -1,0 +1,206 @@
+"""Modes fitted to a sequence: on likelihoods whose peaks are known, and on a rendered walk."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.geometry import between, compose, split_pose, wrap
+from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.scorer import Scorer
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.motion import level_poses
+from placegraph.indoor.pose.polish import (
+    NARROWEST,
+    SPREAD,
+    Round,
+    covariance_of,
+    polish,
+    probabilities,
+    refine,
+)
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+class Hills:
+    """A scorer whose log-likelihood is the highest of some paraboloids; it counts what it is asked."""
+
+    def __init__(self, *hills):
+        self.hills = hills  # (pose, height, standard deviations)
+        self.asked = []
+
+    def together(self, poses, _views, _steps):
+        self.asked.append(poses.copy())
+        values = []
+        for pose, height, spread in self.hills:
+            error = poses - pose
+            error[:, 3] = wrap(error[:, 3])
+            values.append(height - 0.5 * np.sum((error / spread) ** 2, axis=1))
+        return np.max(values, axis=0)
+
+
+def level(rounds=4, most=6, gap=60.0):
+    return Round([], np.zeros((0, 4)), rounds, most, gap)
+
+
+PEAK = np.array([2.0, -1.0, 1.6, 3.1])  # its yaws lie on both sides of the half turn
+NARROW = np.array([0.02, 0.03, 0.02, 0.01])
+
+
+def error_of(fit, peak=PEAK):
+    error = fit.pose - peak
+    return np.append(error[:3], wrap(error[3]))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 4))
+@settings(max_examples=40)
+def test_a_mode_climbs_its_hill(seed, sharpness):
+    """From a cell of the table to a tenth of it, flat or steep."""
+    rng = np.random.default_rng(seed)
+    spread = SPREAD / 2.0**sharpness
+    hills = Hills((PEAK, 100.0, spread))
+    start = PEAK + rng.uniform(-1.2, 1.2, 4) * SPREAD
+    (fit,) = polish(hills, start[None], [level(), level()], rng)
+    assert np.abs(error_of(fit) / SPREAD).max() < 0.5
+    assert fit.log_likelihood > 98
+    first = hills.together(start[None], None, None)[0]
+    assert fit.log_likelihood >= first
+
+
+def test_fits_are_as_good_as_they_say(rng):
+    hills = Hills((PEAK, 100.0, NARROW))
+    (fit,) = polish(hills, PEAK[None] + SPREAD, [level(), level()], rng)
+    at_pose = hills.together(fit.pose[None], None, None)[0]
+    assert fit.log_likelihood - at_pose <= 1.0
+    assert fit.values.max() == fit.log_likelihood
+    assert len(fit.samples) == len(fit.values)
+    np.testing.assert_allclose(hills.together(fit.samples, None, None), fit.values)
+    assert (fit.spread >= NARROWEST).all()
+    assert (fit.spread < SPREAD).all()
+
+
+def test_the_best_of_several_comes_first(rng):
+    other = np.array([-3.0, 0, 1.6, 0])
+    third = np.array([0.0, 4.0, 1.6, -2.0])
+    hills = Hills((PEAK, 80.0, NARROW), (other, 100.0, NARROW), (third, 70.0, NARROW))
+    starts = np.stack([PEAK, PEAK + 0.05, third, other]) + SPREAD / 2
+    fits = polish(hills, starts, [level(), level()], rng)
+    assert len(fits) == 3  # two starts led to one place
+    for fit, peak, height in zip(fits, (other, PEAK, third), (100, 80, 70), strict=True):
+        assert np.abs(error_of(fit, peak)).max() < 0.06
+        assert fit.log_likelihood == pytest.approx(height, abs=2)
+
+
+def test_places_on_opposite_headings_are_two(rng):
+    turned = PEAK + np.array([0, 0, 0, np.pi])
+    hills = Hills((PEAK, 50.0, NARROW), (turned, 49.0, NARROW))
+    fits = polish(hills, np.stack([turned, PEAK]), [level()], rng)
+    assert len(fits) == 2
+    assert abs(wrap(fits[0].pose[3] - fits[1].pose[3])) > 3
+
+
+def test_hopeless_modes_are_left_but_not_forgotten(rng):
+    """What fell behind is no longer scored, and stays as far behind as it was when it was left."""
+    far = np.array([-3.0, 0, 1.6, 0])
+    hills = Hills((PEAK, 500.0, NARROW), (far, 20.0, NARROW))
+    start = PEAK + SPREAD
+    fits = polish(hills, np.stack([far, start]), [level(gap=60.0), level()], rng)
+    assert [f.log_likelihood > 400 for f in fits] == [True, False]
+    behind = hills.together(start[None], None, None)[0] - 20
+    assert fits[0].log_likelihood - fits[1].log_likelihood == pytest.approx(behind, abs=1e-6)
+    np.testing.assert_array_equal(fits[1].pose, far)
+    near_far = [np.abs(p[:, 0] + 3).min() < 1 for p in hills.asked[1:-1]]
+    assert not any(near_far)
+
+
+def test_only_so_many_modes_take_part(rng):
+    peaks = [np.array([3.0 * i, 0, 1.6, 0]) for i in range(6)]
+    hills = Hills(*((p, 100.0 - i, NARROW) for i, p in enumerate(peaks)))
+    fits = polish(hills, np.stack(peaks), [level(most=2)], rng)
+    assert len(fits) == 6
+    polished = [len(f.samples) > 1 for f in fits]
+    assert polished == [True, True, False, False, False, False]
+    values = [f.log_likelihood for f in fits]
+    assert values == sorted(values, reverse=True)
+
+
+def test_no_rounds_only_score(rng):
+    hills = Hills((PEAK, 10.0, NARROW))
+    (fit,) = polish(hills, PEAK[None] + 0.01, [level(rounds=0)], rng)
+    np.testing.assert_allclose(fit.pose, PEAK + 0.01)
+
+
+def test_the_same_seed():
+    hills = Hills((PEAK, 10.0, NARROW))
+    fits = [
+        polish(hills, PEAK[None] + SPREAD, [level()], np.random.default_rng(4)) for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*(f[0].pose for f in fits))
+
+
+def test_refining_one_pose(rng):
+    hills = Hills((PEAK, 10.0, NARROW))
+    fit = refine(hills, PEAK + NARROW, 2 * NARROW, level(rounds=3), rng)
+    assert np.abs(error_of(fit) / NARROW).max() < 1
+
+
+# ---------------------------------------------------------------------------- probabilities
+
+
+def test_probabilities_by_hand():
+    got = probabilities(np.array([0.0, -np.log(4.0) * 3]), 3.0)
+    np.testing.assert_allclose(got, [0.8, 0.2])
+    assert probabilities(np.array([-5.0]), 2.0).tolist() == [1.0]
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=10).map(np.array), st.floats(0.5, 50))
+def test_probabilities_are_some(values, temperature):
+    got = probabilities(values, temperature)
+    assert got.sum() == pytest.approx(1)
+    assert (got >= 0).all()
+    assert got[values.argmax()] == pytest.approx(got.max(), rel=1e-6)
+    # colder is surer
+    assert probabilities(values, temperature / 2).max() >= got.max() - 1e-9
+
+
+# ------------------------------------------------------------------------------- covariance
+
+
+def test_what_is_badly_known_has_a_large_variance(rng):
+    spread = np.array([0.01, 0.1, 0.02, 0.005])  # along a corridor, say
+    (fit,) = polish(Hills((PEAK, 100.0, spread)), PEAK[None] + 0.02, [level(), level()], rng)
+    covariance = covariance_of(fit)
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    sd = np.sqrt(np.diag(covariance))[[0, 1, 2, 5]]
+    assert sd[1] > 3 * sd[0]
+    # of the order of the likelihood's own: the samples lie about where it is high
+    assert (sd[:3] > 0.5 * np.maximum(spread, NARROWEST)[:3]).all()
+    assert (sd < 4 * np.maximum(spread, 2 * NARROWEST)).all()
+
+
+def test_no_pose_is_known_without_error(rng):
+    (fit,) = polish(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
+    assert (np.diag(covariance_of(fit))[[0, 1, 2, 5]] >= NARROWEST**2).all()
+
+
+# ---------------------------------------------------------------------------- a rendered walk
+
+
+def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
+    """From 20 cm and 3 degrees off, by all cues together."""
+    options = FilterOptions()
+    around = room.visibility(options).background
+    seen = views([sight(f, InstancesEncoder(room), options) for f in walk], 10.0, options, around)
+    poses = level_poses(walk.odometry, walk.gravity)
+    rig = Round(seen, between(poses[-1], poses), 5, 4, 60.0)
+    true = split_pose(truth(walk)[-1])[0]
+    start = compose(true, np.array([0.15, -0.1, 0.05, 0.05]))
+    scorer = Scorer(room, options.likelihood)
+    fits = polish(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
+    assert np.linalg.norm(error_of(fits[0], true)[:3]) < 0.05
+    assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
+    sd = np.sqrt(np.diag(covariance_of(fits[0])))[[0, 1, 2, 5]]
+    assert (sd < [0.15, 0.15, 0.15, 0.1]).all()

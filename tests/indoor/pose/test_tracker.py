@@ -1,0 +1,218 @@
+"""One frame at a time: found, followed, lost, and found again, at a bounded cost a frame."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, pose_matrix, split_pose
+from placegraph.indoor.localize import WINDOW
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.tracker import KEPT, Tracker
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def film(room_world, render):
+    """36 frames through the room."""
+    return render(room_world, "film", 5, through="1323121", frames=36)
+
+
+@pytest.fixture(scope="module")
+def elsewhere(room_world, render):
+    """14 frames on another way through it."""
+    return render(room_world, "elsewhere", 6, through="2131", frames=14)
+
+
+def off(estimate, truth):
+    """Distance [m] and turn [deg] of the best mode."""
+    delta = np.linalg.inv(truth) @ estimate.best.map_from_camera
+    turn = np.arccos(np.clip((np.trace(delta[:3, :3]) - 1) / 2, -1, 1))
+    return np.linalg.norm(delta[:3, 3]), np.rad2deg(turn)
+
+
+def seen(frame, odometry=None, **change):
+    """The same frame in memory."""
+    fields = {
+        "depth": frame.depth(), "depth_camera": frame.depth_camera, "labels": frame.labels(),
+        "label_camera": frame.label_camera, "label_kind": frame.label_kind,
+        "gravity": frame.gravity, "stamp": frame.stamp, "index": frame.index,
+        "odometry": frame.odometry if odometry is None else odometry,
+    }  # fmt: skip
+    return Frame.from_arrays(frame.rgb(), frame.camera, **fields | change)
+
+
+@pytest.fixture(scope="module")
+def followed(room, film):
+    """Tracker, its estimates of the film, and the poses scored for each."""
+    tracker = room.tracker(film.camera, seed=0)
+    estimates, costs = [], []
+    for frame in film:
+        before = tracker.scorer.poses
+        estimates.append(tracker.update(frame))
+        costs.append(tracker.scorer.poses - before)
+    return tracker, estimates, costs
+
+
+def test_a_camera_is_found_and_followed(followed, film, truth):
+    tracker, estimates, _ = followed
+    true = truth(film)
+    first = next(i for i, e in enumerate(estimates) if e.status is Status.OK)
+    assert first < 6
+    assert tracker.following
+    for estimate, pose in zip(estimates, true, strict=True):
+        if estimate.status is Status.OK:
+            distance, turn = off(estimate, pose)
+            assert distance < 0.5
+            assert turn < 10
+    after = [off(e, p)[0] for e, p in zip(estimates[first:], true[first:], strict=True)]
+    assert np.median(after) < 0.08
+    assert np.mean([e.status is Status.OK for e in estimates[first:]]) > 0.8
+
+
+def test_each_estimate_is_of_its_frame(followed, film):
+    _, estimates, _ = followed
+    for frame, estimate in zip(film, estimates, strict=True):
+        assert estimate.frames[-1] == frame.index
+        np.testing.assert_allclose(
+            estimate.trajectory[-1], estimate.best.map_from_camera, atol=1e-12
+        )
+        # the tilt is gravity's, of this frame
+        down = estimate.best.map_from_camera[:3, :3] @ frame.gravity
+        np.testing.assert_allclose(down, (0, 0, -1), atol=1e-9)
+
+
+def test_a_frame_costs_no_more_the_longer_it_runs(followed):
+    tracker, estimates, costs = followed
+    first = next(i for i, e in enumerate(estimates) if e.status is Status.OK)
+    while_followed = [
+        cost for cost, (a, b) in zip(costs[1:], pairwise(estimates), strict=True)
+        if a.status is b.status is Status.OK
+    ]  # fmt: skip
+    assert max(while_followed) <= 3 * np.median(while_followed)
+    assert np.median(while_followed) < np.max(costs[: first + 1])
+    assert len(tracker.keyframes) <= KEPT
+
+
+def test_the_same_seed_gives_the_same_poses(room, film, followed):
+    tracker = room.tracker(film.camera, seed=0)
+    for frame, estimate in zip(film[:8], followed[1], strict=False):
+        again = tracker.update(frame)
+        assert again.status is estimate.status
+        np.testing.assert_array_equal(again.trajectory, estimate.trajectory)
+
+
+@pytest.fixture(scope="module")
+def kidnapped(room, film, elsewhere, truth):
+    """Carried across the room while odometry saw nothing of it: status and distance [m] then."""
+    tracker = room.tracker(film.camera, seed=1)
+    for frame in film[:8]:
+        tracker.update(frame)
+    assert tracker.following
+    # odometry goes on as if the camera had stood still meanwhile; its vertical stays
+    (here, there), _ = split_pose(np.stack([film[7].odometry, elsewhere[0].odometry]))
+    bridge = pose_matrix(here, np.eye(3)) @ np.linalg.inv(pose_matrix(there, np.eye(3)))
+    answers = []
+    for i, (frame, pose) in enumerate(zip(elsewhere, truth(elsewhere), strict=True)):
+        estimate = tracker.update(seen(frame, bridge @ frame.odometry, index=100 + i))
+        answers.append((estimate.status, off(estimate, pose)[0]))
+    return answers
+
+
+def test_a_kidnapped_camera_is_lost_and_found_again(kidnapped):
+    stati = [status for status, _ in kidnapped]
+    assert Status.LOST in stati
+    found = stati.index(Status.LOST) + stati[stati.index(Status.LOST) :].index(Status.OK)
+    assert found < 10
+    assert all(distance < 0.15 for _, distance in kidnapped[found:])
+
+
+def test_a_kidnapped_camera_is_not_ok_at_once(kidnapped):
+    assert all(distance < 0.5 for status, distance in kidnapped if status is Status.OK)
+
+
+def test_a_camera_that_stands_still_is_carried_on(room, film, truth):
+    tracker = room.tracker(film.camera, seed=0)
+    for _ in range(4):
+        estimate = tracker.update(film[0])
+    assert len(tracker.keyframes) == 1
+    if estimate.status is Status.OK:
+        assert off(estimate, truth(film)[0])[0] < 0.5
+
+
+def test_a_camera_that_stands_still_and_is_lost_is_looked_up_again(room, film):
+    """Not in every frame, and not never."""
+    tracker = room.tracker(film.camera, options=FilterOptions().only(colour=True), seed=0)
+    grey = np.full_like(film[0].rgb(), 128)
+    lost = Frame.from_arrays(grey, film.camera, gravity=film[0].gravity)
+    costs = []
+    for _ in range(12):
+        before = tracker.scorer.poses
+        assert tracker.update(lost).status is not Status.OK
+        costs.append(tracker.scorer.poses - before)
+    searches = np.count_nonzero(costs)
+    assert 2 <= searches <= 4
+    assert costs[0] > 0
+
+
+def test_forgetting(room, film):
+    tracker = room.tracker(film.camera, seed=0)
+    for frame in film[:6]:
+        tracker.update(frame)
+    tracker.reset()
+    assert not tracker.following
+    assert len(tracker.keyframes) == 0
+    assert tracker.update(film[20]).modes
+
+
+def test_frames_of_another_camera(room, film):
+    other = Camera(160, 90, 120.0, 120.0, 80.0, 45.0)
+    tracker = room.tracker(other)
+    with pytest.raises(OptionError, match="camera"):
+        tracker.update(film[0])
+
+
+def test_frames_that_show_nothing(room, film):
+    tracker = Tracker(room, film.camera, options=FilterOptions().only(depth=True))
+    bare = Frame.from_arrays(film[0].rgb(), film.camera, gravity=film[0].gravity)
+    with pytest.raises(OptionError, match="nothing to compare"):
+        tracker.update(bare)
+
+
+def test_a_torn_image_changes_nothing(room, film):
+    """The frame is refused, and the next one is answered as if it had never been."""
+
+    class Torn:
+        def rgb(self):
+            raise InputError("rgb/000005.jpg is broken.")
+
+        depth = labels = rgb
+
+    frame = film[5]
+    torn = Frame(*(getattr(frame, name) for name in Frame.__slots__[:-1]), images=Torn())
+    answers = []
+    for broken in (False, True):
+        tracker = room.tracker(film.camera, seed=0)
+        for good in film[:5]:
+            tracker.update(good)
+        if broken:
+            with pytest.raises(InputError, match="000005"):
+                tracker.update(torn)
+        answers.append(tracker.update(film[6]))
+    np.testing.assert_array_equal(*(a.best.map_from_camera for a in answers))
+
+
+def test_long_captures_are_tracked(room, film, truth):
+    """Beyond a window of frames, `localize` follows the camera: every frame has its pose."""
+    assert len(film) > WINDOW
+    estimate = room.localize(film, seed=0)
+    assert estimate.frames.tolist() == list(range(len(film)))
+    true = truth(film)
+    errors = np.linalg.norm(estimate.trajectory[:, :3, 3] - true[:, :3, 3], axis=1)
+    assert np.median(errors) < 0.08
+    assert errors.max() < 0.5
+    assert off(estimate, true[-1])[0] < 0.15

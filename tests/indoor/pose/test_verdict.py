@@ -1,0 +1,142 @@
+"""The status: what makes it worse, what never does, and what it says."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.estimate import PoseMode, Status
+from placegraph.indoor.pose.evidence import Agreement
+from placegraph.indoor.pose.verdict import judge
+
+ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
+GOOD = Agreement(1.0, 0.95, 0.97, 0.5, np.full(8, 5.0), np.full(8, 4.0))
+TOLD = 60.0
+
+
+def modes(*shares, spread=0.05):
+    """Modes of these probabilities, known to `spread` [m] along each axis."""
+    covariance = np.diag([spread**2, spread**2, 0.01, 1e-4, 1e-4, 0.01])
+    return [
+        PoseMode(np.eye(4), np.zeros(4), covariance, share, "flat", np.eye(4)) for share in shares
+    ]
+
+
+def test_all_agrees():
+    answer, reason = judge(GOOD, modes(0.99, 0.01), TOLD)
+    assert answer is Status.OK
+    assert "95% of the labelled patches" in reason
+    assert "97% of the depth readings" in reason
+    assert reason.endswith(".")
+
+
+@pytest.mark.parametrize(
+    "cue",
+    [
+        {"depth": math.nan, "colour": math.nan},
+        {"semantic": math.nan, "colour": math.nan},
+        {"semantic": math.nan},
+        {"colour": math.nan},
+        {"depth": math.nan},
+        {"semantic": math.nan, "depth": math.nan},
+    ],
+)
+def test_fewer_cues_can_be_enough(cue):
+    """Where no more was there to be compared; but all of it at its worst is never enough."""
+    agreed = replace(GOOD, **cue)
+    assert judge(agreed, modes(1.0), TOLD)[0] is Status.OK
+    worst = {
+        name: 0.0 for name in ("semantic", "depth", "colour")
+        if not math.isnan(getattr(agreed, name))
+    }  # fmt: skip
+    assert judge(replace(agreed, **worst), modes(1.0), 0.0)[0] is not Status.OK
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"covered": 0.05}, "map shows only 5%"),
+        ({"semantic": 0.1}, "only 10% of the labelled patches"),
+        ({"depth": 0.3}, "only 30% of the depth readings"),
+        ({"semantic": math.nan, "depth": math.nan, "colour": 0.0}, "colours"),
+        ({"semantic": math.nan, "depth": math.nan, "colour": math.nan}, ""),
+    ],
+)
+def test_what_cannot_be_is_lost(change, says):
+    answer, reason = judge(replace(GOOD, **change), modes(1.0), TOLD)
+    assert answer is Status.LOST
+    assert reason.startswith("Nowhere on the map fits")
+    assert says in reason
+
+
+def test_a_wall_and_a_floor_are_no_place():
+    """Labels alone must be those of several objects: large ones are seen everywhere."""
+    few = np.where(np.arange(8) < 2, 5.0, 0.0)
+    agreed = replace(GOOD, depth=math.nan, colour=math.nan, weights=few)
+    answer, reason = judge(agreed, modes(1.0), TOLD)
+    assert answer is Status.AMBIGUOUS
+    assert "only 2" in reason
+    assert judge(replace(agreed, colour=0.5), modes(1.0), TOLD)[0] is Status.OK
+
+
+def test_rivals_make_it_ambiguous():
+    answer, reason = judge(GOOD, modes(0.55, 0.45), TOLD)
+    assert answer is Status.AMBIGUOUS
+    assert "another place" in reason
+    assert "55%" in reason
+    _, reason = judge(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
+    assert "2 other places" in reason
+
+
+def test_a_place_known_to_a_metre_only_is_not_ok():
+    answer, reason = judge(GOOD, modes(1.0, spread=1.0), TOLD)
+    assert answer is Status.AMBIGUOUS
+    assert "1.4 m" in reason
+
+
+shares = st.floats(0, 1)
+told_weights = st.sampled_from([np.zeros(8), np.full(8, 3.0)])
+maybe = st.one_of(st.just(math.nan), shares)
+
+
+@given(
+    st.builds(
+        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8))
+    ),
+    st.floats(0.01, 1), st.floats(0, 100), st.floats(0.01, 1),
+    st.sampled_from(["covered", "semantic", "depth", "colour", "probability", "told", "spread"]),
+    shares,
+)  # fmt: skip
+def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread, what, more):
+    """Each number raised by itself, the others as they are."""
+    before = judge(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
+    if what == "probability":
+        probability += more * (1 - probability)
+    elif what == "told":
+        told += 100 * more
+    elif what == "spread":
+        spread *= 1 - 0.9 * more
+    else:
+        value = getattr(agreed, what)
+        agreed = replace(agreed, **{what: value + more * (1 - value)})
+    after = judge(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
+    assert ORDER.index(after) >= ORDER.index(before)
+
+
+@given(
+    st.builds(
+        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8))
+    ),
+    st.lists(st.floats(0.001, 1), min_size=1, max_size=6), st.floats(0, 100), st.floats(0.01, 2),
+)  # fmt: skip
+def test_every_verdict_is_one_sentence(agreed, weights, told, spread):
+    weights = sorted(weights, reverse=True)
+    found = modes(*(w / sum(weights) for w in weights), spread=spread)
+    answer, reason = judge(agreed, found, told)
+    assert answer in Status
+    assert reason.endswith(".")
+    assert "nan" not in reason
+    assert reason.split(".")[0]

@@ -1,0 +1,182 @@
+import pickle
+import sys
+import urllib.error
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
+from placegraph.indoor.refine.matching import matcher
+
+torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[xfeat]'")
+feature = pytest.importorskip("kornia.feature", reason="needs kornia: 'placegraph[xfeat]'")
+
+MODES = {"points": {}, "larger": {"scale": 2.0}, "cells": {"dense": True}}
+
+
+@pytest.fixture(scope="module")
+def weights(shared):
+    return shared / "weights/xfeat.pt"
+
+
+@pytest.fixture(scope="module", params=MODES)
+def xfeat(request, weights):
+    return matcher("xfeat", weights=weights, **MODES[request.param])
+
+
+@pytest.mark.parametrize(
+    "homography",
+    [
+        [[1, 0, 12], [0, 1, -7], [0, 0, 1]],
+        [[1, 0, 3.5], [0, 1, 2.25], [0, 0, 1]],
+        [[1.1, 0.05, -9], [-0.04, 0.95, 6], [2e-4, -1e-4, 1]],
+    ],
+)
+def test_a_homography_is_recovered(xfeat, picture, warped, errors, homography):
+    h = np.array(homography, float)
+    (found,) = xfeat.match(picture, [warped(picture, h)])
+    off = errors(found, h)
+    assert len(found) > 150
+    assert np.median(off) < 1.8
+    assert np.mean(off < 4.0) > 0.8
+
+
+def test_points_are_counted_from_the_corner_of_the_first_pixel(xfeat, texture, rng, warped):
+    # were a centre said to lie where its corner is, points of the larger picture would be off
+    picture = texture(rng, 256, 320)
+    for scale in (0.8, 1.25):
+        h = np.diag([scale, scale, 1.0])
+        (found,) = xfeat.match(picture, [warped(picture, h)])
+        off = found.rendered - scale * found.query
+        off = off[np.linalg.norm(off, axis=1) < 4]
+        assert len(off) > 100
+        assert np.abs(off.mean(axis=0)).max() < 0.5
+
+
+def test_sizes_that_the_network_cannot_take_are_resized_and_back(xfeat, texture, rng):
+    picture = texture(rng, 241, 333)
+    wide = picture[:, :301]  # other sizes, other steps
+    (found,) = xfeat.match(picture, [wide])
+    off = found.query - found.rendered
+    assert len(found) > 100
+    assert np.abs(np.median(off, axis=0)).max() < 0.35
+
+
+def test_the_same_again(xfeat, picture, warped):
+    view = warped(picture, np.array([[1, 0, 4.5], [0, 1, 0], [0, 0, 1.0]]))
+    a, b = (xfeat.match(picture, [view])[0] for _ in range(2))
+    assert np.array_equal(a.query, b.query)
+    assert np.array_equal(a.rendered, b.rendered)
+
+
+def test_cells_are_refined_as_kornia_does_it(weights, picture, warped):
+    theirs = feature.XFeat()
+    theirs.net.load_state_dict(torch.load(weights, weights_only=True))
+    theirs.eval()
+    a = np.ascontiguousarray(picture[:224])  # a size that needs no resizing
+    b = warped(a, np.array([[1, 0, 4.5], [0, 1, 2], [0, 0, 1.0]]))
+    tensors = [torch.from_numpy(i).permute(2, 0, 1)[None].float() / 255 for i in (a, b)]
+    (found,) = matcher("xfeat", weights=weights, dense=True, least=-1.0).match(a, [b])
+    with torch.inference_mode():
+        out = [theirs.detectAndComputeDense(t, top_k=4096) for t in tensors]
+        normed = [torch.nn.functional.normalize(o["descriptors"][0], dim=-1) for o in out]
+        rows = theirs._match_mnn(*normed, min_cossim=-1)
+        corners = theirs._refine_matches(*out, matches=[rows], batch_idx=0, fine_conf=0.25).numpy()
+        everywhere = theirs._refine_matches(*out, matches=[rows], batch_idx=0, fine_conf=-1).numpy()
+    scales = np.stack([o["scales"][0][r].numpy() for o, r in zip(out, rows, strict=True)], axis=1)
+    kept = (everywhere[:, None] == corners).all(axis=2).any(axis=1)
+    # kornia speaks of the corner of a cell; its centre is 4 px of the cell's scale away
+    centres = corners + np.repeat(scales[kept] * [5.0, 4.0], 2, axis=1)
+    ours = np.hstack([found.query, found.rendered])
+    assert len(ours) == len(centres) > 100
+    gaps = np.abs(ours[:, None] - centres).max(axis=2)
+    assert gaps.min(axis=0).max() < 1e-2
+    assert gaps.min(axis=1).max() < 1e-2
+
+
+def test_weights_that_are_missing_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.pt does not exist"):
+        matcher("xfeat", weights=tmp_path / "nowhere.pt")
+
+
+class Evil:
+    def __reduce__(self):
+        return (print, ("run",))
+
+
+@pytest.mark.parametrize("content", [b"", b"no weights at all", pickle.dumps(Evil())])
+def test_a_file_that_is_no_weights_is_named(tmp_path, content, capsys):
+    path = tmp_path / "odd.pt"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"odd\.pt cannot be read as weights"):
+        matcher("xfeat", weights=path)
+    assert "run" not in capsys.readouterr().out
+
+
+def test_truncated_weights_are_named(tmp_path, weights):
+    path = tmp_path / "short.pt"
+    path.write_bytes(weights.read_bytes()[:200_000])
+    with pytest.raises(InputError, match=r"short\.pt cannot be read as weights"):
+        matcher("xfeat", weights=path)
+
+
+def test_weights_of_another_network_are_named(tmp_path, weights):
+    path = tmp_path / "other.pt"
+    torch.save({"layer.weight": torch.zeros(3, 3)}, path)
+    with pytest.raises(InputError, match=r"other\.pt holds weights of another network"):
+        matcher("xfeat", weights=path)
+    state = torch.load(weights, weights_only=True)
+    name = next(n for n, t in state.items() if t.ndim == 4)
+    state[name] = torch.zeros(2, 2, 2, 2)
+    torch.save(state, path)
+    with pytest.raises(InputError, match=r"other\.pt holds weights of another network"):
+        matcher("xfeat", weights=path)
+    torch.save([torch.zeros(3)], path)
+    with pytest.raises(InputError, match=r"other\.pt holds no tensors by name"):
+        matcher("xfeat", weights=path)
+
+
+def test_without_a_file_and_a_network_it_says_what_to_do(monkeypatch):
+    def unreachable(*_args, **_kwargs):
+        raise urllib.error.URLError("Name or service not known")
+
+    monkeypatch.setattr("kornia.feature.xfeat.load_state_dict_from_url", unreachable)
+    with pytest.raises(ServiceError, match=r"xfeat\.pt cannot be reached.*weights="):
+        matcher("xfeat")
+
+
+def test_without_a_file_the_weights_come_from_the_hub(monkeypatch, weights, picture):
+    asked = []
+
+    def load(url, **_kwargs):
+        asked.append(url)
+        return torch.load(weights, weights_only=True)
+
+    monkeypatch.setattr("kornia.feature.xfeat.load_state_dict_from_url", load)
+    (found,) = matcher("xfeat").match(picture, [picture])
+    assert len(asked) == 1
+    assert len(found) > 100
+
+
+@pytest.mark.parametrize("module", ["torch", "kornia.feature"])
+def test_without_a_library_it_says_what_to_install(monkeypatch, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=r"placegraph\[xfeat\]"):
+        matcher("xfeat")
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [({"device": "tpu9"}, "tpu9"), ({"scale": 0}, "scale"), ({"least": 3}, "least")],
+)
+def test_options_out_of_range_are_refused(weights, options, named):
+    with pytest.raises(OptionError, match=named):
+        matcher("xfeat", weights=weights, **options)
+
+
+def test_a_missing_gpu_is_not_replaced(weights):
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(OptionError, match="no GPU"):
+        matcher("xfeat", weights=weights, device="cuda")
+    assert matcher("xfeat", weights=weights, device="auto").name == "xfeat"

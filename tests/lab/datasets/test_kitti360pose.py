@@ -1,0 +1,334 @@
+"""KITTI360Pose: from the published layout to our own file, and all the ways it may be spoiled."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, MapError, MapLockedError, OptionError
+from placegraph.store import read_map, write_map, writing
+from placegraph_lab.datasets.kitti360pose import DIRECTIONS, GRAIN, KIND, Kitti360Pose
+from placegraph_lab.datasets.kitti360pose_convert import (
+    COLOURS,
+    convert_kitti360pose,
+    footprint,
+    nearest_colour,
+)
+from placegraph_lab.datasets.kitti360pose_pickle import finished, read_pickle
+
+SYNC = "2013_05_28_drive_{}_sync.pkl"
+
+
+@pytest.fixture(scope="module")
+def folder(kitti360pose_world, tmp_path_factory):
+    return kitti360pose_world.write_set(tmp_path_factory.mktemp("k360") / "k360_tiny")
+
+
+@pytest.fixture(scope="module")
+def out(folder, tmp_path_factory):
+    path = tmp_path_factory.mktemp("out") / "tiny.k360"
+    convert_kitti360pose(folder, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def data(out):
+    return Kitti360Pose.open(out)
+
+
+def test_summary(folder, tmp_path):
+    steps = []
+    found = convert_kitti360pose(folder, tmp_path / "a", progress=lambda *s: steps.append(s))
+    assert found.scenes == ("0000", "0003", "0005", "0009", "0010")
+    assert (found.cells, found.poses, found.hints) == (40, 80, 480)
+    files = (folder / "cells").iterdir()
+    assert found.source_bytes == sum(path.stat().st_size for path in files)
+    assert found.bytes == (tmp_path / "a").stat().st_size < found.source_bytes / 20
+    assert ("0003", 0) in steps
+    assert ("writing", 40) in steps
+
+
+def test_every_field_is_that_of_the_pickles(folder, data):
+    """Compared with what Python's own unpickler reads of drive 0003, to the grain."""
+    first = data.scenes.index("0003") * 8
+    cells = read_pickle(folder / "cells" / SYNC.format("0003"))
+    c, o = data.cells, data.objects
+    for k, record in enumerate(cells):
+        cell = record.fields
+        row = first + k
+        assert (c.ids[row], data.scenes[c.scene[row]]) == (cell["id"], "0003")
+        box = finished(cell["bbox_w"])
+        np.testing.assert_array_equal(c.boxes[row], box)
+        assert c.sizes[row] == cell["cell_size"] == 30.0
+        things = [thing.fields for thing in cell["objects"]]
+        rows = range(*c.objects(row).indices(len(o.ids)))
+        assert len(rows) == len(things)
+        assert c.points[row] == sum(len(finished(t["xyz"])) for t in things)
+        assert c.point_bytes[row] == sum(
+            finished(t["xyz"]).nbytes + finished(t["rgb"]).nbytes for t in things
+        )
+        for i, thing in zip(rows, things, strict=True):
+            xyz = box[:3] + 30.0 * finished(thing["xyz"])
+            assert (o.ids[i], o.instances[i]) == (thing["id"], thing["instance_id"])
+            assert data.labels[o.labels[i]] == thing["label"]
+            rgb = 255.0 * finished(thing["rgb"]).mean(axis=0)
+            np.testing.assert_allclose(o.rgb[i], rgb, atol=0.51)
+            assert data.colours[o.colours[i]] == nearest_colour(rgb)
+            np.testing.assert_allclose(o.centers[i], xyz.mean(axis=0), atol=GRAIN)
+            np.testing.assert_allclose(o.low[i], xyz.min(axis=0), atol=GRAIN)
+            np.testing.assert_allclose(o.high[i], xyz.max(axis=0), atol=2 * GRAIN)
+            ground = o.footprint(i)
+            apart = np.linalg.norm(ground[:, None] - xyz[None, :, :2], axis=2)
+            assert apart.min(axis=1).max() < GRAIN, "each is one of the points"
+            assert apart.min(axis=0).max() < np.sqrt(2) + GRAIN, "and none is far from all"
+
+
+def test_poses_and_what_was_said(folder, data):
+    poses = read_pickle(folder / "poses" / SYNC.format("0010"))
+    first = data.scenes.index("0010") * 16
+    p, h = data.poses, data.hints
+    for k, record in enumerate(poses):
+        pose, row = record.fields, first + k
+        np.testing.assert_array_equal(p.positions[row], finished(pose["pose_w"]))
+        assert data.cells.ids[p.cells[row]] == pose["cell_id"]
+        for i, told in zip(
+            range(*p.hints(row).indices(len(h.labels))), pose["descriptions"], strict=True
+        ):
+            hint = told.fields
+            assert data.labels[h.labels[i]] == hint["object_label"]
+            assert data.colours[h.colours[i]] == hint["object_color_text"]
+            assert DIRECTIONS[h.directions[i]] == hint["direction"]
+            assert h.objects[i] == hint.get("object_id", -1)
+            for column, name in ((h.offsets, "offset_center"), (h.closest, "offset_closest")):
+                np.testing.assert_allclose(column[i], 30.0 * finished(hint[name]), rtol=1e-6)
+
+
+def test_splits(data):
+    cells, poses = data.split("test")
+    assert {data.cells.ids[c][:4] for c in cells} == {"0003", "0005", "0009"}
+    assert (len(cells), len(poses)) == (24, 48)
+    assert [len(x) for x in data.split("validation")] == [8, 16]
+    assert [len(x) for x in data.split("0005")] == [8, 16]
+    with pytest.raises(OptionError, match="no cells and poses of 'nowhere'"):
+        data.split("nowhere")
+
+
+def test_graphs_are_small(data):
+    every = np.arange(40)
+    assert data.graph_bytes(every) < data.cells.point_bytes.sum() / 20
+    assert data.graph_bytes(every[:10]) < data.graph_bytes(every[:20]) < data.graph_bytes(every)
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 5])
+def test_protocols_agree(kitti360pose_world, tmp_path, out, protocol):
+    folder = kitti360pose_world.write_set(tmp_path / "k360_tiny", protocol=protocol)
+    convert_kitti360pose(folder, tmp_path / "a")
+    ours, theirs = (read_map(path, KIND, 1) for path in (tmp_path / "a", out))
+    assert ours.arrays.keys() == theirs.arrays.keys()
+    for name, array in ours.arrays.items():
+        np.testing.assert_array_equal(array, theirs.arrays[name])
+
+
+def test_colours():
+    for name, values in COLOURS.items():
+        for rgb in values:
+            assert nearest_colour(np.array(rgb) + 1.0) == name
+
+
+def test_a_footprint_keeps_points(rng):
+    points = rng.uniform(-3.0, 3.0, (500, 2))
+    kept = footprint(points)
+    assert len(kept) == len({tuple(p) for p in np.floor(points)}) <= 49
+    assert {tuple(p) for p in kept} <= {tuple(p) for p in points}
+
+
+# --- spoiled ---
+
+
+def spoil(where, **changes):
+    """Edit of the first pose, its first description, the first cell, or its first object."""
+
+    def edit(module, cells, poses):
+        things = {
+            "cell": cells[0],
+            "object": cells[0].objects[0],
+            "pose": poses[0],
+            "description": poses[0].descriptions[0],
+        }
+        for name, value in changes.items():
+            if value is None:
+                delattr(things[where], name)
+            else:
+                setattr(things[where], name, value(module) if callable(value) else value)
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (spoil("cell", id=None), ["cells/", "cell 0", "has no id"]),
+        (spoil("cell", id=7), ["cell 0", "id is no text"]),
+        (spoil("cell", id="0003_00001"), ["cell 1", "used before"]),
+        (spoil("cell", bbox_w=np.zeros(6)), ["cell 0", "bbox_w is empty"]),
+        (spoil("cell", bbox_w=np.full(6, np.nan)), ["bbox_w is not finite"]),
+        (spoil("cell", bbox_w=np.zeros(5)), ["bbox_w is of shape (5,)"]),
+        (spoil("cell", cell_size="30"), ["cell_size is not 0-dimensional"]),
+        (spoil("cell", cell_size=-1.0), ["bbox_w is empty"]),
+        (spoil("cell", objects=()), ["objects is no list"]),
+        (spoil("cell", objects=[3]), ["object 0 is no Object3d"]),
+        (spoil("cell", objects=lambda m: [m.Pose()]), ["object 0 is no Object3d"]),
+        (spoil("object", xyz=np.zeros((4, 2))), ["(0003_00000): object 0", "xyz"]),
+        (spoil("object", xyz=np.zeros((0, 3))), ["object 0: xyz is of shape (0, 3)"]),
+        (spoil("object", xyz=np.full((200, 3), np.inf)), ["xyz is not finite"]),
+        (spoil("object", xyz=np.full((4, 3), 1e8), rgb=np.eye(4)[:, :3]), ["xyz is far away"]),
+        (spoil("object", rgb=np.zeros((4, 3))), ["rgb is of 4 points"]),
+        (spoil("object", label=None), ["has no label"]),
+        (spoil("object", instance_id=1.5), ["instance_id is no whole number"]),
+        (spoil("pose", cell_id="0003_99999"), ["poses/", "pose 0", "no cell '0003_99999'"]),
+        (spoil("pose", pose_w=np.zeros(2)), ["pose_w is of shape (2,)"]),
+        (spoil("pose", descriptions=None), ["has no descriptions"]),
+        (spoil("pose", descriptions=[None]), ["description 0 is no DescriptionBestCell"]),
+        (spoil("description", direction="up"), ["direction is 'up', none of north"]),
+        (spoil("description", object_label=3), ["description 0: object_label is no text"]),
+        (spoil("description", offset_center=None), ["has no offset_center"]),
+        (spoil("description", is_matched=None), ["has no is_matched"]),
+    ],
+)
+def test_spoiled_fields_are_named(kitti360pose_world, tmp_path, edit, words):
+    folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003"], edit=edit)
+    with pytest.raises(InputError) as caught:
+        convert_kitti360pose(folder, tmp_path / "a")
+    for word in (*words, "0003_sync.pkl"):
+        assert word in str(caught.value)
+    assert not list(tmp_path.glob("*a*")), "nothing half is left behind"
+
+
+def test_padding_and_pose_cells(kitti360pose_world, tmp_path):
+    def edit(module, cells, poses):
+        pad = kitti360pose_world.made(
+            module.Object3d, id=-1, instance_id=-1, xyz=np.zeros((8, 3)), rgb=np.zeros((8, 3)),
+            label="pad",
+        )  # fmt: skip
+        cells[0].objects.append(pad)
+        told = kitti360pose_world.made(module.DescriptionPoseCell)
+        told.__dict__.update(poses[0].descriptions[0].__dict__)
+        poses[0].descriptions[0] = told
+
+    folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003"], edit=edit)
+    found = convert_kitti360pose(folder, tmp_path / "a")
+    assert found.padding == 1
+    data = Kitti360Pose.open(tmp_path / "a")
+    assert "pad" not in data.labels
+    assert data.hints.objects[0] == -1, "ids of a pose cell are not those of the best cell"
+
+
+def test_folders_that_are_none(kitti360pose_world, tmp_path, out):
+    with pytest.raises(InputError, match="holds no cells"):
+        convert_kitti360pose(tmp_path, tmp_path / "a")
+    folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003", "0005"])
+    lone = folder / "poses" / SYNC.format("0003")
+    lone.rename(folder / "poses" / "0003.pkl")
+    assert convert_kitti360pose(folder, tmp_path / "a").poses == 32, "a short name does"
+    (folder / "poses" / "0003.pkl").unlink()
+    with pytest.raises(InputError, match="poses/ has no file of drive 0003"):
+        convert_kitti360pose(folder, tmp_path / "a")
+    (folder / "poses" / "drive_0005_again.pkl").touch()
+    with pytest.raises(InputError, match="same drive"):
+        convert_kitti360pose(folder, tmp_path / "a")
+    (folder / "poses" / "drive_0005_again.pkl").rename(folder / "poses" / "elsewhere.pkl")
+    with pytest.raises(InputError, match="tells no drive"):
+        convert_kitti360pose(folder, tmp_path / "a")
+    with pytest.raises(MapError, match="kitti360pose map"):
+        read_map(out, "city", 1)
+
+
+def test_one_writer_at_a_time(folder, tmp_path):
+    with writing(tmp_path / "a"), pytest.raises(MapLockedError):
+        convert_kitti360pose(folder, tmp_path / "a")
+
+
+def test_a_failed_conversion_leaves_the_old_file(kitti360pose_world, tmp_path, out):
+    old = tmp_path / "a"
+    old.write_bytes(out.read_bytes())
+    folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003"])
+    path = folder / "poses" / SYNC.format("0003")
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(InputError, match="the file ends here"):
+        convert_kitti360pose(folder, old)
+    assert old.read_bytes() == out.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def small(kitti360pose_world, tmp_path_factory):
+    """Folder of one cell and two poses, to be damaged, and its sound files."""
+    folder = kitti360pose_world.write_set(
+        tmp_path_factory.mktemp("small"), drives=["0003"], n_cells=1
+    )
+    paths = [folder / kind / SYNC.format("0003") for kind in ("cells", "poses")]
+    return folder, {path: path.read_bytes() for path in paths}
+
+
+@given(st.data())
+def test_damage_gives_a_file_or_a_sentence(small, data):
+    folder, files = small
+    path = data.draw(st.sampled_from(list(files)))
+    raw = bytearray(files[path])
+    for _ in range(data.draw(st.integers(1, 3))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(bytes(raw))
+    try:
+        convert_kitti360pose(folder, folder / "out.k360")
+        assert len(Kitti360Pose.open(folder / "out.k360").cells.ids) == 1
+    except InputError as error:
+        assert SYNC.format("0003") in str(error)  # noqa: PT017
+    finally:
+        path.write_bytes(files[path])
+
+
+def test_columns_that_contradict(out, tmp_path):
+    sound = read_map(out, KIND, 1)
+    changes = {
+        "pose_cell": sound.arrays["pose_cell"] + 40,
+        "hint_direction": sound.arrays["hint_direction"] + np.uint8(5),
+        "object_label": sound.arrays["object_label"] + np.uint8(200),
+        "object_counts": sound.arrays["object_counts"][:-1],
+        "footprint_counts": sound.arrays["footprint_counts"] * 0,
+        "cell_box": sound.arrays["cell_box"] * np.nan,
+        "hint_offset": sound.arrays["hint_offset"][:, :1],
+        "pose_scene": sound.arrays["pose_scene"][:3],
+    }
+    for name, array in changes.items():
+        write_map(tmp_path / "a", KIND, 1, sound.meta, sound.arrays | {name: array})
+        with pytest.raises(MapError, match="contradict"):
+            Kitti360Pose.open(tmp_path / "a")
+    write_map(tmp_path / "a", KIND, 1, {}, sound.arrays)
+    with pytest.raises(MapError, match="contradict"):
+        Kitti360Pose.open(tmp_path / "a")
+
+
+# --- the command ---
+
+
+def test_the_command(run, folder, tmp_path):
+    out = tmp_path / "a.k360"
+    told = run("city", "convert-kitti360pose", folder, "-o", out)
+    assert (told.code, told.err) == (0, "")
+    assert told.out.startswith(f"{out}: 40 cells with ")
+    assert "80 poses of the drives 0000, 0003, 0005, 0009, 0010." in told.out
+    as_json = run("city", "convert-kitti360pose", folder, "-o", out, "--json").json
+    assert (as_json["cells"], as_json["bytes"]) == (40, out.stat().st_size)
+    silent = run("city", "convert-kitti360pose", folder, "-o", out, "--quiet")
+    assert (silent.code, silent.out, silent.err) == (0, "", "")
+
+
+def test_the_command_refuses(run, folder, tmp_path):
+    for arguments, code, word in (
+        ([tmp_path, "-o", tmp_path / "a"], 3, "holds no cells"),
+        ([folder, "-o", tmp_path / "no" / "a"], 4, "cannot be written"),
+        ([folder, "-o", tmp_path], 4, "not a plain file"),
+    ):
+        failed = run("city", "convert-kitti360pose", *arguments)
+        assert (failed.code, failed.out) == (code, "")
+        assert failed.err.startswith("placegraph: ")
+        assert word in failed.err

@@ -1,0 +1,196 @@
+"""Splits of 3RScan and its cross-temporal pairs, of a tiny 3RScan.json and its lists."""
+
+import io
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.dataset.scan3r_rooms import read_rooms
+from placegraph_lab.datasets.scan3r_pairs import (
+    candidates,
+    cross_temporal_pairs,
+    pair_windows,
+    scan_folder,
+    split_rooms,
+)
+
+
+def transform(yaw, x, y):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0.1], [0, 0, 0, 1]])
+
+
+ROOMS = {  # room: type, yaws of its rescans (None: kept back)
+    "a0-x": ("train", [0.5]),
+    "b0-x": ("validation", [0.1, 0.2, 0.3]),
+    "c0-x": ("validation", [1.0]),
+    "d0-x": ("validation", [2.0]),
+    "e0-x": ("validation", []),
+    "f0-x": ("test", [None]),
+}
+
+
+@pytest.fixture
+def rooms(tmp_path):
+    content = []
+    for room, (kind, yaws) in ROOMS.items():
+        scans = []
+        for i, yaw in enumerate(yaws, 1):
+            scan = {"reference": f"{room[0]}{i}-x"}
+            if yaw is not None:
+                matrix = transform(yaw, i, -i)
+                scan |= {"transform": matrix.T.ravel().tolist(), "removed": [4] if i == 2 else []}
+            scans.append(scan)
+        content.append({"reference": room, "type": kind, "scans": scans})
+    path = tmp_path / "3RScan.json"
+    path.write_text(json.dumps(content))
+    return read_rooms(path)
+
+
+def named(split):
+    return {name: [room.reference for room in found] for name, found in split.items()}
+
+
+def test_the_rule(rooms):
+    """Rooms of 3RScan's validation with the fewest scans stay it, the others are the test."""
+    assert named(split_rooms(rooms, validation_rooms=2)) == {
+        "train": ["a0-x"],
+        "validation": ["c0-x", "e0-x"],
+        "test": ["b0-x", "d0-x"],
+    }
+    everything = split_rooms(rooms)
+    assert len(everything["validation"]) == 4
+    assert not everything["test"]
+
+
+def test_lists_win(rooms, tmp_path):
+    (tmp_path / "val_resplit_scans.txt").write_text("b0-x\n")
+    (tmp_path / "test_resplit_scans.txt").write_text("# rescans name their room, too\nd1-x\nc0-x\n")
+    assert named(split_rooms(rooms, tmp_path)) == {
+        "train": ["a0-x"],
+        "validation": ["b0-x"],
+        "test": ["c0-x", "d0-x"],
+    }
+    own = tmp_path / "mine.txt"
+    own.write_text("d0-x\nd1-x\n")
+    assert named(split_rooms(rooms, {"test": own}))["test"] == ["d0-x"]
+
+
+def test_lists_that_cannot_be(rooms, tmp_path):
+    with pytest.raises(InputError, match=r"has none of train_resplit_scans\.txt"):
+        split_rooms(rooms, tmp_path)
+    own = tmp_path / "mine.txt"
+    own.write_text("\n")
+    with pytest.raises(InputError, match="names no scan"):
+        split_rooms(rooms, {"test": own})
+    own.write_text("zz\n")
+    with pytest.raises(InputError, match=r"mine\.txt: .*knows no scan 'zz'"):
+        split_rooms(rooms, {"test": own})
+    own.write_text("d0-x\n")
+    with pytest.raises(InputError, match="both name the room d0-x"):
+        split_rooms(rooms, {"test": own, "validation": own})
+    with pytest.raises(OptionError, match="no splits"):
+        split_rooms(rooms, {"val": own})
+    with pytest.raises(OptionError, match="validation_rooms"):
+        split_rooms(rooms, validation_rooms=-1)
+
+
+def test_pairs(rooms):
+    left_out = Counter()
+    pairs = cross_temporal_pairs(rooms.rooms, left_out=left_out)
+    assert len(pairs) == 2 + 4 * 3 + 2 + 2
+    assert all(pair.map != pair.query for pair in pairs)
+    assert {(p.map[0], p.query[0]) for p in pairs} == {(r, r) for r in "abcd"}
+    assert left_out == {"rooms with a single scan": 2, "scans whose alignment is kept back": 1}
+    assert {p.name: p.changed for p in pairs if p.room == "b0-x"} == {
+        f"b{q} in b{m}": 2 in {q, m} for q in range(4) for m in range(4) if q != m
+    }
+    reference = cross_temporal_pairs(rooms.rooms, "reference")
+    assert [(p.query, p.map) for p in reference[:3]] == [
+        ("a1-x", "a0-x"), ("b1-x", "b0-x"), ("b2-x", "b0-x"),
+    ]  # fmt: skip
+    with pytest.raises(OptionError, match="rng"):
+        cross_temporal_pairs(rooms.rooms, "one")
+    with pytest.raises(OptionError, match="which"):
+        cross_temporal_pairs(rooms.rooms, "two")
+
+
+def test_points_of_the_room_agree(rooms):
+    """What a pair aligns lies in one place of the reference by either way."""
+    for pair in cross_temporal_pairs(rooms.rooms):
+        direct = rooms.reference_from(pair.map) @ pair.map_from_query
+        assert np.allclose(direct, rooms.reference_from(pair.query))
+    (pair,) = (p for p in cross_temporal_pairs(rooms.rooms, "reference") if p.query == "c1-x")
+    assert np.allclose(pair.map_from_query, transform(1.0, 1, -1))
+
+
+@given(seed=st.integers(0, 1000))
+def test_one_drawn_pair_a_scan(seed):
+    from placegraph.formats.dataset.scan3r_rooms import Room, Scan
+
+    room = Room("r", "test", tuple(Scan(i, np.eye(4)) for i in "rstu"))
+    pairs = cross_temporal_pairs([room], "one", rng=np.random.default_rng(seed))
+    again = cross_temporal_pairs([room], "one", rng=np.random.default_rng(seed))
+    assert [p.query for p in pairs] == list("rstu")
+    assert all(p.map != p.query for p in pairs)
+    assert [p.map for p in pairs] == [p.map for p in again]
+
+
+def test_candidates(rooms):
+    pair = cross_temporal_pairs(rooms.rooms)[0]
+    found = candidates(pair, rooms.rooms, 5, np.random.default_rng(0))
+    assert len(found) == len(set(found)) == 5
+    assert pair.map in found
+    assert not [scan for scan in found if scan != pair.map and scan.startswith("a")]
+    everything = candidates(pair, rooms.rooms, 50, np.random.default_rng(0))
+    assert len(everything) == 1 + 4 + 2 + 2 + 1 + 2
+    with pytest.raises(OptionError, match="count"):
+        candidates(pair, rooms.rooms, 0, np.random.default_rng(0))
+
+
+def write_sequence(folder, poses):
+    folder.mkdir(parents=True)
+    intrinsics = "20 0 11.5 0 0 20 7.5 0 0 0 1 0 0 0 0 1"
+    lines = [
+        f"m_{kind}{side} = {n}"
+        for kind in ("color", "depth")
+        for side, n in (("Width", 24), ("Height", 16))
+    ]
+    lines += [f"m_calibration{kind}Intrinsic = {intrinsics}" for kind in ("Color", "Depth")]
+    (folder / "_info.txt").write_text("\n".join([*lines, f"m_frames.size = {len(poses)}"]))
+    for i, pose in enumerate(poses):
+        file = io.BytesIO()
+        Image.new("RGB", (24, 16)).save(file, "JPEG")
+        (folder / f"frame-{i:06d}.color.jpg").write_bytes(file.getvalue())
+        np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose)
+
+
+def test_windows(rooms, tmp_path):
+    lying = np.array([[0, 0, 1, 0.0], [0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    lying[:3, 1] = np.cross(lying[:3, 2], lying[:3, 0])
+    poses = [transform(0.1 * i, 0.2 * i, 0.3) @ lying for i in range(23)]
+    poses[3] = np.full((4, 4), -np.inf)
+    write_sequence(tmp_path / "scenes" / "c1-x" / "sequence", poses)
+    (pair,) = (p for p in cross_temporal_pairs(rooms.rooms) if p.query == "c1-x")
+    windows = pair_windows(tmp_path, pair, 5, np.random.default_rng(0), every=2)
+    assert [[f.index for f in w.capture] for w in windows] == [
+        [0, 2, 4, 6, 8],
+        [10, 12, 14, 16, 18],
+    ]
+    for window in windows:
+        last = window.capture[-1].index
+        assert np.allclose(window.truth[:3, 3], (transform(1.0, 1, -1) @ poses[last])[:3, 3])
+        assert np.allclose(window.capture[0].odometry[:3, 3], 0)  # nothing of the truth is left
+        assert window.changed is False
+        moved = window.capture[-1].odometry[:3, 3] - window.capture[0].odometry[:3, 3]
+        assert np.linalg.norm(moved) == pytest.approx(1.6, abs=0.2)
+    with pytest.raises(OptionError, match="every"):
+        pair_windows(tmp_path, pair, 5, np.random.default_rng(0), every=0)
+    with pytest.raises(InputError, match="holds no scan c0-x"):
+        scan_folder(tmp_path, "c0-x")

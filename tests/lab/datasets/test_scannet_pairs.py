@@ -1,0 +1,163 @@
+"""Pairs of ScanNet's scans, and queries of one in the map of the other."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.dataset.sens import read_sens
+from placegraph.geometry import rotation_z
+from placegraph_lab.datasets.scannet_pairs import (
+    ScanPair,
+    derive_pairs,
+    pair_windows,
+    read_pairs,
+    scans_in,
+    true_poses,
+)
+from placegraph_lab.tables.indoor.windows import sampled
+
+FOUND = ["scene0001_00", "scene0002_00", "scene0001_01", "scene0001_03", "scene0010_00"]
+MAP_FROM_QUERY = np.eye(4)
+MAP_FROM_QUERY[:3, :3] = rotation_z(np.pi / 2)
+MAP_FROM_QUERY[:3, 3] = (2.0, 0.5, 0.0)
+
+
+def named(pairs):
+    return [(pair.map[5:], pair.query[5:]) for pair in pairs]
+
+
+def test_scans_are_subfolders_or_words_of_a_list(tmp_path):
+    for name in (*FOUND, "scans_test", "scene1_00"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "scene0003_00").write_text("a file")
+    assert scans_in(tmp_path) == sorted(FOUND)
+    (tmp_path / "val.txt").write_text("scene0001_01\nscene0001_00\n\nscene0001_00\n")
+    assert scans_in(tmp_path / "val.txt") == ["scene0001_00", "scene0001_01"]
+    (tmp_path / "none.txt").write_text("office\n")
+    for path in (tmp_path / "none.txt", tmp_path / "scene0001_00", tmp_path / "gone"):
+        with pytest.raises(InputError, match=path.name):
+            scans_in(path)
+
+
+def test_pairs_are_of_one_room_and_of_different_scans():
+    assert named(derive_pairs(FOUND)) == [("0001_00", "0001_01"), ("0001_00", "0001_03")]
+    assert named(derive_pairs(FOUND, "next")) == [("0001_00", "0001_01"), ("0001_01", "0001_03")]
+    assert len(derive_pairs(FOUND, "all")) == 6
+    assert derive_pairs(FOUND)[0].name == "scene0001_01 in scene0001_00"
+    assert derive_pairs([]) == []
+
+
+@pytest.mark.parametrize("wrong", [["scene1_00"], ["scene0001"], [""]])
+def test_names_that_are_none_of_scannet_s_are_refused(wrong):
+    with pytest.raises(OptionError, match="is no scan of ScanNet"):
+        derive_pairs(wrong)
+    with pytest.raises(OptionError, match="which is 'last'"):
+        derive_pairs(FOUND, "last")
+
+
+@given(
+    st.sets(
+        st.builds("scene{:04d}_{:02d}".format, st.integers(0, 4), st.integers(0, 4)),
+    ),
+    st.sampled_from(["first", "next", "all"]),
+)
+def test_whatever_lies_there_no_pair_is_wrong_and_none_missing(scans, which):
+    pairs = derive_pairs(scans, which)
+    rooms = [sum(s.startswith(r) for s in scans) for r in {s[:9] for s in scans}]
+    count = {"all": sum(n * (n - 1) for n in rooms)}.get(which, sum(n - 1 for n in rooms))
+    assert len({(p.map, p.query) for p in pairs}) == len(pairs) == count
+    assert all(p.map[:9] == p.query[:9] and p.map != p.query for p in pairs)
+    assert {p.map for p in pairs} | {p.query for p in pairs} <= scans
+
+
+def test_pairs_are_read_with_what_registers_them(tmp_path):
+    numbers = " ".join(f"{v:.6f}" for v in MAP_FROM_QUERY.ravel())
+    path = tmp_path / "pairs.txt"
+    path.write_text(
+        f"# mine\nscene0001_00 scene0001_01\n\nscene0001_01 scene0001_00 {numbers} # icp\n"
+    )
+    plain, registered = read_pairs(path)
+    assert plain.map_from_query is None
+    assert (registered.map, registered.query) == ("scene0001_01", "scene0001_00")
+    np.testing.assert_allclose(registered.map_from_query, MAP_FROM_QUERY, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("scene0001_00", "line 2: 1 words"),
+        ("scene0001_00 scene0001_00", "not two scans of one room"),
+        ("scene0001_00 scene0002_00", "not two scans of one room"),
+        ("office scene0002_00", "'office' is no scan"),
+        ("scene0001_00 scene0001_01 " + "1 " * 16, "no rigid transform"),
+        ("scene0001_00 scene0001_01 " + "a " * 16, "could not convert"),
+    ],
+)
+def test_a_wrong_line_is_named(tmp_path, line, message):
+    (tmp_path / "pairs.txt").write_text(f"# mine\n{line}\n")
+    with pytest.raises(InputError, match=message):
+        read_pairs(tmp_path / "pairs.txt")
+    (tmp_path / "pairs.txt").write_text("# mine\n")
+    with pytest.raises(InputError, match="holds no pair"):
+        read_pairs(tmp_path / "pairs.txt")
+
+
+# ---------------------------------------------------------------------------------------- queries
+
+
+@pytest.fixture
+def scans(scannet_world, tmp_path):
+    """`scans/` with a query of 23 frames, of which two were not tracked."""
+    scan = scannet_world.Scan(tmp_path / "scene0001_01", name="scene0001_01")
+    recording = scannet_world.Recording(count=23, lost=(3, 4))
+    recording.write_sens(scan.file(".sens"))
+    scan.recording = recording
+    return scan
+
+
+PAIR = ScanPair("scene0001_00", "scene0001_01", MAP_FROM_QUERY)
+
+
+def test_queries_go_by_the_numbers_of_the_images(scans):
+    capture = read_sens(scans.folder)
+    assert [frame.index for frame in sampled(capture, 5)] == [0, 5, 10, 15, 20]
+    assert [frame.index for frame in sampled(capture, 4)] == [0, 8, 12, 16, 20]
+    assert len(sampled(capture, 25)) == 1
+    with pytest.raises(OptionError, match="every is 0"):
+        sampled(capture, 0)
+
+
+def test_the_truth_is_that_of_the_aligned_map(scans, scannet_world):
+    capture = read_sens(scans.folder)
+    truth = true_poses(capture, scans.folder, PAIR)
+    query_from_scan = np.linalg.inv(scannet_world.SCAN_FROM_MAP)
+    expected = MAP_FROM_QUERY @ query_from_scan @ scans.recording.poses[10]
+    np.testing.assert_allclose(truth[8], expected, atol=1e-5)
+    with pytest.raises(OptionError, match="does not register scans"):
+        true_poses(capture, scans.folder, ScanPair(PAIR.map, PAIR.query))
+
+
+def test_windows_hold_no_truth(scans, rng):
+    windows = pair_windows(scans.folder.parent, PAIR, 5, rng, every=2)
+    assert [w.name for w in windows] == [
+        "scene0001_01 in scene0001_00 0:11:2", "scene0001_01 in scene0001_00 12:21:2",
+    ]  # fmt: skip
+    truth = true_poses(read_sens(scans.folder), scans.folder, PAIR)
+    for window, last in zip(windows, (10, 20), strict=True):
+        np.testing.assert_allclose(window.truth, truth[last - 2])
+        poses = window.capture.odometry
+        np.testing.assert_allclose(poses[0][:3, 3], 0.0, atol=1e-12)
+        true = scans.recording.poses[[frame.index for frame in window.capture]]
+        moved = np.linalg.norm(poses[-1, :3, 3]), np.linalg.norm(true[-1, :3, 3] - true[0, :3, 3])
+        assert moved[0] == pytest.approx(moved[1], rel=0.1)
+        assert abs(moved[0] - moved[1]) > 1e-6  # it drifts
+        np.testing.assert_allclose(window.capture.gravity, [[0, 1, 0]] * 5, atol=0.02)
+        assert np.abs(window.capture.gravity[:, 0]).max() > 1e-4  # a sensor's, not the truth's
+        np.testing.assert_array_equal(
+            window.capture[0].rgb(), scans.recording.colour[window.capture[0].index]
+        )
+    assert pair_windows(scans.folder.parent, PAIR, 5, rng) == []
+    with pytest.raises(OptionError, match="length is 0"):
+        pair_windows(scans.folder.parent, PAIR, 0, rng)

@@ -1,0 +1,95 @@
+"""Two scans of a room find to each other, or nobody pretends that they did."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from placegraph.formats.mesh.model import Model, Picture, Thing
+from placegraph.geometry import rotation_z
+from placegraph.indoor.mapping.build import build_scene, scene_of_model
+from placegraph_lab.datasets.scannet_register import register_scans
+from placegraph_lab.worlds.flat.flat import Flat
+
+LEGEND = """
+[legend]
+1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
+S sofa: look=fabric darkred
+B shelf: label=bookcase height=2.1
+T table: label=desk look=wood burlywood
+C cabinet: label=sideboard height=0.8 look=wood peru
+"""
+HEAD = """
+[flat]
+name = Room
+height = 2.6
+[drawing]
+"""
+BEFORE = """
+##########====######
+#SSS           BBBB#
+#SSS               #
+#SSS          1    #
+#                  #
+#         TTT      #
+#         TTT      :
+#CCCCCC            #
+####################
+"""
+AFTER = """
+##########====######
+#              BBBB#
+#                  #
+#             1    #
+#           SSSS   #
+#       TTT SSSS   #
+#       TTT        :
+#CCCCCC            #
+####################
+"""
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("room")
+    found = []
+    for name, drawing in (("before", BEFORE), ("after", AFTER)):
+        interior = Flat.parse(HEAD + drawing.strip() + LEGEND).furnish(np.random.default_rng(1))
+        interior.write_glb(folder / f"{name}.glb")
+        found.append(build_scene(folder / f"{name}.glb", None))
+    return found
+
+
+def test_a_room_with_furniture_moved_is_found_again(scans, rng):
+    before, after = scans
+    map_from_query = np.eye(4)
+    map_from_query[:3, :3] = rotation_z(np.pi / 2 + 0.02)  # alignments err by a degree
+    map_from_query[:2, 3] = (-7.0, 4.0)
+    inverse = np.linalg.inv(map_from_query)
+    points = after.mesh.vertices @ inverse[:3, :3].T + inverse[:3, 3]
+    points += rng.normal(0.0, 0.005, points.shape)
+    query = replace(after, mesh=replace(after.mesh, vertices=points.astype(np.float32)))
+    found = register_scans(before, query, rng)
+    error = np.linalg.inv(map_from_query) @ found
+    assert np.linalg.norm(error[:3, 3]) < 0.03
+    assert np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1))) < 0.5
+
+
+def test_an_empty_square_room_does_not_say_how_it_is_turned(rng):
+    corners = np.array([(x, y, z) for x in (0, 4) for y in (0, 4) for z in (0, 2.5)], np.float64)
+    quads = [(0, 4, 6, 2), (0, 1, 5, 4), (4, 5, 7, 6), (6, 7, 3, 2), (2, 3, 1, 0)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    model = Model(
+        path=Path("box.ply"),
+        things=(Thing("0", "floor"), Thing("1", "wall")),
+        vertices=corners,
+        triangles=triangles,
+        thing_of=np.array([0, 0] + [1] * 8),
+        colours=np.full((8, 3), 200, np.uint8),
+        uv=np.zeros((8, 2)),
+        picture_of=np.zeros(10, np.int64),
+        pictures=(Picture(None),),
+    )
+    box = scene_of_model(model)
+    assert register_scans(box, box, rng) is None

@@ -1,0 +1,57 @@
+"""Meshes of a given number of triangles."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
+
+
+def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
+    """Square of n x n quads over [0, size]^2."""
+    x, y = (a.ravel() for a in np.meshgrid(*[np.linspace(0, size, n + 1)] * 2, indexing="ij"))
+    points = np.stack([x, y, height(x, y)], axis=1)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    b, c, d = a + n + 1, a + n + 2, a + 1
+    return points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def area(points, triangles):
+    a, b, c = np.moveaxis(points[triangles].astype(float), 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def test_a_target_must_be_one_or_more():
+    with pytest.raises(OptionError, match="at least 1"):
+        decimate(*sheet(2), 0)
+
+
+def test_coarse_meshes_are_painted_as_the_surface_is(rng):
+    points, triangles = sheet(16)
+    texture = np.zeros((1, 2, 3), np.uint8)
+    texture[0, 0], texture[0, 1] = (200, 40, 0), (0, 40, 200)
+    row = np.zeros(len(triangles), np.int32)
+    uv = (points[:, :2] / 2.0 * 0.999).astype(np.float32)
+    colours = np.full((len(points), 3), 255, np.uint8)
+    textured = Mesh(
+        points.astype(np.float32), triangles.astype(np.int32), row, colours, uv, row, (texture,)
+    )
+    mesh = coarse(textured, 60, rng)
+    assert len(mesh) <= 60
+    left = mesh.vertices[:, 0] < 0.5
+    right = mesh.vertices[:, 0] > 1.5
+    assert np.abs(mesh.colours[left].astype(int) - (200, 40, 0)).max() <= 1
+    assert np.abs(mesh.colours[right].astype(int) - (0, 40, 200)).max() <= 1
+
+
+def test_finer_meshes_are_the_same_surface():
+    points, triangles = sheet(2)
+    mesh = Mesh.plain(points, triangles, np.arange(8), np.full((9, 3), 90, np.uint8))
+    cut = fine(mesh, 50)
+    assert 50 <= len(cut) <= 52
+    assert area(cut.vertices, cut.triangles) == pytest.approx(4.0, abs=1e-5)
+    assert (cut.normals()[:, 2] > 0).all()
+    assert (cut.colours == 90).all()
+    shares = np.bincount(cut.object_of, np.linalg.norm(cut.normals(), axis=1) / 2)
+    assert shares == pytest.approx(0.5, abs=1e-5)

@@ -1,0 +1,143 @@
+"""Labels that are wrong as often as said, and wrong in the same way every time."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.encode import Encoder, MapEncoder, Patches
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels, mislabel
+
+CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)
+
+
+def patches(rows, count=5):
+    table = np.eye(count, 7, dtype=np.float32)
+    return Patches(CAMERA, (1, len(rows)), np.array(rows, np.int32), table)
+
+
+class Fixed:
+    """An encoder that says the same of every frame."""
+
+    def __init__(self, said):
+        self.said = said
+
+    def encode(self, frame):  # noqa: ARG002
+        return self.said
+
+
+def frame(index):
+    return SimpleNamespace(index=index)
+
+
+def test_as_many_are_wrong_as_said_and_all_others_equally_often(rng):
+    clean = patches([3] * 40_000)
+    noisy = mislabel(clean, 0.3, rng)
+    assert noisy.table is clean.table
+    assert noisy.rows.dtype == np.int32
+    share = np.bincount(noisy.rows, minlength=5) / 40_000
+    assert share[3] == pytest.approx(0.7, abs=0.01)
+    assert share[[0, 1, 2, 4]] == pytest.approx(0.075, abs=0.006)
+
+
+def test_what_says_nothing_goes_on_saying_nothing(rng):
+    assert (mislabel(patches([-1] * 500), 1.0, rng).rows == -1).all()
+    assert (mislabel(patches([2] * 500), 1.0, rng).rows != 2).all()
+    assert (mislabel(patches([2] * 500), 0.0, rng).rows == 2).all()
+    assert (mislabel(patches([0] * 500, count=1), 1.0, rng).rows == 0).all()  # no other to say
+
+
+def test_a_frame_errs_alike_whenever_it_is_encoded():
+    clean = patches(np.arange(500) % 5)
+    noisy = NoisyEncoder(Fixed(clean), seed=1, name="seq00")
+    assert isinstance(noisy, MapEncoder)
+    first = noisy.encode(frame(7)).rows
+    other = noisy.encode(frame(8)).rows
+    assert (noisy.encode(frame(7)).rows == first).all()
+    assert (NoisyEncoder(Fixed(clean), seed=1, name="seq00").encode(frame(7)).rows == first).all()
+    elsewhere = NoisyEncoder(Fixed(clean), seed=1, name="seq01").encode(frame(7)).rows
+    again = NoisyEncoder(Fixed(clean), seed=2, name="seq00").encode(frame(7)).rows
+    for rows in (other, elsewhere, again):
+        both = (rows != clean.rows) & (first != clean.rows)
+        assert both.mean() == pytest.approx(0.09, abs=0.05)  # independent
+
+
+def test_no_labels_are_no_labels():
+    assert NoisyEncoder(Fixed(None)).encode(frame(0)) is None
+    with pytest.raises(OptionError, match="share"):
+        NoisyEncoder(Fixed(None), 1.2)
+
+
+# -------------------------------------------------------------------- encoders that know no map
+
+NAMES = {0: "chair", 1: "desk", 2: "floor", 3: "elephant", 4: "unknown"}
+VOCABULARY = ("chair", "desk", "floor", "sofa", "couch", "unknown")
+
+
+def labelled(value, index=0):
+    """A frame that shows one label in all its 4096 pixels, each a patch."""
+    return Frame.from_arrays(
+        np.zeros((64, 64, 3), np.uint8), Camera(64, 64, 50.0, 50.0, 32.0, 32.0),
+        labels=np.full((64, 64), value), label_names=NAMES, index=index,
+    )  # fmt: skip
+
+
+def said(noisy, value, index=0):
+    """How often each word of the vocabulary and the label itself is said, as shares."""
+    got = noisy.patches(labelled(value, index)).reshape(-1, noisy.dimension)
+    words = [*VOCABULARY[:4], NAMES[value]]
+    return {w: float((got @ noisy.encoder.vector(w) > 0.999).mean()) for w in words}
+
+
+@pytest.mark.parametrize("value", [0, 1, 2])
+def test_labels_err_to_all_others_of_the_vocabulary_equally_often(value):
+    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 0.3, seed=3)
+    assert isinstance(noisy, Encoder)
+    got = said(noisy, value)
+    assert got.pop(NAMES[value]) == pytest.approx(0.7, abs=0.03)
+    # four labels: a sofa is a couch, and what is unknown is no label
+    assert list(got.values()) == pytest.approx([0.1] * 3, abs=0.02)
+
+
+def test_labels_that_the_vocabulary_lacks_err_too():
+    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 0.4)
+    got = said(noisy, 3)
+    assert got.pop("elephant") == pytest.approx(0.6, abs=0.03)
+    assert list(got.values()) == pytest.approx([0.1] * 4, abs=0.02)
+
+
+def test_labels_that_say_nothing_go_on_saying_nothing():
+    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 1.0)
+    assert not noisy.patches(labelled(4)).any()
+    assert not noisy.patches(labelled(-1)).any()
+    bare = Frame.from_arrays(np.zeros((8, 8, 3), np.uint8), Camera(8, 8, 5.0, 5.0, 4.0, 4.0))
+    assert noisy.patches(bare) is None
+
+
+def test_labels_err_alike_whenever_they_are_encoded():
+    clean = LabelsEncoder((64, 64))
+    noisy = NoisyLabels(clean, VOCABULARY, seed=1, name="seq00")
+    first = noisy.patches(labelled(0, 7))
+    assert (noisy.patches(labelled(0, 7)) == first).all()
+    for other, index in ((noisy, 8), (NoisyLabels(clean, VOCABULARY, seed=1, name="x"), 7)):
+        assert (other.patches(labelled(0, index)) != first).any()
+
+
+def test_objects_are_told_without_noise():
+    room = SimpleNamespace(graph=SimpleNamespace(labels=("chair", "desk")))
+    clean = LabelsEncoder()
+    noisy = NoisyLabels(clean, room.graph.labels, 1.0)
+    assert (noisy.objects(room) == clean.objects(room)).all()
+    assert (noisy.key, noisy.temperature) == (clean.key, clean.temperature)
+
+
+def test_noise_needs_labels_to_choose_from():
+    for vocabulary in ([], ["chair"], ["sofa", "couch"], ["chair", "unknown"]):
+        with pytest.raises(OptionError, match="two labels"):
+            NoisyLabels(LabelsEncoder(), vocabulary)
+    with pytest.raises(OptionError, match="share"):
+        NoisyLabels(LabelsEncoder(), VOCABULARY, -0.1)

@@ -1,0 +1,77 @@
+"""Maps of the indoor benchmark: made once, made anew when the code that makes them changes."""
+
+import numpy as np
+import pytest
+
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor.maps import coarse_house, house, office, with_mesh
+
+
+def box(low, high):
+    """Corners and triangles of a box, facing outwards."""
+    x, y, z = np.array([low, high], float).T
+    corners = np.array([[x[i], y[j], z[k]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+@pytest.fixture
+def scene():
+    """A floor and a table on it."""
+    floor, table = box((-3, -3, -0.1), (3, 3, 0)), box((0, 0, 0), (1, 0.6, 0.7))
+    mesh = Mesh.plain(
+        np.vstack([floor[0], table[0]]),
+        np.vstack([floor[1], table[1] + 8]),
+        np.repeat([0, 1], 12),
+        np.repeat([[90, 90, 90], [200, 120, 40]], 8, axis=0),
+    )
+    return SceneMap.create(
+        mesh, ["f", "t"], ["floor", "table"], floor=0.0, names=["", "oak table"],
+        attributes=[{}, {"material": "oak"}], relations=[(1, "on", 0)],
+    )  # fmt: skip
+
+
+def test_another_mesh_leaves_the_objects_as_they_are(scene):
+    other = with_mesh(scene, scene.mesh)
+    assert other.graph.ids == scene.graph.ids
+    assert other.graph.labels == scene.graph.labels
+    assert other.graph.relations == ("on",)
+    assert other.attributes[1] == {"material": "oak"}
+    assert other.floors.tolist() == [0.0]
+    assert other.graph.positions == pytest.approx(scene.graph.positions)
+
+
+def test_maps_are_made_once_and_old_ones_go(scene, tmp_path, monkeypatch):
+    made = []
+
+    def make(data, cache):  # noqa: ARG001
+        made.append(1)
+        return scene
+
+    monkeypatch.setattr(indoor_maps, "house", make)
+    first = coarse_house(tmp_path, tmp_path / "cache", 100)
+    again = coarse_house(tmp_path, tmp_path / "cache", 100)
+    assert len(made) == 1
+    assert first.graph.labels == again.graph.labels == ("floor", "table")
+    assert (again.mesh.colours[again.mesh.vertices[:, 2] > 0.5] == (200, 120, 40)).all()
+    monkeypatch.setattr(indoor_maps, "fingerprint", lambda _: "0" * 16)
+    coarse_house(tmp_path, tmp_path / "cache", 100)
+    assert len(made) == 2
+    assert [p.name for p in (tmp_path / "cache").iterdir()] == [f"house_100_{'0' * 16}.scene"]
+
+
+def test_the_house_is_whole(shared, tmp_path):
+    found = house(shared / "data", tmp_path)
+    assert len(found) == 86
+    assert len(house(shared / "data", tmp_path).mesh) == len(found.mesh)
+
+
+def test_half_of_the_office_is_a_map(shared, tmp_path, monkeypatch):
+    monkeypatch.setattr(indoor_maps, "HALVES", {"few": ((250, 254), (0, 1))})
+    found = office(shared / "data", tmp_path, "few", 3000)
+    assert len(found) == 1
+    assert 2500 <= len(found.mesh) <= 3000
+    assert found.floors[0] == pytest.approx(-1.53, abs=0.03)
+    assert [p.suffix for p in tmp_path.iterdir()] == [".scene"]

@@ -1,0 +1,264 @@
+"""Whether a match is right, and what a single view's pose is worth, where the truth is known."""
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from placegraph.errors import MissingExtraError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.refine.matching import Matches
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.matches import (
+    KINDS,
+    PIXELS,
+    Query,
+    Start,
+    Trial,
+    ask,
+    judged,
+    lift,
+    pixel_errors,
+    solve,
+    starts,
+    summary,
+    turned,
+)
+from placegraph_lab.tables.indoor.matches_report import report, to_dict
+from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
+from placegraph_lab.tables.indoor.windows import Window
+
+ROOT = Path(__file__).resolve().parents[2]
+CAMERA = Camera(120, 80, 80.0, 80.0, 60.0, 40.0)
+TRUTH = pose_matrix([0.0, 0.0, 1.5, 0.0], level_from_camera([0.0, 1.0, 0.0]))
+"""At the origin, looking along x."""
+
+
+def _wall(x, low, high):
+    """Corners (4, 3) and triangles of a wall across x from `low` to `high` (y, z)."""
+    corners = [(x, y, z) for y in (low[0], high[0]) for z in (low[1], high[1])]
+    return np.array(corners, float), np.array([[0, 1, 2], [1, 3, 2]])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A far wall, a side wall at an angle to it, and a pillar before the far one, a bit to the left."""
+    parts = [
+        _wall(4.0, (-5, -1), (5, 4)),
+        _wall(1.5, (0.3, -1), (0.6, 4)),
+        (np.array([[0.5, 2, -1], [0.5, 2, 4], [4, 3, -1], [4, 3, 4.0]]), np.array([[0, 1, 2], [1, 3, 2]])),
+    ]  # fmt: skip
+    vertices = np.concatenate([v for v, _ in parts])
+    rng = np.random.default_rng(0)
+    mesh = Mesh(
+        vertices=vertices,
+        triangles=np.concatenate([t + 4 * i for i, (_, t) in enumerate(parts)]),
+        object_of=np.repeat(np.arange(len(parts)), 2),
+        colours=rng.integers(0, 256, (len(vertices), 3), dtype=np.uint8),
+        uv=np.zeros((len(vertices), 2)),
+        texture_of=np.zeros(2 * len(parts), int),
+        textures=(np.full((1, 1, 3), 255, np.uint8),),
+    )
+    ids = ["wall", "pillar", "side"]
+    return SceneMap.create(mesh, ids, ids, floor=-1.0)
+
+
+def _query(scene, starts_, changed=False, coverage=None):
+    frame = Frame.from_arrays(np.zeros((80, 120, 3), np.uint8), CAMERA)
+    window = Window("seq00", Capture.from_frames([frame]), TRUTH, changed, coverage)
+    return Query(window, scene, tuple(starts_))
+
+
+def _true_matches(scene, start, rng, count=300):
+    """Points of a rendered view, and where the query truly sees those points."""
+    rendered = rng.uniform(0, (120, 80), (count, 2))
+    points = lift(scene, start.map_from_camera, CAMERA, rendered)
+    seen = (points - TRUTH[:3, 3]) @ TRUTH[:3, :3]
+    at = CAMERA.project(seen)
+    keep = np.isfinite(at).all(axis=1)
+    keep[keep] &= ((at[keep] > 0) & (at[keep] < (120, 80))).all(axis=1)
+    return Matches(at[keep], rendered[keep], np.ones(keep.sum())), points[keep]
+
+
+def test_starts_are_where_they_are_said_to_be(rng):
+    found = starts(TRUTH, rng)
+    assert [s.kind for s in found] == [KINDS[0], KINDS[1], *np.repeat(KINDS[2:], 2)]
+    for s in found:
+        assert np.allclose(s.map_from_camera[:3, :3] @ s.map_from_camera[:3, :3].T, np.eye(3))
+        off = position_error(s.map_from_camera, TRUTH)
+        turn = rotation_error(s.map_from_camera, TRUTH)
+        if s.kind == "disturbed":
+            assert off == pytest.approx(0.2)
+            assert turn == pytest.approx(10, abs=0.3)
+        else:
+            assert off == 0
+            assert turn == pytest.approx(float(s.kind.removeprefix("turned ").replace("true", "0")))
+
+
+def test_a_point_is_lifted_onto_the_surface_that_is_seen(scene):
+    points = lift(scene, TRUTH, CAMERA, np.array([[60.0, 40.0], [36.0, 40.0], [110.0, 20.0]]))
+    assert np.allclose(points[0], (4, 0, 1.5), atol=1e-3)
+    assert np.allclose(points[1], (1.5, 0.45, 1.5), atol=1e-3)  # on the pillar
+    away = lift(scene, turned(TRUTH, np.pi), CAMERA, np.array([[60.0, 40.0]]))
+    assert np.isnan(away).all()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -0.5])
+def test_true_matches_are_right_and_moved_ones_by_as_much_wrong(scene, rng, yaw):
+    start = Start("turned", turned(TRUTH, yaw))
+    matches, points = _true_matches(scene, start, rng)
+    query = _query(scene, [start])
+    errors, lifted = pixel_errors(query, start, matches)
+    assert len(matches) > 60
+    assert np.allclose(lifted, points)
+    assert errors.max() < 1e-3  # turned on its place the camera sees what it saw
+    off = Matches(matches.query + np.array([4.0, 0.0]), matches.rendered, matches.confidence)
+    found = judged(query, start, off, 0)
+    assert found.right == (0, len(off), len(off))
+
+
+def test_what_is_hidden_from_the_query_is_no_right_match(scene, rng):
+    beside = TRUTH.copy()
+    beside[1, 3] += 0.6  # looks past the pillar
+    start = Start("beside", beside)
+    matches, points = _true_matches(scene, start, rng, 2000)
+    errors, _ = pixel_errors(_query(scene, [start]), start, matches)
+    hidden = np.isinf(errors)
+    # behind the pillar, seen from the origin: y / x between 0.3 / 1.5 and 0.6 / 1.5, beyond x = 1.5
+    slope = points[:, 1] / points[:, 0]
+    behind = (slope > 0.2) & (slope < 0.4) & (points[:, 0] > 1.6)
+    clear = (np.abs(slope - 0.2) > 0.01) & (np.abs(slope - 0.4) > 0.01)
+    assert behind.sum() > 50
+    assert np.array_equal(hidden[clear], behind[clear])
+    assert errors[~hidden].max() < 1e-3
+
+
+def test_matches_with_nothing_are_wrong(scene):
+    start = Start("away", turned(TRUTH, np.pi))
+    nowhere = Matches(np.array([[60.0, 40.0]] * 9), np.array([[60.0, 40.0]] * 9), np.ones(9))
+    found = judged(_query(scene, [start]), start, nowhere, 0)
+    assert found.right == (0, 0, 0)
+    assert found.metres == np.inf
+    assert judged(_query(scene, [start]), start, Matches.none(), 0).matches == 0
+
+
+def test_the_pose_of_a_view_is_found_among_outliers(scene, rng):
+    pytest.importorskip("poselib", reason="needs PoseLib: pip install poselib")
+    start = starts(TRUTH, rng)[1]
+    matches, points = _true_matches(scene, start, rng)
+    pixels = matches.query + rng.normal(scale=0.3, size=matches.query.shape)
+    wrong = rng.random(len(pixels)) < 0.4
+    pixels[wrong] = rng.uniform(0, (120, 80), (wrong.sum(), 2))
+    pose, inliers = solve(CAMERA, pixels, points, 0)
+    assert position_error(pose, TRUTH) < 0.03
+    assert rotation_error(pose, TRUTH) < 0.5
+    assert inliers >= 0.9 * (~wrong).sum()
+    again, _ = solve(CAMERA, pixels, points, 0)
+    assert np.array_equal(pose, again)
+    assert solve(CAMERA, pixels[:5], points[:5], 0) == (None, 0)
+
+
+def test_a_distorted_camera_is_undone(scene, rng):
+    pytest.importorskip("poselib", reason="needs PoseLib: pip install poselib")
+    bent = Camera(120, 80, 80.0, 80.0, 60.0, 40.0, (-0.2, 0.05, 0.001, 0.0))
+    points = lift(scene, TRUTH, bent, rng.uniform(5, (115, 75), (200, 2)))
+    pixels = bent.project((points - TRUTH[:3, 3]) @ TRUTH[:3, :3])
+    pose, _ = solve(bent, pixels, points, 0)
+    assert position_error(pose, TRUTH) < 1e-3
+
+
+def test_without_poselib_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "poselib", None)
+    with pytest.raises(MissingExtraError, match="pip install poselib"):
+        solve(CAMERA, np.zeros((9, 2)), np.zeros((9, 3)), 0)
+
+
+class Oracle:
+    """Knows the truth, but of every second match only."""
+
+    name = "oracle"
+
+    def __init__(self, scene, starts_, rng):
+        self.truth = [_true_matches(scene, s, rng)[0] for s in starts_]
+
+    def match(self, query, views, *, masks=None):
+        assert query.shape == (80, 120, 3)
+        assert all(v.shape == (80, 120, 3) and m.any() for v, m in zip(views, masks, strict=True))
+        found = []
+        for matches in self.truth[: len(views)]:
+            shown = matches.query.copy()
+            shown[::2] += 30.0
+            found.append(Matches(shown, matches.rendered, matches.confidence))
+        return found
+
+
+def test_a_trial_counts_what_is_right(scene, rng):
+    pytest.importorskip("poselib", reason="needs PoseLib: pip install poselib")
+    asked = [Start("true", TRUTH), *starts(TRUTH, rng)[2:4]]
+    trial = ask("oracle", Oracle(scene, asked, rng), [_query(scene, asked)])
+    assert [f.kind for f in trial.found] == ["true", "turned 15", "turned 15"]
+    assert len(trial.seconds) == len(trial.view_seconds) == 1
+    for f in trial.found:
+        assert f.matches > 60
+        assert f.right[1] == f.matches // 2
+        assert f.within(0.10, 5.0)
+    numbers = summary(trial.found)
+    assert numbers["recall"] == [1.0, 1.0]
+    assert np.allclose(numbers["right"], 0.5, atol=0.01)
+    json.dumps(to_dict(trial), allow_nan=False)
+    text = report([Trial.joined("oracle", [trial, trial])])
+    assert "#### house, unchanged, view true, 2 pairs" in text
+    assert "view turned 45" not in text
+    assert "| oracle |" in text
+
+
+def test_nothing_found_can_be_written(scene):
+    start = Start("true", TRUTH)
+    found = [judged(_query(scene, [start], None, 0.9), start, Matches.none(), 0)]
+    numbers = summary(found)
+    json.dumps(numbers, allow_nan=False)
+    assert numbers["right"] == [None] * len(PIXELS)
+    assert numbers["median_error"] == [None, None]
+    assert "office, covered" in report([Trial("none", tuple(found), (0.1,), (0.1,))])
+
+
+def test_the_script_writes_what_it_prints(monkeypatch, scene, rng, tmp_path):
+    pytest.importorskip("poselib", reason="needs PoseLib: pip install poselib")
+    spec = importlib.util.spec_from_file_location("bench", ROOT / "benchmarks/indoor_matchers.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    asked = [Start("true", TRUTH)]
+    options = []
+
+    def make(name, **chosen):
+        options.append((name, chosen))
+        return Oracle(scene, asked, rng)
+
+    monkeypatch.setattr(script, "matcher", make)
+    monkeypatch.setattr(
+        script,
+        "queries",
+        lambda _, place, seed: [_query(scene, asked)] * 2 if (place, seed) == ("house", 3) else [],
+    )
+    app = typer.Typer()
+    app.command()(script.main)
+    out = tmp_path / "out.json"
+    arguments = ["--only", "sift ratio=0.8 upright=False; xfeat", "--seed", "3", "--out", str(out)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert [name for name, _ in options] == ["sift", "xfeat"]
+    assert options[0][1] == {"device": "cpu", "ratio": 0.8, "upright": False}
+    assert options[1][1]["weights"].name == "xfeat.pt"
+    record = SimpleNamespace(**json.loads(out.read_text()))
+    assert [row["matcher"] for row in record.rows] == ["sift ratio=0.8 upright=False", "xfeat"]
+    assert record.rows[0]["parts"]["house, unchanged, true"]["pairs"] == 2
+    assert "view true, 2 pairs" in result.output

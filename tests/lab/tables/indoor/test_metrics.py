@@ -1,0 +1,197 @@
+"""Errors of poses, recall, status and calibration of indoor answers."""
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import OptionError
+from placegraph.geometry import (
+    level_from_camera,
+    pose_matrix,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
+from placegraph_lab.tables.indoor.metrics import (
+    NEAR,
+    THRESHOLDS,
+    WITHIN_95,
+    Answer,
+    dumps,
+    is_honest,
+    mean_particles,
+    measure,
+    normalised_error,
+    pose_error,
+    position_error,
+    rotation_error,
+    score,
+)
+
+LEVEL = level_from_camera([0.05, 0.99, 0.1])
+
+
+def at(x=0.0, y=0.0, z=1.6, yaw_deg=0.0):
+    return pose_matrix([x, y, z, math.radians(yaw_deg)], LEVEL)
+
+
+def moved(pose, off):
+    """Pose (4, 4) shifted and turned by (6,), both in the map's axes."""
+    after = pose.copy()
+    after[:3, 3] += off[:3]
+    after[:3, :3] = rotation_from_vector(off[3:]) @ pose[:3, :3]
+    return after
+
+
+def mode(pose, probability=0.9, sigma=0.1):
+    return SimpleNamespace(
+        map_from_camera=pose, probability=probability, covariance=np.eye(6) * sigma**2
+    )
+
+
+def estimate(status, *modes, particles=None):
+    return SimpleNamespace(
+        status=SimpleNamespace(name=status),
+        modes=modes,
+        best=modes[0] if modes else None,
+        stats={} if particles is None else {"particles": particles},
+    )
+
+
+def answer(position=0.05, rotation=1.0, status="OK", **more):
+    fields = {
+        "window": "seq01 5:10", "place": "seq01", "changed": False, "coverage": None,
+        "probability": 0.9, "held": position <= NEAR[0] and rotation <= NEAR[1],
+        "whitened": (0.5, -0.5, 0.5, -0.5, 0.5, -0.5), "frames": 5, "seconds": 1.0,
+    }  # fmt: skip
+    return Answer(position=position, rotation=rotation, status=status, **(fields | more))
+
+
+LOST = {"position": math.inf, "rotation": 180.0, "status": "LOST", "probability": 0.0}
+
+
+def test_errors_are_metres_and_degrees():
+    assert position_error(at(1, 2), at(4, 6)) == pytest.approx(5.0)
+    assert rotation_error(at(yaw_deg=170), at(yaw_deg=-170)) == pytest.approx(20.0)
+    assert rotation_error(at(), at(yaw_deg=180)) == pytest.approx(180.0)
+    assert rotation_error(at(), at(yaw_deg=1e-7)) == pytest.approx(1e-7, rel=1e-4)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(0, 180))
+def test_the_angle_is_the_geodesic_one(axis, degrees):
+    if np.linalg.norm(axis) < 0.1:
+        axis = [1.0, 0.0, 0.0]
+    half = math.radians(degrees) / 2
+    turn = np.append(math.sin(half) * np.array(axis) / np.linalg.norm(axis), math.cos(half))
+    other = at(3, yaw_deg=77)
+    other[:3, :3] = other[:3, :3] @ rotation_from_quaternion(turn)
+    assert rotation_error(at(3, yaw_deg=77), other) == pytest.approx(degrees, abs=1e-6)
+    assert rotation_error(other, at(3, yaw_deg=77)) == pytest.approx(degrees, abs=1e-6)
+
+
+def test_normalised_errors_of_honest_covariances_are_of_unit_variance(rng):
+    mixing = rng.normal(size=(6, 6)) * np.array([[0.1, 0.2, 0.05, 0.03, 0.02, 0.01]]).T
+    covariance = mixing @ mixing.T
+    answer_ = at(yaw_deg=180)
+    offs = rng.multivariate_normal(np.zeros(6), covariance, 3000)
+    whole = [normalised_error(covariance, answer_, moved(answer_, d)) for d in offs]
+    assert np.cov(np.transpose(whole)) == pytest.approx(np.eye(6), abs=0.12)
+    assert (np.sum(np.square(whole), axis=1) <= WITHIN_95).mean() == pytest.approx(0.95, abs=0.015)
+    assert np.isnan(normalised_error(np.zeros((6, 6)), at(), at())).all()
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6), st.floats(-180, 180))
+def test_the_error_is_the_step_to_the_truth_in_the_maps_axes(off, yaw_deg):
+    pose = at(1, 2, yaw_deg=yaw_deg)
+    assert pose_error(pose, moved(pose, off)) == pytest.approx(off, abs=1e-9)
+
+
+def test_the_limit_is_that_of_six_degrees_of_freedom():
+    half = WITHIN_95 / 2  # an even number of degrees: the tail is a finite sum
+    assert math.exp(-half) * (1 + half + half**2 / 2) == pytest.approx(0.05, abs=1e-6)
+
+
+def test_an_estimate_is_measured():
+    two = estimate(
+        "AMBIGUOUS", mode(at(5), 0.6), mode(at(0.3, yaw_deg=5), 0.3), particles=[[10, 40], [10]]
+    )
+    got = measure(two, at(), seconds=0.5, frames=5, window="w", place="p")
+    assert (got.position, got.rotation) == pytest.approx((5.0, 0.0), abs=1e-6)
+    assert (got.status, got.probability, got.held) == ("AMBIGUOUS", 0.6, True)
+    assert got.whitened == pytest.approx((-50.0, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-6)
+    assert got.particles == 20.0
+    none = measure(estimate("LOST"), at(), seconds=0.5, frames=5)
+    assert not none.answered
+    assert (none.rotation, none.probability, none.held, none.whitened) == (180.0, 0.0, False, ())
+    assert math.isnan(none.particles)
+    assert math.isnan(mean_particles({"particles": [[]]}))
+
+
+def test_recall_takes_both_limits():
+    answers = [
+        answer(0.05, 1.0), answer(0.2, 1.0), answer(0.2, 9.0), answer(0.05, 4.0),
+        answer(0.9, 9.0, status="AMBIGUOUS"), answer(**LOST),
+    ]  # fmt: skip
+    s = score(answers)
+    assert THRESHOLDS == ((0.1, 5.0), (0.25, 2.0), (0.25, 10.0), (1.0, 10.0))
+    assert s.recall == pytest.approx((2 / 6, 2 / 6, 4 / 6, 5 / 6))
+    assert s.median == pytest.approx((0.2, 6.5))
+    assert s.mean == pytest.approx((0.28, 4.8))  # of those with a pose
+    assert s.status == pytest.approx({"AMBIGUOUS": 1 / 6, "LOST": 1 / 6, "OK": 4 / 6})
+    assert (s.right, s.false_ok) == (1.0, 0.0)
+
+
+def test_status_is_weighed_against_the_truth():
+    false = answer(14.0, 179.0, held=False)
+    torn = answer(14.0, 179.0, status="AMBIGUOUS", held=True)
+    blind = answer(14.0, 179.0, status="AMBIGUOUS", held=False)
+    shy = answer(0.05, 1.0, status="LOST")
+    lost = answer(**LOST)
+    honest = [is_honest(a) for a in (answer(), false, torn, blind, shy, lost)]
+    assert honest == [True, False, True, False, False, True]
+    s = score([answer(), false, torn, blind, shy, lost])
+    assert (s.right, s.false_ok, s.honest) == pytest.approx((1 / 2, 1 / 6, 1 / 2))
+    assert s.held == pytest.approx(3 / 6)
+    assert s.worst == (
+        "seq01 5:10 OK 14.00 m 179 deg",
+        "seq01 5:10 AMBIGUOUS 14.00 m 179 deg",
+        "seq01 5:10 AMBIGUOUS 14.00 m 179 deg",
+    )
+
+
+def test_calibration_is_of_right_answers():
+    wild = answer(14.0, 179.0, whitened=(99.0,) * 6, probability=0.2)
+    well = answer(whitened=(1.0, 2.0, 0.0, 0.0, 0.0, 0.0))
+    badly = answer(whitened=(1.0, 0.0, 3.0, 0.0, 0.0, 2.0))
+    s = score([well, badly, wild])
+    assert s.spread == pytest.approx((1.0, math.sqrt(2), math.sqrt(4.5), 0.0, 0.0, math.sqrt(2)))
+    assert s.inside == 0.5  # 5 and 14 against 12.6
+    assert s.calibration.error == pytest.approx((0.1 + 0.1 + 0.2) / 3)
+    unsound = score([answer(whitened=(math.nan,) * 6)])
+    assert unsound.inside == 0.0
+    assert np.isnan(unsound.spread).all()
+    assert math.isnan(score([wild]).inside)
+
+
+def test_time_and_particles_are_means():
+    s = score([answer(seconds=1.0, particles=100), answer(seconds=2.0, particles=300)])
+    assert (s.frame_seconds, s.particles) == (pytest.approx(0.3), 200)
+    assert math.isnan(score([answer()]).particles)
+    with pytest.raises(OptionError):
+        score([])
+
+
+def test_answers_and_scores_are_json():
+    for one in (answer(particles=12), answer(coverage=0.7), answer(**LOST, whitened=())):
+        again = Answer.from_dict(json.loads(json.dumps(one.to_dict(), allow_nan=False)))
+        assert again.to_dict() == one.to_dict()
+        assert (again.position, again.rotation) == (one.position, one.rotation)
+        assert math.isnan(again.particles) == math.isnan(one.particles)
+    lost = json.loads(dumps(score([answer(**LOST, whitened=())]).to_dict()))
+    assert lost["median_position_m"] is None
+    assert lost["recall"]["0.25 m, 2 deg"] == 0.0
+    assert lost["ok_right"] is None

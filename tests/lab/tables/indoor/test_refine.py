@@ -1,0 +1,198 @@
+"""Rows of the refinement's benchmark, and what is asked for them; the refiner is a stand-in."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
+from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, ask, refine_jobs
+from placegraph_lab.tables.indoor.starts import disturbed
+from placegraph_lab.tables.indoor.windows import Window
+
+ROOT = Path(__file__).resolve().parents[2]
+JOBS = {job.name: job for job in refine_jobs()}
+TRUTH = pose_matrix([1.0, 2.0, 1.6, 0.3], level_from_camera([0.0, 1.0, 0.0]))
+
+
+def mode(pose):
+    return PoseMode(pose, split_pose(pose)[0], np.eye(6) * 1e-4, 0.9, "", pose)
+
+
+class Scene:
+    """A map that knows the answers to a window, and writes down what it is asked."""
+
+    def __init__(self, truth):
+        self.truth = truth
+        self.asked = []
+
+    def localize(self, capture, **options):
+        self.asked.append((capture, options))
+        coarse = disturbed(self.truth, np.random.default_rng(options["seed"]), 0.3, 3.0)
+        return self._estimate(coarse)
+
+    def refine(self, capture, map_from_camera, **options):
+        self.asked.append((capture, {"start": map_from_camera, **options}))
+        return self._estimate(map_from_camera)
+
+    def _estimate(self, coarse):
+        said = Refinement(True, "", mode(coarse), coarse[None], {"seconds": {"depth": 0.25}})
+        return PoseEstimate(Status.OK, (mode(self.truth),), "", refinement=said)
+
+
+@pytest.fixture
+def window():
+    """Two frames with depth."""
+    camera = Camera(8, 6, 10.0, 10.0, 4.0, 3.0)
+    frames = [
+        Frame.from_arrays(
+            np.zeros((6, 8, 3), np.uint8), camera, depth=np.ones((6, 8)), stamp=i, index=i
+        )
+        for i in range(2)
+    ]
+    return Window("b in a", Capture.from_frames(frames), TRUTH, coverage=0.8)
+
+
+def test_every_row_has_a_name_of_its_own_and_something_to_refine_by():
+    assert len(JOBS) == len(refine_jobs())
+    assert all(job.depth or job.by != "none" for job in JOBS.values())
+    papers = {"sift, paper's recipe", "xfeat, paper's recipe"}
+    assert {job.by for job in JOBS.values()} == {*MATCHERS, *GICP, *papers}
+    assert all(not job.depth for job in JOBS.values() if job.by in papers)
+    assert not JOBS["house found: semantic + colour, sift"].depth
+    assert JOBS["house found: all, none"].depth
+    assert all(job.coarse.options.colour for job in JOBS.values() if job.coarse)
+    assert not JOBS["a in b disturbed: no depth, xfeat"].depth
+    for name in QUICK:
+        assert any(j == name or (name[-1] == "*" and j.startswith(name[:-1])) for j in JOBS)
+
+
+def test_a_matcher_that_is_named_takes_part():
+    options = {by: JOBS[f"house disturbed: depth, {by}"].options for by in MATCHERS}
+    assert [options[by].images for by in MATCHERS] == ["auto", False, True, True, True]
+    paper = JOBS["house disturbed: no depth, sift, paper's recipe"]
+    assert (paper.matcher, paper.options) == ("sift", RefineOptions.paper())
+    assert JOBS["house disturbed: depth, none"].matcher == "auto"
+
+
+def test_keys_tell_rows_windows_seeds_and_code_apart(window):
+    keys = {
+        job.key(window, seed, code) for job in JOBS.values() for seed in (0, 1) for code in "ab"
+    }
+    assert len(keys) == 4 * len(JOBS)
+
+
+def test_a_found_pose_is_measured_before_and_after(window):
+    scene = Scene(TRUTH)
+    got = ask(
+        JOBS["b in a found: no labels: depth + colour, sift"], scene, window,
+        matcher="sift", seed=3, device="cpu",
+    )  # fmt: skip
+    capture, options = scene.asked[0]
+    assert capture is window.capture
+    assert options["refine"].images is True
+    assert (options["matcher"], options["seed"], options["encoder"]) == ("sift", 3, None)
+    assert options["options"].depth
+    assert got.before == pytest.approx((0.3, 3.0))
+    assert got.after.position == pytest.approx(0.0, abs=1e-9)
+    assert (got.after.coverage, got.after.place) == (0.8, "b in a")
+
+
+def test_without_depth_there_is_none(window):
+    scene = Scene(TRUTH)
+    for name in ("b in a found: no labels: colour, auto", "b in a disturbed: no depth, sift"):
+        ask(JOBS[name], scene, window, matcher="sift")
+    for capture, _ in scene.asked:
+        assert capture.depth_camera is None
+        assert capture[0].depth() is None
+
+
+def test_a_disturbed_start_is_the_same_for_all_and_the_truth_is_not_told(window):
+    scene = Scene(TRUTH)
+    for by in ("auto", "none"):
+        got = ask(JOBS[f"b in a disturbed: depth, {by}"], scene, window, matcher=by, seed=5)
+        assert got.before == pytest.approx((0.2, 10.0))
+    (_, first), (_, second) = scene.asked
+    assert (first["start"] == second["start"]).all()
+    assert (first["options"].images, second["options"].images) == ("auto", False)
+    assert position_error(first["start"], TRUTH) == pytest.approx(0.2)
+    assert rotation_error(first["start"], TRUTH) == pytest.approx(10.0)
+
+
+# ---------------------------------------------------------------------------------- the script
+
+
+@pytest.fixture
+def script(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
+    """The benchmark, its maps replaced by names and its refiner by one that knows the truth."""
+    spec = importlib.util.spec_from_file_location("bench", ROOT / "benchmarks/indoor_refine.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.asked = []
+
+    def fake(job, scene, window, *, matcher, seed, device):
+        assert scene == job.place
+        module.asked.append((job.name, window.name, seed))
+        return ask(job, Scene(window.truth), window, matcher=matcher, seed=seed, device=device)
+
+    monkeypatch.setattr(module, "ask", fake)
+    monkeypatch.setattr("placegraph_lab.tables.indoor.refine.encoder_of", lambda *_: None)
+    monkeypatch.setattr("placegraph_lab.tables.indoor.bench.covered", lambda _, window: window)
+    monkeypatch.setattr(module.Bench, "scene", lambda _, name: name)
+    return module
+
+
+def call(script, folder, *options):
+    app = typer.Typer()
+    app.command()(script.main)
+    arguments = ["--cache", str(folder / "cache"), "--out", str(folder / "out.json"), *options]
+    return CliRunner().invoke(app, arguments)
+
+
+def test_the_script_goes_on_where_it_was_cut(script, tmp_path):
+    options = ("--only", "house disturbed: depth, auto; house found: all, auto")
+    first = call(script, tmp_path, *options, "--windows", "10,25")
+    assert first.exit_code == 0, first.output
+    assert len(script.asked) == 2 * (40 + 8 + 2)  # and one of each length to warm up
+    assert {seed for _, _, seed in script.asked} == {0, 1}
+    script.asked.clear()
+    journal = tmp_path / "cache/indoor_refine.jsonl"
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:-3]))
+    again = call(script, tmp_path, *options, "--windows", "10,25")
+    assert len(script.asked) == 3 + 1
+    heading = "#### House, from 0.2 m and 10 degrees off, 10 frames"
+    assert heading in first.stdout
+    assert heading in again.stdout
+    written = json.loads((tmp_path / "out.json").read_text())
+    assert [(r["start"], r["length"]) for r in written["rows"]] == [
+        ("found", 10), ("found", 25), ("disturbed", 10), ("disturbed", 25),
+    ]  # fmt: skip
+    row = written["rows"][2]
+    assert row["score"]["after"]["recall"]["0.1 m, 5 deg"] == 1.0
+    assert {"unchanged", "changed", "seq00", "seq07"} <= set(row["parts"])
+    assert row["normalised_errors"]["refined"]["count"] == 40
+
+
+def test_a_quick_run_is_short_and_unknown_rows_are_refused(script, tmp_path):
+    quick = call(script, tmp_path, "--quick", "--matchers", "auto,none", "--only", "house found: *")
+    assert quick.exit_code == 0, quick.output
+    assert len(script.asked) < 200
+    refused = call(script, tmp_path, "--only", "gold")
+    assert refused.exit_code == 2
+    assert "no row is named" in refused.output
+
+
+def test_matchers_are_made_once(script):
+    made = script.Matchers(None)
+    assert made["auto"] == "auto"
+    assert made["sift"] is made["sift"]
+    assert made["sift"].name == "sift"

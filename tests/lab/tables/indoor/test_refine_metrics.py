@@ -1,0 +1,195 @@
+"""Errors before and after a refinement, its verdict, and how honest covariances are."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import (
+    Camera,
+    level_from_camera,
+    pose_matrix,
+    rotation_from_vector,
+    split_pose,
+)
+from placegraph_lab.tables.indoor.metrics import dumps
+from placegraph_lab.tables.indoor.refine_metrics import (
+    EDGES,
+    LIMITS,
+    Refined,
+    errors_of,
+    measure_pose,
+    measure_refined,
+    refine_score,
+    sigmas_of,
+    spread,
+    worse,
+)
+from placegraph_lab.tables.indoor.windows import Window
+
+LEVEL = level_from_camera([0.0, 1.0, 0.0])
+
+
+def at(x=0.0, yaw_deg=0.0):
+    return pose_matrix([x, 0.0, 1.6, math.radians(yaw_deg)], LEVEL)
+
+
+def mode(pose, sigma=0.02):
+    pose4, _ = split_pose(pose)
+    return PoseMode(pose, pose4, np.eye(6) * sigma**2, 0.9, "", pose)
+
+
+def estimate(pose, *, coarse=None, accepted=True, **stats):
+    """Estimate at a pose; with `coarse`, one that was refined."""
+    said = None
+    if coarse is not None:
+        said = Refinement(accepted, "So it is.", mode(coarse), coarse[None], stats)
+    return PoseEstimate(Status.OK, (mode(pose),), "", refinement=said)
+
+
+@pytest.fixture
+def window():
+    """Two frames whose last stands at the origin."""
+    camera = Camera(8, 6, 10.0, 10.0, 4.0, 3.0)
+    image = np.zeros((6, 8, 3), np.uint8)
+    frames = [Frame.from_arrays(image, camera, stamp=i, index=i) for i in range(2)]
+    return Window("seq01", Capture.from_frames(frames), at(), changed=True)
+
+
+def test_one_estimate_gives_both_sides(window):
+    seconds = {"depth": 0.2, "images": 0.3}
+    got = measure_refined(
+        estimate(at(0.01), coarse=at(0.3, 4.0), seconds=seconds), window, seconds=2
+    )
+    assert got.before == pytest.approx((0.3, 4.0))
+    assert (got.after.position, got.after.rotation) == pytest.approx((0.01, 0.0), abs=1e-6)
+    assert (got.accepted, got.reason, got.candidate) == (True, "So it is.", None)
+    assert (got.refine_seconds, got.after.seconds) == (0.5, 2)
+    assert got.sigmas == pytest.approx((-0.5, 0, 0, 0, 0, 0), abs=1e-6)
+    assert not got.harmful
+    assert not got.wrongly_refused
+
+
+def test_a_given_start_is_the_pose_before(window):
+    got = measure_refined(estimate(at(0.01)), window, seconds=1, start=at(0.2, 10.0))
+    assert got.before == pytest.approx((0.2, 10.0))
+    assert got.accepted is None
+    assert math.isnan(got.refine_seconds)
+    alone = measure_refined(estimate(at(0.4)), window, seconds=1)
+    assert alone.before == pytest.approx((0.4, 0.0), abs=1e-6)
+
+
+def test_a_lost_query_was_lost_before(window):
+    got = measure_refined(PoseEstimate(Status.LOST, (), ""), window, seconds=1)
+    assert got.before == (math.inf, 180.0)
+    assert got.sigmas == ()
+    assert not got.harmful
+    again = Refined.from_dict(json.loads(json.dumps(got.to_dict(), allow_nan=False)))
+    assert again.before == got.before
+
+
+def test_a_pose_alone_is_measured(window):
+    got = measure_pose(at(0.05, 1.0), window, seconds=0.3, start=at(0.2, 10.0))
+    assert (got.after.position, got.after.rotation) == pytest.approx((0.05, 1.0))
+    assert got.before == pytest.approx((0.2, 10.0))
+    assert (got.accepted, got.sigmas, got.after.frames) == (None, (), 2)
+
+
+@pytest.mark.parametrize(
+    ("pose", "before", "harmful"),
+    [(0.05, 0.02, True), (0.05, 0.04, False), (0.02, 0.3, False), (0.3, math.inf, False)],
+)
+def test_harm_is_two_centimetres_or_half_a_degree(pose, before, harmful):
+    assert worse((pose, 0.0), (before, 0.0)) is harmful
+    assert worse((0.0, 10 * pose), (0.0, 0.05)) is (10 * pose > 0.55)
+
+
+def test_what_was_wrongly_refused_is_known_where_the_pose_was_kept(window):
+    refused = {"coarse": at(0.3), "accepted": False}
+    better = measure_refined(
+        estimate(at(0.3), **refused, candidate=at(0.01).tolist()), window, seconds=1
+    )
+    twisted = measure_refined(
+        estimate(at(0.3), **refused, candidate=at(0.01, 3.0).tolist()), window, seconds=1
+    )
+    silent = measure_refined(estimate(at(0.3), **refused), window, seconds=1)
+    assert [r.wrongly_refused for r in (better, twisted, silent)] == [True, False, False]
+    assert refine_score([better, twisted]).wrongly_refused == 0.5
+    assert math.isnan(refine_score([silent]).wrongly_refused)
+    assert refine_score([better, silent]).accepted == 0.0
+
+
+def test_scores_have_two_sides(window):
+    results = [
+        measure_refined(estimate(at(0.01), coarse=at(0.3, 1.0), seconds={"a": 0.2}), window, seconds=1),
+        measure_refined(estimate(at(0.4), coarse=at(0.2, 1.0), seconds={"b": 0.4}), window, seconds=3),
+        measure_refined(estimate(at(0.08), coarse=at(0.08), accepted=False), window, seconds=2),
+    ]  # fmt: skip
+    s = refine_score(results)
+    assert LIMITS == ((0.1, 5.0), (0.25, 2.0), (0.25, 5.0), (0.25, 10.0))
+    assert s.before.recall == pytest.approx((1 / 3, 2 / 3, 2 / 3, 2 / 3))
+    assert s.after.recall == pytest.approx((2 / 3,) * 4)
+    assert s.before.mean == pytest.approx((0.58 / 3, 2 / 3))
+    assert s.after.median == pytest.approx((0.08, 0.0), abs=1e-6)
+    assert (s.accepted, s.harmful) == pytest.approx((2 / 3, 1 / 3))
+    assert s.worst == ("seq01 0:2 OK 0.20 m 1.0 deg -> 0.40 m 0.0 deg",)
+    assert (s.seconds, s.refine_seconds) == pytest.approx((2.0, 0.3))
+    assert s.stages == pytest.approx({"a": 0.1, "b": 0.2})
+    assert json.loads(dumps(s.to_dict()))["after"]["recall"]["0.1 m, 5 deg"] == 0.6667
+    with pytest.raises(OptionError):
+        refine_score([])
+
+
+def test_results_are_json(window):
+    one = estimate(
+        at(0.3), coarse=at(0.3), accepted=False, seconds={"a": 0.1}, candidate=at().tolist()
+    )
+    got = measure_refined(one, window, seconds=1)
+    again = Refined.from_dict(json.loads(json.dumps(got.to_dict(), allow_nan=False)))
+    assert again.to_dict() == got.to_dict()
+    assert again.wrongly_refused is got.wrongly_refused is True
+
+
+def test_the_spread_of_honest_covariances_is_normal(window, rng):
+    mixing = rng.normal(size=(6, 6)) * np.array([[0.02, 0.03, 0.01, 0.01, 0.004, 0.02]]).T
+    covariance = mixing @ mixing.T
+    results = []
+    for off in rng.multivariate_normal(np.zeros(6), covariance, 1500):
+        pose = at()
+        pose[:3, 3] -= off[:3]
+        pose[:3, :3] = rotation_from_vector(-off[3:]) @ pose[:3, :3]
+        found = PoseMode(pose, split_pose(pose)[0], covariance, 0.9, "", pose)
+        assert len(sigmas_of(found, window.truth)) == 6
+        results.append(measure_refined(PoseEstimate(Status.OK, (found,), ""), window, seconds=1))
+    s = spread(results)
+    assert s.count == 1500
+    assert s.rms == pytest.approx([1.0] * 6, abs=0.08)
+    for row, share in zip(s.within, (0.6827, 0.9545, 0.9973), strict=True):
+        assert row == pytest.approx([share] * 6, abs=0.05)
+    assert s.inside == pytest.approx(0.95, abs=0.02)
+    assert len(s.histogram) == len(EDGES) + 1
+    assert sum(s.histogram) == 6 * 1500
+    assert s.histogram[6] / 9000 == pytest.approx(0.1915, abs=0.03)  # -0.5 to 0
+
+
+def test_unsound_covariances_hold_nothing(window):
+    pose = at(0.01)
+    flat = PoseMode(pose, split_pose(pose)[0], np.zeros((6, 6)), 0.9, "", pose)
+    bad = measure_refined(PoseEstimate(Status.OK, (flat,), ""), window, seconds=1)
+    good = measure_refined(estimate(pose), window, seconds=1)
+    assert np.isnan(bad.sigmas).all()
+    s = spread([bad, good])
+    assert (s.count, s.inside) == (1, 0.5)
+    nothing = spread([])
+    assert nothing.count == sum(nothing.histogram) == 0
+    assert math.isnan(nothing.inside)
+    assert json.loads(dumps(nothing.to_dict()))["rms"] == [None] * 6
+
+
+def test_errors_are_a_pair():
+    assert errors_of(at(3.0, 90.0), at()) == pytest.approx((3.0, 90.0))

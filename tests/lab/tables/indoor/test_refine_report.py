@@ -1,0 +1,133 @@
+"""Tables of the refinement's benchmark."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from placegraph_lab.tables.indoor.metrics import Answer, dumps
+from placegraph_lab.tables.indoor.refine import PLACES, refine_jobs
+from placegraph_lab.tables.indoor.refine_metrics import Refined, spread
+from placegraph_lab.tables.indoor.refine_reference import PUBLISHED
+from placegraph_lab.tables.indoor.refine_report import RefineRow, histogram, refine_report
+
+JOBS = {job.name: job for job in refine_jobs()}
+
+
+def result(window="seq00 0:10", position=0.01, rotation=0.2, before=(0.2, 10.0), **more):
+    fields = {"accepted": True, "sigmas": (0.5,) * 6, "stages": {"depth": 0.4}} | more
+    coverage = fields.pop("coverage", None)
+    place = window.rpartition(" ")[0]
+    after = Answer(
+        window=window, place=place, changed=None if coverage else window >= "seq01",
+        coverage=coverage, position=position, rotation=rotation, status="OK", probability=0.9,
+        held=True, whitened=(0.5,) * 6, frames=10, seconds=0.5,
+    )  # fmt: skip
+    return Refined(before, after, **fields)
+
+
+def lines(text, start):
+    return [
+        [c.strip() for c in line.strip("|").split("|")]
+        for line in text.splitlines()
+        if line.startswith(f"| {start}")
+    ]
+
+
+def row(name, *results, length=10):
+    return RefineRow(JOBS[name], length, results)
+
+
+def test_a_line_has_both_sides():
+    text = refine_report(
+        [row("house found: all, sift", result(before=(0.06, 1.0)), result(position=0.3))]
+    )
+    assert "#### House, from the pose found, 10 frames" in text
+    (ours,) = lines(text, "all, sift")
+    assert ours[1:8] == [
+        "2", "13.0 cm, 5.5°", "15.5 cm, 0.2°", "13.0 cm, 5.5°", "15.5 cm, 0.2°",
+        ".50/.50/.50/1.00", ".50/.50/.50/.50",
+    ]  # fmt: skip
+    assert ours[8:] == ["1.00", ".50", ".00", "0.40", "0.50"]
+    paper = lines(text, "*paper")
+    assert [p[0] for p in paper] == [
+        "*paper, 3RScan, Tab. 1, 2, 4*",
+        "*paper, ScanNet, Tab. 2, 9, 10*",
+    ]
+    assert paper[1][2:8] == [
+        "54.0 cm, 10.2°", "44.0 cm, 8.1°", "14.0 cm, 2.1°", "10.0 cm, 2.3°",
+        ".28/–/–/.73", ".49/.39/–/.79",
+    ]  # fmt: skip
+    assert paper[0][-2] == "5.5"
+    assert "- house found: all, sift, 10 frames: seq00 0:10 OK 0.20 m" in text
+
+
+def test_published_rows_belong_to_tables():
+    assert all(place in PLACES for p in PUBLISHED for place in p.places)
+    text = refine_report([row("b in a found: no labels: colour, auto", result("b in a 0:9"))])
+    assert lines(text, "*trial of issue 5")[0][7] == "–/.45/–/–"
+
+
+def test_changes_sequences_and_aims():
+    name = "house disturbed: depth, auto"
+    text = refine_report(
+        [row(name, result(), result("seq01 0:10"), result("seq01 5:15", position=0.2))]
+    )
+    assert lines(text, name)[0] == [name, "1.00/.50"]
+    assert lines(text, "10 frames")[0] == ["10 frames", "seq00", "seq01"]
+    aims = {line[0]: line[1:] for line in lines(text, f"{name}, 10 frames")}
+    assert aims[f"{name}, 10 frames, unchanged: 10 cm 5°"] == ["≥ .90", "1.00"]
+    assert aims[f"{name}, 10 frames, changed: 10 cm 5°"] == ["≥ .80", ".50"]
+    assert aims[f"{name}, 10 frames: seconds"] == ["≤ 1", "0.50"]
+
+
+def test_small_gicp_stands_beside_and_is_judged_by_no_aim():
+    gicp = result(accepted=None, sigmas=(), stages={}, position=0.5)
+    theirs = row("house disturbed: depth, small_gicp, plane", gicp)
+    text = refine_report([row("house disturbed: depth, auto", result()), theirs])
+    line = lines(text, "depth, small_gicp, plane")[0]
+    assert line[7:] == [".00/.00/.00/.00", "–", "1.00", "–", "–", "0.50"]
+    assert not lines(text, "house disturbed: depth, small_gicp, plane, 10 frames")
+    assert "and worse than before" not in text
+
+
+def test_the_office_shows_what_its_map_covers():
+    results = (
+        result("b in a 0:9", coverage=0.9),
+        result("b in a 9:18", coverage=0.2, position=2.0),
+    )
+    text = refine_report([row("b in a disturbed: depth, auto", *results)])
+    (inside,) = lines(text, "depth, auto: covered to 60%")
+    assert (inside[1], inside[7]) == ("1", "1.00/1.00/1.00/1.00")
+    assert lines(text, "b in a disturbed: depth, auto, 10 frames: 25 cm")[0][1:] == ["≥ .70", ".50"]
+    written = json.loads(dumps(row("b in a disturbed: depth, auto", *results).to_dict()))
+    assert written["parts"]["covered 60%"]["windows"] == 1
+    assert written["parts"]["not covered"]["windows"] == 1
+
+
+def test_covariances_are_shown_for_poses_refined_and_poses_left():
+    kept = result(accepted=False, sigmas=(4.0,) * 6)
+    text = refine_report([row("house disturbed: depth, auto", result(), kept)])
+    (refined,) = lines(text, "house disturbed: depth, auto: refined")
+    (left,) = lines(text, "house disturbed: depth, auto: left coarse")
+    assert refined[1:] == ["1", *["0.50"] * 6, "1.00/1.00/1.00", "1.00"]
+    assert left[1:3] == ["1", "4.00"]
+    assert left[8] == ".00/.00/.00"
+    bars = "#### Errors over standard deviations: House, depth (with depth), from 0.2 m"
+    assert text.count(bars) == text.count("```text") == 1
+
+
+def test_bars_are_as_long_as_shares(rng):
+    results = [result(sigmas=tuple(rng.normal(size=6))) for _ in range(300)]
+    drawn = histogram(spread(results)).splitlines()
+    assert drawn[0] == drawn[-1].replace("```", "```text")
+    bars = [line.count("█") for line in drawn[2:-1]]
+    assert len(bars) == 14
+    assert bars[6] == pytest.approx(38, abs=5)
+    shares = [float(line.split("█")[0].split()[-2]) for line in drawn[2:-1]]
+    normal = [float(line.split("█")[0].split()[-1]) for line in drawn[2:-1]]
+    assert sum(shares) == pytest.approx(1.0, abs=0.01)
+    assert sum(normal) == pytest.approx(1.0, abs=0.01)
+    assert np.abs(np.subtract(shares, normal)).max() < 0.04
+    assert math.isclose(normal[0], 0.001)

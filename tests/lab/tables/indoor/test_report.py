@@ -1,0 +1,130 @@
+"""Tables of the indoor benchmark."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from placegraph.indoor.options import FilterOptions
+from placegraph_lab.tables.indoor.jobs import Job, chosen, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.metrics import Answer, dumps
+from placegraph_lab.tables.indoor.reference import COVERED, REFERENCES
+from placegraph_lab.tables.indoor.report import Row, errors, report
+
+JOBS = {job.name: job for job in [*house_jobs(), *office_jobs()]}
+
+
+def answer(window="seq00 0:5", position=0.05, rotation=1.0, status="OK", **more):
+    near = position <= 0.5 and rotation <= 10
+    return Answer(
+        **{
+            "window": window, "place": window.split()[0], "changed": window >= "seq01",
+            "coverage": None, "position": position, "rotation": rotation, "status": status,
+            "probability": 0.9, "held": near, "whitened": (1.0,) * 6, "frames": 5,
+            "seconds": 0.5, "particles": 120.0,
+        }
+        | more
+    )  # fmt: skip
+
+
+def lines(text, start):
+    return [
+        [c.strip() for c in line.strip("|").split("|")]
+        for line in text.splitlines()
+        if line.startswith(f"| {start}")
+    ]
+
+
+def test_every_row_has_a_name_of_its_own_and_every_reference_a_row():
+    assert len(JOBS) == len(house_jobs()) + len(office_jobs())
+    for r in (*REFERENCES, *COVERED.values()):
+        assert f"{r.table}: {r.row}" in JOBS
+    assert JOBS["none: depth"].options == FilterOptions(semantic=False, colour=False)
+    assert JOBS["instances: all"].options == FilterOptions()
+    assert not JOBS["instances: semantic, without KLD"].options.kld
+    assert JOBS["instances: semantic, uniform start"].options.start == "uniform"
+    assert len(JOBS["instances: all, coarse only"].options.passes) == 1
+
+
+def test_rows_are_chosen_by_name():
+    names = [j.name for j in chosen(JOBS.values(), ["classes: *", "none: depth"])]
+    assert names == [
+        "classes: semantic", "classes: semantic + depth", "classes: semantic + colour",
+        "classes: all", "none: depth",
+    ]  # fmt: skip
+    assert chosen(JOBS.values(), []) == list(JOBS.values())
+
+
+def test_options_are_part_of_a_key():
+    job = JOBS["instances: all"]
+    other = replace(job, options=FilterOptions(kld=False))
+    window = type("W", (), {"name": "seq00 0:5"})
+    assert len({j.key(window, s, "c") for j in (job, other) for s in (0, 1)}) == 4
+    assert job.key(window, 0, "c") != job.key(window, 0, "d")
+
+
+def test_a_row_is_written_with_what_was_published():
+    row = Row(JOBS["instances: semantic"], 5, (answer(), answer("seq01 0:5", 0.2, 3.0)))
+    text = report([row])
+    ours = lines(text, "semantic ")[0]
+    assert ours[1:6] == ["2", "12.5 cm, 2.0°", "12.5 cm, 2.0°", ".50/.50/1.00/1.00", "1.00"]
+    assert ours[-2:] == ["120", "0.100"]
+    published = lines(text, "*paper")
+    assert published[0][4] == ".11/–/.35/–"
+    assert lines(text, "instances: semantic")[0][1] == "1.00/.00"  # unchanged / changed
+    assert lines(text, "semantic only, 5 frames")[0][1:] == ["≥ .85", ".50"]
+
+
+def test_falsehoods_are_listed():
+    false = answer("seq01 13:18", 14.1, 179.0)
+    text = report([Row(JOBS["instances: all"], 5, (answer(), false))])
+    assert "- instances: all, 5 frames: seq01 13:18 OK 14.10 m 179 deg" in text
+    assert lines(text, "OK and wrong")[0][2] == ".50"
+    torn = replace(false, status="AMBIGUOUS", held=True)
+    text = report([Row(JOBS["instances: semantic + depth"], 5, (answer(), torn))])
+    assert "that are not" not in text
+    assert lines(text, "with depth, 5 frames")[0][2] == "1.00"
+
+
+def test_losses_are_points():
+    at = [answer(), answer()]
+    worse = [answer(), answer(position=0.3)]
+    rows = [
+        Row(JOBS["instances: semantic + depth"], 10, tuple(at)),
+        Row(JOBS["classes: semantic + depth"], 10, tuple(worse)),
+        Row(JOBS["instances: semantic + depth, 20k triangles"], 10, tuple(at)),
+    ]
+    text = report(rows)
+    assert lines(text, "class labels with depth, 10")[0][2] == "50.0"
+    assert lines(text, "20k triangles, semantic + depth, 10")[0][2] == "0.0"
+
+
+def test_the_office_is_told_apart_by_coverage():
+    answers = (
+        answer("b 1", coverage=0.9, changed=None),
+        answer("b 2", coverage=0.7, changed=None, position=3.0),
+        answer("b 3", coverage=0.2, changed=None, position=math.inf, rotation=180.0, status="LOST"),
+    )
+    text = report([Row(JOBS["b in a: depth + colour"], 10, answers)])
+    (covered,) = lines(text, "depth + colour: covered to 60%")
+    (rest,) = lines(text, "depth + colour: the others")
+    assert (covered[1], covered[4]) == ("2", ".50/.50/.50/.50")
+    assert (rest[1], rest[8]) == ("1", "1.00")
+    assert lines(text, "office, covered windows")[0][1:] == ["≥ .80", ".50"]
+    row = Row(JOBS["b in a: depth + colour"], 10, answers).to_dict()
+    assert json.loads(dumps(row))["parts"]["covered 60%"]["windows"] == 2
+
+
+def test_short_numbers_of_errors():
+    assert errors((0.0212, 0.44)) == "2.1 cm, 0.4°"
+    assert errors((2.5, 20.0)) == "2.50 m, 20.0°"
+    assert errors((math.inf, 180.0)) == "∞, 180.0°"
+    assert errors((None, 3.0)) == errors((math.nan, math.nan)) == "–"
+
+
+def test_a_job_knows_its_table():
+    job = Job("none", "depth", FilterOptions(), "house", "none")
+    assert job.name == "none: depth"
+    with pytest.raises(ValueError, match="no answers"):
+        Row(job, 5, ())

@@ -1,0 +1,208 @@
+"""The benchmark of encoders: what each is asked with, what it writes, and what it is worth in a room."""
+
+import importlib.util
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from placegraph.formats.capture.capture import open_capture
+from placegraph.geometry import Camera
+from placegraph.indoor.encode.words import vector
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.tables.indoor.metrics import Answer
+from placegraph_lab.tables.indoor.semantics import (
+    BARE,
+    LABELS,
+    NONE,
+    OTHER_WORDS,
+    OTHERS,
+    TABLE,
+    TERMS,
+    WITH_LABELS,
+    Case,
+    ask,
+    available,
+    cases,
+    encoder_of,
+    named,
+)
+from placegraph_lab.tables.indoor.semantics_report import Row, report
+from placegraph_lab.tables.indoor.windows import Window, true_poses
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOM = """
+[flat]
+name = Room
+height = 2.6
+[drawing]
+##########====##
+#SSS       pp  #
+#SSS       1   #
+#SSS  TTT    BB#
+#     TTT    BB#
+#              +
+#LL        2   +
+#LL  CCCCCC    #
+################
+[legend]
+1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
+2 spot:
+S sofa: look=fabric darkred trim=fabric firebrick
+B shelf: label=bookcase height=2.1
+T table: label=desk look=wood burlywood
+C cabinet: label=sideboard height=0.8 look=wood peru
+L lamp:
+p picture:
+"""
+EVERYTHING = len(BARE) + len(WITH_LABELS) * len(TERMS)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Scene map and a window of five frames of a small room."""
+    folder = tmp_path_factory.mktemp("semantics")
+    drawing, rng = Flat.parse(ROOM), np.random.default_rng(1)
+    interior = drawing.furnish(rng)
+    interior.write_glb(folder / "flat.glb")
+    scene = build_scene(folder / "flat.glb", None)
+    walk = stroll(drawing, rng, frames=5, through="12")
+    write_walk(
+        interior, walk, folder / "walk", rng, camera=Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
+    )
+    capture = open_capture(folder / "walk")
+    return scene, Window("walk", capture, true_poses(folder / "walk")[-1])
+
+
+def test_cases():
+    rows = cases(["appearance"])
+    assert len({c.name for c in rows}) == len(rows) == EVERYTHING + 4 + 2 * (3 + 4)
+    assert all(c.encoder in {NONE, "appearance"} for c in rows if c.place != "house")
+    assert cases([])[3].options.semantic
+    assert not cases([])[0].options.semantic
+    assert set(available()) <= {"appearance", "compact"}
+
+
+def test_other_words_are_synonyms_or_kin():
+    for own, other in OTHER_WORDS.items():
+        assert own.casefold() != other.replace(" ", "")
+        assert 0.5 < float(vector(own) @ vector(other)) <= 1.001, (own, other)
+    said = np.array([vector(w) for w in OTHER_WORDS.values()])
+    cosines = said @ np.array([vector(w) for w in OTHER_WORDS]).T
+    own = np.diag(cosines)
+    assert (own >= cosines.max(axis=1) - 0.25).all()  # no other is much nearer
+    assert (own == cosines.max(axis=1)).mean() > 0.75
+
+
+def test_a_capture_of_instances_as_one_of_labels(world):
+    scene, window = world
+    capture = named(window.capture, scene, {"wall": "brickwork"})
+    frame = capture[0]
+    assert frame.label_kind == capture.label_kind == "labels"
+    assert (frame.labels() == window.capture[0].labels()).all()
+    row = {int(id_): i for i, id_ in enumerate(scene.graph.ids)}
+    for value, name in frame.label_names.items():
+        label = scene.graph.labels[row[value]]
+        assert name == ("brickwork" if label == "wall" else label)
+
+
+def test_what_encoders_are_asked_with(world):
+    scene, window = world
+    assert encoder_of(Case("house", NONE, "depth"), scene, window, 0) == (None, window)
+    said = {}
+    for name in WITH_LABELS:
+        encoder, seen = encoder_of(Case("house", name, "semantic"), scene, window, 0)
+        patches = encoder.encode(seen.capture[0])
+        said[name] = patches.table.argmax(axis=1)[patches.rows]
+        assert (patches.rows >= 0).mean() > 0.9
+        again = encoder.encode(seen.capture[0])
+        assert (again.rows == patches.rows).all()
+    clean = np.array([s for n, s in said.items() if n in {LABELS, OTHERS, TABLE}])
+    assert (clean[0] == clean[1]).mean() < 0.9  # each has noise of its own draw
+
+
+@pytest.mark.parametrize("name", [LABELS, OTHERS])
+def test_noisy_labels_find_the_pose(world, name):
+    scene, window = world
+    got = ask(Case("house", name, "semantic + depth + colour"), scene, window, device="cpu")
+    assert got.within(0.25, 5.0), got
+    assert got.frames == 5
+
+
+def answer(position, rotation):
+    return Answer("w", "seq01", None, None, position, rotation, "OK", 1.0, True, (), 5, 1.0)
+
+
+def test_the_report_is_of_the_papers_shape():
+    rows = [
+        Row(Case("house", NONE, "depth"), 5, (answer(0.05, 1.0), answer(0.2, 5.0))),
+        Row(Case("house", LABELS, "semantic"), 5, (answer(0.05, 6.0), answer(3.0, 90.0))),
+    ]
+    text = report(rows)
+    assert "#### House, 30 % of the labelled patches wrong, 5 frames" in text
+    depth, labels = (
+        next(x for x in text.splitlines() if x.startswith(f"| {n} ")) for n in ("–", "labels")
+    )
+    cells = [c.strip() for c in depth.split("|")[1:-1]]
+    assert cells[:8] == ["–", "depth", "2", "0.125 m 3.0°", "0.125 m 3.0°", ".50", "1.00", ".50"]
+    cells = [c.strip() for c in labels.split("|")[1:-1]]
+    assert cells[5:8] == [".00", ".50", ".00"]
+    assert "Table 7, 3RScan" in text
+    assert "| .35 | .61 |" in " ".join(text.split())
+    written = rows[1].to_dict()
+    assert (written["encoder"], written["terms"], written["length"]) == (LABELS, "semantic", 5)
+
+
+@pytest.fixture
+def script(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
+    """The script, its maps replaced by names and its answers by numbers."""
+    spec = importlib.util.spec_from_file_location("b", ROOT / "benchmarks/indoor_semantics.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    asked = []
+
+    def fake(case, scene, window, *, seed, device):  # noqa: ARG001
+        assert scene == case.place
+        asked.append((case.name, window.name, seed))
+        return answer(0.05, 1.0)
+
+    monkeypatch.setattr(module, "ask", fake)
+    monkeypatch.setattr(module, "available", list)
+    monkeypatch.setattr(module.SemanticBench, "scene", lambda _, name: name)
+    return SimpleNamespace(main=module.main, asked=asked)
+
+
+def run(script, folder, *options):
+    app = typer.Typer()
+    app.command()(script.main)
+    arguments = ["--cache", str(folder / "cache"), "--out", str(folder / "out.json"), *options]
+    result = CliRunner().invoke(app, arguments)
+    return result.exit_code, result.output
+
+
+def test_it_goes_on_where_it_was_cut(script, tmp_path):
+    options = ("--only", "house: labels: *", "--every", "13")
+    code, text = run(script, tmp_path, *options)
+    assert code == 0, text
+    windows = len({window for _, window, _ in script.asked})
+    assert len(script.asked) == 4 * (windows + 1)
+    written = json.loads((tmp_path / "out.json").read_text())
+    assert [r["terms"] for r in written["rows"]] == list(TERMS)
+    assert written["every"] == 13
+    script.asked.clear()
+    assert run(script, tmp_path, *options) == (0, text)
+    assert not script.asked
+    run(script, tmp_path, *options, "--fresh")
+    assert len(script.asked) == 4 * (windows + 1)
+
+
+def test_rows_that_are_none(script, tmp_path):
+    code, text = run(script, tmp_path, "--only", "house: nonsense")
+    assert code == 2
+    assert "no row is named" in text

@@ -1,0 +1,128 @@
+"""Costs of scoring: every ray is counted, maps of any size are the same map."""
+
+import importlib.util
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from placegraph.errors import PlacegraphError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor import speed as indoor_speed
+from placegraph_lab.tables.indoor.speed import (
+    Cost,
+    clustered,
+    cold_start,
+    cost,
+    engines,
+    median_time,
+    no_cuda,
+    resized,
+    scattered_poses,
+)
+
+
+def bumpy(n, objects):
+    """A sheet of bumps, n x n quads a side, cut into stripes, one an object."""
+    x, y = np.meshgrid(*[np.linspace(-9.0, 9.0, n + 1)] * 2, indexing="ij")
+    points = np.stack([x, y, 0.3 * np.sin(3 * x) * np.cos(2 * y)], axis=-1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    corners = np.stack([a, a + n + 1, a + n + 2, a, a + n + 2, a + 1], axis=1).reshape(-1, 3)
+    return Mesh.plain(points, corners, np.arange(len(corners)) * objects // len(corners))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    names = [str(i) for i in range(5)]
+    return SceneMap.create(bumpy(40, 5), names, ["floor"] * 5, floor=0.0)
+
+
+@pytest.mark.parametrize("triangles", [40, 600, 9000])
+def test_maps_of_any_size_hold_the_same_objects(scene, triangles):
+    made = resized(scene, triangles)
+    assert len(made.mesh) == pytest.approx(triangles, rel=0.25)
+    assert made.graph.ids == scene.graph.ids
+    assert made.bounds == pytest.approx(scene.bounds, abs=1.5)
+
+
+def test_clusters_keep_every_object():
+    mesh = clustered(bumpy(20, 7), 25.0)
+    assert sorted(set(mesh.object_of.tolist())) == list(range(7))
+
+
+def test_costs_are_of_all_rays(scene, shared, monkeypatch):
+    monkeypatch.setattr(indoor_speed, "median_time", lambda work: work() is not None and 0.5)
+    background = scene.visibility(FilterOptions(spacing=2.0, heights=(1.6,))).background
+    row = cost(scene, shared / "data/house/seq00", 20, 40.0, background)
+    assert (row.particles, row.triangles, row.device) == (20, len(scene.mesh), "cpu")
+    assert row.rays >= 640 // 40 * 360 // 40
+    assert row.rate == 20 * row.rays / 0.5
+    assert row.share == 1.0
+    assert Cost("cuda", 9, 5, 4, 2.0, float("nan")).to_dict()["casting_share"] is None
+
+
+def test_engines_that_are_there_are_timed(scene, shared, monkeypatch):
+    monkeypatch.setattr(indoor_speed, "median_time", lambda work, **_: work() is not None and 0.5)
+    rates = engines(scene, shared / "data/house/seq00", particles=2)
+    assert "own tree" in rates
+    assert ("Warp, CUDA" in rates) == (no_cuda() == "")
+    assert min(rates.values()) > 0
+
+
+def test_poses_are_near_the_way_that_was_walked(shared, rng):
+    poses = scattered_poses(shared / "data/house/seq00", 500, rng)
+    assert poses.shape == (500, 4)
+    assert np.ptp(poses[:, 3]) > 6.0
+    assert np.abs(poses[:, 2] - 1.6).max() < 0.5
+
+
+def test_times_are_medians():
+    assert median_time(lambda: time.sleep(0.002), least=0.0, times=3) >= 0.002
+
+
+def test_a_command_that_fails_is_no_start():
+    with pytest.raises(PlacegraphError, match="no-such-command"):
+        cold_start(["no-such-command"], times=1)
+
+
+@pytest.fixture
+def script():
+    """The benchmark itself."""
+    path = Path(__file__).resolve().parents[2] / "benchmarks/indoor_speed.py"
+    spec = importlib.util.spec_from_file_location("indoor_speed_script", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_tables_name_the_paper_and_the_reason(script, monkeypatch, scene, tmp_path):
+    monkeypatch.setattr(script, "costs", lambda *_: [Cost("cpu", 20_000, 1000, 640, 0.04, 0.03)])
+    text, rows = script.scoring(scene, tmp_path, "there is no GPU")
+    assert "16.0" in text.splitlines()[2]  # million rays a second
+    assert ".75" in text.splitlines()[2]
+    assert text.endswith("No row for CUDA: there is no GPU")
+    assert rows[0]["rays_per_second"] == 16e6
+    measured = {
+        "device": "cpu", "frame_seconds": 0.2, "stage_seconds": {"filter": 0.03, "search": 0.1},
+        "passes": 3, "particles": 90.0, "rays_a_frame": 2e5, "rays_per_second": 1e7,
+        "scoring_share": 0.5, "peak_bytes": 4e8,
+    }  # fmt: skip
+    monkeypatch.setattr(script, "apart", lambda *_: measured)
+    text, rows = script.methods({"house": tmp_path, "small": tmp_path}, [tmp_path], "none")
+    assert len(rows) == len(script.METHODS) + 2
+    assert "10.0 ms" in text  # a frame and pass
+    assert "2.90 s" in text
+    assert "1.60 s" in text
+
+
+def test_a_part_must_exist(script):
+    app = typer.Typer()
+    app.command()(script.main)
+    result = CliRunner().invoke(app, ["--only", "colour"])
+    assert result.exit_code == 2
+    assert "tracking" in result.output

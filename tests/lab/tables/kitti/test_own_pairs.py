@@ -1,0 +1,126 @@
+"""A folder of one's own: map and descriptions in, recall and calibration out."""
+
+import json
+import shutil
+
+import osmium
+import pytest
+
+from placegraph.errors import InputError
+from placegraph.outdoor.map.build import build_city
+from placegraph_lab.tables.kitti.own_pairs import evaluate_folder
+from placegraph_lab.tables.outdoor.metrics import HIT
+from placegraph_lab.worlds.town.town import Town
+
+CLEAR = "I am on Speicherweg. The museum is south of me."
+TRUE = (9.9918, 53.5496)
+
+
+def rows(*more):
+    lon, lat = TRUE
+    return [
+        {"id": "clear", "text": CLEAR, "longitude": lon, "latitude": lat},
+        {"id": "wrong", "text": CLEAR, "longitude": lon + 0.003, "latitude": lat},
+        {"id": "lost", "text": "A lighthouse is north of me.", "longitude": lon, "latitude": lat},
+        {"id": "long", "text": "x " * 50_000, "longitude": lon, "latitude": lat},
+        *more,
+    ]
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    build_city(Town.load("hafenstadt").write_osm(folder / "town.osm"), folder / "town.city")
+    return folder / "town.city"
+
+
+@pytest.fixture
+def folder(tmp_path, city):
+    shutil.copy(city, tmp_path)
+    return write(tmp_path, rows())
+
+
+def write(folder, told):
+    text = "\n".join(json.dumps(row) for row in told)
+    (folder / "descriptions.jsonl").write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_recall_and_calibration(folder):
+    found = evaluate_folder(folder)
+    by_id = dict(zip([t.id for t in found.told], found.answers, strict=True))
+    assert by_id["clear"].distance[0] <= HIT
+    assert by_id["clear"].own_cell is not None
+    assert by_id["wrong"].distance[0] > 3 * HIT, "the truth never reaches the map"
+    assert by_id["wrong"].probability == by_id["clear"].probability
+    assert len(by_id["lost"].distance) == len(by_id["long"].distance) == 0
+    s = found.score
+    assert s.within[50.0] == {1: 0.25, 3: 0.25, 5: 0.25}
+    assert s.status == {"LOST": 0.5, "OK": 0.5}
+    assert s.calibration.count.sum() == 4
+    assert found.outside == ()
+    told = found.to_dict(answers=True)
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert [a["id"] for a in told["answers"]] == ["clear", "wrong", "lost", "long"]
+    assert "4 descriptions" in found.table()
+
+
+def test_near_and_heading_reach_the_map(folder):
+    lon, lat = TRUE
+    text = "There is a fountain to my right. There is a café behind me."
+    squares = {"text": text, "longitude": lon, "latitude": lat}
+    write(folder, [
+        squares | {"id": 1},
+        squares | {"id": 2, "heading_deg": 0.0},
+        {"id": 3, "text": CLEAR, "longitude": lon, "latitude": lat, "near": [9.0, 50.0, 100]},
+    ])  # fmt: skip
+    unsure, looking, elsewhere = evaluate_folder(folder).answers
+    assert unsure.probability != looking.probability
+    assert elsewhere.status == "LOST"
+
+
+def test_a_place_outside_is_told(folder):
+    write(folder, rows({"id": "far", "text": CLEAR, "longitude": 8.0, "latitude": 50.0}))
+    found = evaluate_folder(folder)
+    assert found.outside == ("far",)
+    assert "Outside of town.osm: 1 (far)" in found.table()
+
+
+@pytest.mark.parametrize("name", ["map.osm.pbf", "map.osm"])
+def test_a_map_is_built_where_there_is_none(tmp_path, tmp_path_factory, name):
+    plain = Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("plain") / "town.osm")
+    with osmium.SimpleWriter(str(tmp_path / name)) as writer:
+        for thing in osmium.FileProcessor(str(plain)):
+            writer.add(thing)
+    write(tmp_path, rows()[:1])
+    steps = []
+    found = evaluate_folder(tmp_path, progress=lambda *s: steps.append(s))
+    assert found.score.within[25.0][1] == 1.0
+    assert {s for s, _ in steps} >= {"reading", "locating"}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["descriptions.jsonl", name]
+
+
+def test_folders_that_are_none(folder):
+    shutil.copy(folder / "town.city", folder / "other.city")
+    with pytest.raises(InputError, match="several maps"):
+        evaluate_folder(folder)
+    for path in folder.glob("*.city"):
+        path.unlink()
+    with pytest.raises(InputError, match="holds no map"):
+        evaluate_folder(folder)
+    with pytest.raises(InputError, match=r"descriptions\.jsonl cannot be read"):
+        evaluate_folder(folder / "missing")
+
+
+def test_the_command(run, folder):
+    result = run("city", "evaluate", folder)
+    assert (result.code, result.err) == (0, "")
+    assert "50 m @1/3/5" in result.out
+    told = run("city", "evaluate", folder, "--json", "-o", folder / "answers.json").json
+    assert told["within"]["50 m"]["1"] == 0.25
+    assert "answers" not in told
+    assert len(json.loads((folder / "answers.json").read_text())["answers"]) == 4
+    write(folder, [{"id": 1}])
+    failed = run("city", "evaluate", folder)
+    assert failed.code == 3
+    assert "line 1: text is missing" in failed.err

@@ -1,0 +1,113 @@
+"""Parts and copies of a city are cities: their objects, cells and graphs are those of the whole."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.map.build import build_city
+from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, take, tile
+from placegraph_lab.train.city.sample import held_out
+
+
+@pytest.fixture(scope="module")
+def city(town, tmp_path_factory):
+    return build_city(town, tmp_path_factory.mktemp("map") / "town.city")
+
+
+def rows_of(city):
+    """Objects by id, as plain values."""
+    o = city.objects
+    return {
+        o.osm(i): (o.label(i), o.name(i), o.kind[i], [p.tolist() for p in o.parts(i)])
+        for i in range(len(o))
+    }
+
+
+def test_a_part_has_the_cells_of_the_whole(city, tmp_path):
+    part, smaller = crop(city, 40), crop(city, 20)
+    assert len(part.cells) == 40
+    assert set(smaller.cells) < set(part.cells) < set(city.cells)
+    for cell in part.cells:
+        assert part.graph(cell) == city.graph(cell)
+    known = rows_of(city)
+    assert all(known[osm] == row for osm, row in rows_of(part).items())
+    assert len(part.objects) < len(city.objects)
+    part.objects.check()
+    part.save(tmp_path / "part.city")
+    assert len(CityMap.open(tmp_path / "part.city").cells) == 40
+
+
+def test_a_part_lies_where_it_is_wanted(city):
+    corner = city.cells.center(next(iter(city.cells)))
+    part = crop(city, 1, around=corner)
+    assert tuple(part.cells) == (next(iter(city.cells)),)
+
+
+def test_the_busiest_tile_has_the_most_objects(city):
+    def inside(middle):
+        return (np.abs(city.objects.center - middle).max(axis=1) <= 500.0).sum()
+
+    best = busiest_tile(city)
+    assert (best % 1000.0 == 500.0).all()
+    around = [
+        best + np.array([x, y]) for x in (-1000.0, 0.0, 1000.0) for y in (-1000.0, 0.0, 1000.0)
+    ]
+    assert inside(best) == max(map(inside, around))
+    assert held_out(*busiest_tile(city, unseen=True))
+
+
+def test_a_part_knows_no_other_words(city):
+    part = crop(city, 5)
+    used = {part.objects.labels[i] for i in part.objects.label_values}
+    assert set(part.objects.labels) == used
+
+
+def test_all_is_all(city):
+    assert rows_of(crop(city, len(city.cells))).keys() <= rows_of(city).keys()
+    everything = take(city.objects, np.arange(len(city.objects)))
+    for name in ("label_values", "name_values", "points", "part_starts", "labels", "names"):
+        assert np.array_equal(getattr(everything, name), getattr(city.objects, name))
+
+
+def test_copies_stand_apart_and_differ(city):
+    three = tile(city, 3, np.random.default_rng(0))
+    three.objects.check()
+    n = len(city.objects)
+    assert len(three.objects) == 3 * n
+    assert len(set(three.objects.osm_id)) >= 3 * len(set(city.objects.osm_id))
+    original, first = rows_of(city), rows_of(three)
+    assert all(first[osm] == row for osm, row in original.items())  # the first is as it was
+    for k in (1, 2):
+        copy = slice(k * n, (k + 1) * n)
+        labels = [three.objects.label(i) for i in range(k * n, (k + 1) * n)]
+        assert sorted(labels) == sorted(city.objects.label(i) for i in range(n))
+        assert labels != [city.objects.label(i) for i in range(n)]
+        shift = three.objects.center[copy] - city.objects.center
+        assert np.ptp(shift, axis=0).max() < 0.01
+    spans = [three.objects.center[k * n : (k + 1) * n] for k in range(3)]
+    assert spans[1][:, 0].min() > spans[0][:, 0].max() + 100.0
+    assert spans[2][:, 1].min() > spans[0][:, 1].max() + 100.0
+    # stones' throws are kept: every copy has as many cells
+    assert abs(len(three.cells) - 3 * len(city.cells)) <= 0.05 * len(three.cells)
+
+
+def test_a_seed_makes_the_same_copies(city):
+    first, again = (tile(city, 2, np.random.default_rng(7)) for _ in range(2))
+    assert np.array_equal(first.objects.label_values, again.objects.label_values)
+
+
+def test_a_place_is_found_among_copies(city):
+    text = "A bakery is north of me, a tram stop is south of me. I'm on Lange Straße."
+    alone = city.locate(text).best
+    among = tile(city, 4, np.random.default_rng(0)).locate(text).best
+    assert among.longitude == pytest.approx(alone.longitude, abs=1e-4)
+    assert among.latitude == pytest.approx(alone.latitude, abs=1e-4)
+
+
+def test_what_cannot_be_made_is_said(city):
+    for cells in (0, len(city.cells) + 1):
+        with pytest.raises(OptionError, match="cells"):
+            crop(city, cells)
+    with pytest.raises(OptionError, match="copies"):
+        tile(city, 0, np.random.default_rng(0))

@@ -1,0 +1,160 @@
+"""Every matcher answers by one protocol, in cells of the map, and finds what is there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.network.encoded import EncodedCity
+from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.network.shape import Shape
+from placegraph_lab.tables.outdoor.extracts import (
+    EXTRACTS,
+    in_held_out_tiles,
+    names_of,
+    open_city,
+    unseen_queries,
+)
+from placegraph_lab.tables.outdoor.matchers import (
+    FUSED,
+    MATCHERS,
+    RELATIONAL,
+    EditMatcher,
+    Places,
+    ask,
+    cell_centers,
+    matcher,
+    places_of,
+)
+from placegraph_lab.tables.outdoor.metrics import score
+from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
+from placegraph_lab.train.city.sample import evaluated
+
+
+@pytest.fixture(scope="module")
+def city(town, tmp_path_factory):
+    """The shipped town, read by a network of random weights: this is about what goes where."""
+    made = build_city(town, tmp_path_factory.mktemp("map") / "town.city")
+    shape, rng = Shape(width=16, dimension=16, heads=2, evidence=8), np.random.default_rng(0)
+    arrays = {
+        name: rng.normal(scale=0.2, size=size).astype(np.float32)
+        for name, size in shape.arrays().items()
+    }
+    made.__dict__["encoded"] = EncodedCity(made, GraphTransformer(shape, arrays, "random"))
+    return made
+
+
+@pytest.fixture(scope="module")
+def bins(town):
+    return load(town)
+
+
+def check(places, city, top):
+    assert 0 < len(places.cells) <= top
+    assert places.positions.shape == (len(places.cells), 2)
+    for cell, at in zip(places.cells, city.plane.to_plane(places.positions), strict=True):
+        assert cell in city.cells
+        assert city.cells.nearest(at) == cell
+
+
+@pytest.mark.parametrize("name", MATCHERS)
+@pytest.mark.parametrize("setting", ["none", "names", "speaker"])
+def test_matchers_rank_cells(city, bins, town, name, setting):
+    found = matcher(name, city, bins, setting)
+    if isinstance(found, EditMatcher):
+        found = replace(found, timeout=0.01)
+    for query in make_queries(town, n=4, setting=setting):
+        places = found.rank(query, 5)
+        check(places, city, 5)
+        if name not in (RELATIONAL, FUSED):  # these rank positions, several may lie in one cell
+            assert len(set(places.cells)) == 5
+
+
+def test_a_text_finds_its_place(city, bins, town):
+    """Far better than chance, which finds one in ten within 50 m of five places."""
+    asked = make_queries(town, n=30)
+    assert 5 * np.pi * 50.0**2 / (len(city.cells) * city.cells.size**2) < 0.1
+    for found in (
+        matcher("triple bag, tuned", city, bins),
+        matcher("edit distance", city, bins),
+        matcher(RELATIONAL, city, bins),
+    ):
+        assert score(ask(found, city, asked)).within[50.0][5] > 0.4
+
+
+def test_edit_distance_ranks_what_it_is_given(city, town):
+    query = make_queries(town, n=1)[0]
+    cells = tuple(city.cells)[:7]
+
+    class First:
+        def rank(self, _, top):
+            return places_of(city, (*cells, *cells)[:top])
+
+    found = EditMatcher(city, First(), candidates=14).rank(query, 14)
+    assert sorted(found.cells) == sorted(cells)
+
+
+def test_exact_is_the_cell_that_covers_the_truth(city):
+    grid = city.cells.grid
+    inside = city.cells[next(iter(city.cells))]
+    nowhere = city.plane.to_lonlat((grid.east - 500.0, grid.north - 500.0))
+
+    class Fixed:
+        def rank(self, _, top):
+            return Places(np.array([[inside.longitude, inside.latitude]])[:top], (inside.id,))
+
+    at = Query("", inside.longitude, inside.latitude, ())
+    (answer,) = ask(Fixed(), city, [at])
+    assert answer.exact == (True,)
+    assert answer.distance.tolist() == pytest.approx([0.0], abs=1e-6)
+    away = Query("", float(nowhere[0]), float(nowhere[1]), ())
+    (answer,) = ask(Fixed(), city, [away])
+    assert answer.exact == (False,)  # no cell covers the truth
+    assert answer.distance[0] > 500.0
+
+
+def test_centers_are_those_of_the_cells(city):
+    for center, cell in zip(cell_centers(city), city.cells, strict=True):
+        assert np.array_equal(center, city.cells.center(cell))
+
+
+def off_center(city, query):
+    """Metres to the nearest centre of the grid."""
+    grid = city.cells.grid
+    at = city.plane.to_plane((query.longitude, query.latitude)) - (grid.east, grid.north)
+    return np.hypot(*(at - grid.stride * np.round(at / grid.stride)))
+
+
+def test_queries_of_trained_cities_stand_in_held_out_tiles(shared, tmp_path):
+    path = shared / "data/osm" / EXTRACTS["monaco"]
+    city = build_city(path, tmp_path / "monaco.city")
+    trained = unseen_queries("vancouver", city, path, n=40, seed=0, in_the_middle=True)
+    unseen = unseen_queries("monaco", city, path, n=40, seed=0)
+    assert max(off_center(city, q) for q in trained) <= 10.0 + 1e-3
+    assert max(off_center(city, q) for q in unseen) > 20.0
+    share = []
+    for asked in (trained, unseen):
+        lonlat = np.array([(q.longitude, q.latitude) for q in asked])
+        inside = in_held_out_tiles(city)(lonlat)
+        assert np.array_equal(inside, evaluated(*city.plane.to_plane(lonlat).T))
+        share.append(inside.mean())
+    assert share[0] == 1.0
+    assert 0.0 < share[1] < 0.8
+
+
+def test_maps_are_built_once(shared, tmp_path):
+    city = open_city("toronto", shared / "data/osm", tmp_path / "maps")
+    made = (tmp_path / "maps/toronto.city").stat().st_mtime_ns
+    assert len(open_city("toronto", shared / "data/osm", tmp_path / "maps").cells) == len(
+        city.cells
+    )
+    assert (tmp_path / "maps/toronto.city").stat().st_mtime_ns == made
+
+
+def test_cities_by_name():
+    assert names_of("") == list(EXTRACTS)
+    assert names_of("monaco, ankara") == ["monaco", "ankara"]
+    with pytest.raises(OptionError, match="atlantis"):
+        names_of("atlantis")

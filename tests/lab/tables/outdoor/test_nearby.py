@@ -1,0 +1,89 @@
+"""Objects around a viewpoint, checked against brute force."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import OptionError
+from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.queries import load
+from placegraph_lab.tables.outdoor.raw import AREA, read_raw
+
+
+def own(city, i):
+    return city.segments[city.segment_starts[i] : city.segment_starts[i + 1]]
+
+
+def walked_distance(city, i, viewpoint):
+    """Distance to an object by walking along it in steps of at most 20 cm."""
+    best = np.inf
+    for a, b in own(city, i).reshape(-1, 2, 2):
+        t = np.linspace(0.0, 1.0, int(np.hypot(*(b - a)) / 0.2) + 2)[:, None]
+        best = min(best, np.hypot(*(a + t * (b - a) - viewpoint).T).min())
+    return best
+
+
+@given(x=st.floats(0.05, 0.95), y=st.floats(0.05, 0.95))
+def test_nearest_points_are_those_of_brute_force(town, x, y):
+    bins = load(town)
+    city = bins.city
+    ends = city.segments.reshape(-1, 2)
+    viewpoint = ends.min(0) + (x, y) * np.ptp(ends, axis=0)
+    around = bins.around(viewpoint[None], 25.0)
+    distance = dict(
+        zip(around.objects.tolist(), np.hypot(*(around.points - viewpoint).T), strict=True)
+    )
+    for i in range(len(city)):
+        expected = walked_distance(city, i, viewpoint)
+        if i in distance and distance[i] != pytest.approx(expected, abs=0.3):
+            # an area around the viewpoint stands at its centroid
+            assert city.kind[i] == AREA
+            assert distance[i] == pytest.approx(np.hypot(*(city.center[i] - viewpoint)))
+        elif i not in distance and city.kind[i] != AREA:
+            assert expected > 24.7
+
+
+@given(x=st.floats(0.0, 1.0), y=st.floats(0.0, 1.0))
+def test_centroids_are_those_of_brute_force(town, x, y):
+    bins = load(town)
+    center = bins.city.center
+    viewpoint = center.min(0) + (x, y) * np.ptp(center, axis=0)
+    around = bins.around(viewpoint[None], 25.0, "centroid")
+    assert (
+        around.objects.tolist()
+        == np.flatnonzero(np.hypot(*(center - viewpoint).T) <= 25.0).tolist()
+    )
+    assert (around.points == center[around.objects]).all()
+
+
+def park(half):
+    corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+    return [(e, n, {}) for e, n in corners], [([0, 1, 2, 3, 0], {"leisure": "park"})]
+
+
+def test_an_area_around_the_viewpoint_stands_at_its_centroid(write_world):
+    nodes, ways = park(200.0)
+    bins = Bins.of(read_raw(write_world(nodes, ways)))
+    center = bins.city.center[0]
+    near = bins.around(center[None] + [[20.0, 0.0]], 25.0)
+    assert near.objects.tolist() == [0]
+    assert near.points[0] == pytest.approx(center)
+    assert bins.around(center[None] + [[30.0, 0.0]], 25.0).objects.tolist() == []
+    outside = bins.around(center[None] + [[210.0, 5.0]], 25.0)
+    assert outside.points[0] - center == pytest.approx([200.0, 5.0], abs=0.02)
+
+
+def test_grid_is_around_all_objects(town):
+    bins = load(town)
+    for step in (12.5, 50.0):
+        grid = bins.centers(step)
+        assert len(np.unique(grid, axis=0)) == len(grid)
+        ends = bins.city.segments.reshape(-1, 2)
+        off = np.abs(grid[None] - ends[::50, None]).max(2).min(1)
+        assert off.max() <= step / 2 + 1e-9
+
+
+def test_radius_is_positive(town):
+    with pytest.raises(OptionError, match="radius"):
+        load(town).around(np.zeros((1, 2)), 0.0)

@@ -1,0 +1,40 @@
+"""Pairs are counted as they are judged."""
+
+import time
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.map.build import build_city
+from placegraph_lab.tables.outdoor.pairs import Pairs, rate
+from placegraph_lab.tables.outdoor.queries import make_queries
+
+
+@pytest.fixture(scope="module")
+def pairs(town, tmp_path_factory):
+    city = build_city(town, tmp_path_factory.mktemp("map") / "town.city")
+    return Pairs.of(city, make_queries(town, n=3), 7, np.random.default_rng(0))
+
+
+def test_rates_are_pairs_over_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    runs = iter([10.0, 1.0, 2.0, 4.0, 4.0])  # the first one warms up
+
+    def work():
+        now[0] += next(runs)
+        return 8
+
+    assert rate(work, seconds=6.5) == 4.0
+    with pytest.raises(StopIteration):
+        rate(work, seconds=1.0, least=3)
+    for bad in ({"seconds": 0.0}, {"seconds": 1.0, "least": 0}):
+        with pytest.raises(OptionError):
+            rate(work, **bad)
+
+
+def test_every_pair_is_judged(pairs):
+    assert pairs.by_relations()() == 3 * 7
+    assert pairs.by_edits(plain=False, texts=2, cells=5, timeout=0.01)() == 2 * 5
+    assert pairs.by_edits(plain=True, texts=1, cells=2, timeout=0.01)() == 2

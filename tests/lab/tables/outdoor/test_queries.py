@@ -1,0 +1,199 @@
+"""Query texts: true where they should be, false as often as they should be, and reproducible."""
+
+import re
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph_lab.tables.outdoor.queries import SETTINGS, load, make_queries
+from placegraph_lab.tables.outdoor.raw import AREA
+
+N = 60
+SENTENCE = re.compile(r"The (\S+) is on the (north|south|east|west) of the (\S+)\.")
+
+
+def stands(city, i, viewpoint):
+    """Where an object stands, worked out without the bins; None where it is out of sight."""
+    segments = city.segments[city.segment_starts[i] : city.segment_starts[i + 1]]
+    a, b = segments[:, :2], segments[:, 2:]
+    above = (a[:, 1] > viewpoint[1]) != (b[:, 1] > viewpoint[1])
+    with np.errstate(all="ignore"):
+        crossing = a[:, 0] + (b - a)[:, 0] * (viewpoint[1] - a[:, 1]) / (b - a)[:, 1]
+    if city.kind[i] == AREA and (above & (viewpoint[0] < crossing)).sum() % 2:
+        point = city.center[i]
+    else:
+        length2 = np.maximum(((b - a) ** 2).sum(1), 1e-12)
+        t = np.clip(((viewpoint - a) * (b - a)).sum(1) / length2, 0.0, 1.0)
+        points = a + t[:, None] * (b - a)
+        point = points[np.argmin(np.hypot(*(points - viewpoint).T))]
+    return point if np.hypot(*(point - viewpoint)) <= 25.0 + 1e-6 else None
+
+
+def direction(delta):
+    east, north = delta
+    if abs(east) <= abs(north):
+        return "north" if north > 0 else "south"
+    return "east" if east > 0 else "west"
+
+
+@pytest.mark.parametrize("setting", ["none", "synonyms", "names"])
+def test_every_statement_without_noise_is_true(town, setting):
+    city = load(town).city
+    label = city.named if setting == "names" else city.label
+    for query in make_queries(town, setting=setting, n=N):
+        viewpoint = city.plane.to_plane((query.longitude, query.latitude))
+        assert len(query.said) == 6
+        for said in query.said:
+            a, b = city.rows[said.source_osm], city.rows[said.target_osm]
+            p, q = stands(city, a, viewpoint), stands(city, b, viewpoint)
+            assert p is not None
+            assert q is not None
+            assert 1.0 - 1e-6 <= np.hypot(*(p - q)) <= 25.0 + 1e-6
+            assert direction(p - q) == said.direction
+            assert (city.labels[label[a]], city.labels[label[b]]) == (said.source, said.target)
+            assert said.source != said.target
+            assert not said.noisy
+
+
+def test_the_text_says_the_statements(town):
+    for query in make_queries(town, n=N):
+        expected = [(s.source, s.direction, s.target) for s in query.said]
+        assert SENTENCE.findall(query.text) == expected
+        assert len(set(expected)) == 6
+
+
+def test_statements_about_the_speaker_are_true(town):
+    city = load(town).city
+    for query in make_queries(town, setting="speaker", n=N):
+        viewpoint = city.plane.to_plane((query.longitude, query.latitude))
+        assert query.text.count("There ") == 6
+        for said in query.said:
+            point = stands(city, city.rows[said.source_osm], viewpoint)
+            assert point is not None
+            assert direction(point - viewpoint) == said.direction
+            assert f"{said.source.replace('_', ' ')} to my {said.direction}." in query.text
+
+
+def test_centroids_can_stand_for_things(shared):
+    path = shared / "data/osm/monaco_2025.osm.pbf"
+    city = load(path).city
+    for query in make_queries(path, position="centroid", n=50):
+        viewpoint = city.plane.to_plane((query.longitude, query.latitude))
+        for said in query.said:
+            ends = city.center[[city.rows[said.source_osm], city.rows[said.target_osm]]]
+            assert np.hypot(*(ends - viewpoint).T).max() <= 25.0 + 1e-6
+            assert direction(ends[0] - ends[1]) == said.direction
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_a_seed_reproduces_its_queries(town, setting):
+    first = make_queries(town, setting=setting, n=10, seed=3)
+    assert first == make_queries(town, setting=setting, n=10, seed=3)
+    assert first != make_queries(town, setting=setting, n=10, seed=4)
+    load.cache_clear()
+    assert first == make_queries(town, setting=setting, n=10, seed=3)
+
+
+def test_noise_changes_a_fifth_of_the_same_statements(town):
+    true = make_queries(town, n=200)
+    for setting in ("replaced", "absent"):
+        noisy = make_queries(town, setting=setting, n=200)
+        pairs = [
+            (a, b)
+            for p, q in zip(true, noisy, strict=True)
+            for a, b in zip(p.said, q.said, strict=True)
+        ]
+        assert {(q.longitude, q.latitude) for q in noisy} == {
+            (q.longitude, q.latitude) for q in true
+        }
+        changed = [(a, b) for a, b in pairs if b.noisy]
+        assert 0.16 < len(changed) / len(pairs) < 0.24  # 0.2 +- 3.5 standard deviations
+        assert all(a == b for a, b in pairs if not b.noisy)
+        for a, b in changed:
+            if setting == "replaced":
+                assert (a.source, a.target) == (b.source, b.target)
+                assert a.direction != b.direction
+            else:
+                assert a.direction == b.direction
+                assert (a.source != b.source) != (a.target != b.target)
+
+
+def test_absent_things_are_not_there(town):
+    bins = load(town)
+    for query in make_queries(town, setting="absent", n=N):
+        viewpoint = bins.city.plane.to_plane((query.longitude, query.latitude))
+        around = bins.around(viewpoint[None], 60.0)
+        near = {bins.city.labels[i] for i in bins.city.label[around.objects]}
+        for said in query.said:
+            ends = ((said.source, said.source_osm), (said.target, said.target_osm))
+            absent = [label for label, osm in ends if not osm]
+            assert len(absent) == said.noisy
+            assert not near.intersection(absent)
+
+
+def test_names_are_kept_or_removed(town):
+    city = load(town).city
+    names = {city.labels[i] for i in set(city.named) - set(city.label)}
+    assert names
+    without = {x for q in make_queries(town, n=N) for s in q.said for x in (s.source, s.target)}
+    assert not names & without
+    kept = make_queries(town, setting="names", n=N)
+    spoken = {x for q in kept for s in q.said for x in (s.source, s.target)}
+    assert names & spoken
+
+
+def test_everyday_words_replace_tag_values(town):
+    queries = make_queries(town, setting="synonyms", n=200)
+    text = " ".join(q.text for q in queries)
+    assert "bicycle_parking" not in text
+    assert "_" not in text
+    assert "apartment" in text or "street" in text
+    for plain, everyday in zip(make_queries(town, n=200), queries, strict=True):
+        assert plain.said == everyday.said
+
+
+def test_viewpoints_stand_near_the_middle_of_their_cells_or_anywhere(town):
+    bins = load(town)
+
+    def off(**options):
+        queries = make_queries(town, n=200, **options)
+        at = bins.city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
+        return np.hypot(*(((at - bins.low) % 50.0) - 25.0).T)
+
+    assert off().max() <= 10.0 + 1e-6
+    assert off(anywhere=True).max() > 20.0
+
+
+def test_pairs_of_one_kind_are_an_option(town):
+    pairs = {(s.source, s.target) for q in make_queries(town, same_label=True, n=N) for s in q.said}
+    assert any(a == b for a, b in pairs)
+
+
+def test_what_cannot_be_made_is_said(town, write_world):
+    with pytest.raises(OptionError, match="no setting"):
+        make_queries(town, setting="loud")
+    with pytest.raises(OptionError, match="too few places"):
+        make_queries(town, statements=500, n=1)
+    with pytest.raises(OptionError, match="no 50 m cell"):
+        make_queries(write_world([(0.0, 0.0, {"shop": "books"})]), n=1)
+
+
+def test_real_extract(shared):
+    path = shared / "data/osm/monaco_2025.osm.pbf"
+    queries = make_queries(path, n=100)
+    assert len(queries) == 100
+    assert all(7.3 < q.longitude < 7.5 and 43.6 < q.latitude < 43.8 for q in queries)
+
+
+def test_viewpoints_can_be_kept_to_a_part_of_the_city(town):
+    everywhere = make_queries(town, n=N)
+    middle = np.median([q.longitude for q in everywhere])
+    west = make_queries(town, n=N, where=lambda lonlat: lonlat[:, 0] < middle)
+    assert len(west) == N
+    assert all(q.longitude < middle for q in west)
+    kept = [q for q in everywhere if q.longitude < middle]
+    assert west[: len(kept)] == kept  # the same viewpoints and words, others passed over
+    assert make_queries(town, n=N, where=lambda at: np.ones(len(at), np.bool_)) == everywhere
+    with pytest.raises(OptionError, match="too few places"):
+        make_queries(town, n=1, where=lambda lonlat: lonlat[:, 0] > 180.0)

@@ -1,0 +1,106 @@
+"""The evaluation's own reader: labels, lines and areas, centres."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError
+from placegraph_lab.tables.outdoor.raw import AREA, KEYS, LINE, POINT, is_area, read_raw, tag_label
+
+
+@pytest.mark.parametrize(
+    ("tags", "key", "label"),
+    [
+        ({"building": "yes"}, "building", "building"),
+        ({"building": "yes", "amenity": "cafe"}, "amenity", "cafe"),
+        ({"amenity": "bicycle_parking"}, "amenity", "bicycle_parking"),
+        ({"shop": "yes", "building": "retail"}, "shop", "shop"),
+        ({"amenity": "no", "building": "house"}, "building", "house"),
+        ({"amenity": "cafe;bar"}, "amenity", "cafe"),
+        ({"shop": "garden centre"}, "shop", "garden_centre"),
+    ],
+)
+def test_label_is_the_value_of_the_first_key(tags, key, label):
+    assert tag_label(tags) == (KEYS.index(key), label)
+
+
+@pytest.mark.parametrize("tags", [{}, {"name": "Elsewhere"}, {"building": "no"}, {"shop": ""}])
+def test_what_has_no_key_is_no_object(tags):
+    assert tag_label(tags) is None
+
+
+@pytest.mark.parametrize(
+    ("tags", "expected"),
+    [
+        ({"building": "yes"}, True),
+        ({"leisure": "park"}, True),
+        ({"highway": "residential"}, False),
+        ({"highway": "pedestrian", "area": "yes"}, True),
+        ({"barrier": "fence"}, False),
+        ({"leisure": "track", "area": "no"}, False),
+        ({"railway": "station"}, True),
+        ({"natural": "coastline"}, False),
+        ({"natural": "water"}, True),
+        ({"name": "Nothing"}, False),
+    ],
+)
+def test_closed_ways_are_lines_or_areas_by_their_tags(tags, expected):
+    assert is_area(tags) is expected
+
+
+SQUARE = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
+
+
+def test_kinds_and_centres(write_world):
+    corners = [(e, n, {}) for e, n in SQUARE]
+    path = write_world(
+        [*corners, (100.0, 0.0, {}), (130.0, 40.0, {}), (50.0, 50.0, {"natural": "tree"})],
+        [
+            ([0, 1, 2, 3, 0], {"building": "yes", "name": "Town  Hall"}),
+            ([0, 1, 2, 3, 0], {"barrier": "fence"}),
+            ([4, 5], {"highway": "path"}),
+        ],
+    )
+    city = read_raw(path)
+    row = city.rows
+    assert [city.kind[row[o]] for o in ("way/1", "way/2", "way/3", "node/7")] == [
+        AREA, LINE, LINE, POINT,
+    ]  # fmt: skip
+    tree = city.center[row["node/7"]]
+    assert city.center[row["way/1"]] - tree == pytest.approx([-40.0, -40.0], abs=0.02)
+    assert city.center[row["way/3"]] - tree == pytest.approx([65.0, -30.0], abs=0.02)
+    assert city.labels[city.named[row["way/1"]]] == "Town_Hall"
+    assert city.labels[city.label[row["way/1"]]] == "building"
+
+
+def test_a_hole_moves_the_centroid_away_from_it(write_world):
+    hole = [(2.0, 2.0), (8.0, 2.0), (8.0, 18.0), (2.0, 18.0)]
+    path = write_world(
+        [(e, n, {}) for e, n in SQUARE + hole],
+        [([0, 1, 2, 3, 0], {}), ([4, 5, 6, 7, 4], {})],
+        [([(0, "outer"), (1, "inner")], {"type": "multipolygon", "building": "yes"})],
+    )
+    city = read_raw(path)
+    assert city.osm == ("relation/1",)
+    ends = city.segments.reshape(-1, 2)
+    middle = 0.5 * (ends.min(0) + ends.max(0))
+    # (400 * 10 - 96 * 5) / 304: the hole's weight is taken off
+    assert city.center[0] - middle == pytest.approx([3520.0 / 304.0 - 10.0, 0.0], abs=0.02)
+
+
+def test_nodes_that_are_missing_are_left_out(write_world):
+    path = write_world(
+        [(0.0, 0.0, {}), (10.0, 0.0, {}), (0.0, 9.0, {"shop": "books"})],
+        [([0, 1, 77], {"highway": "path"}), ([0, 55, 77], {"highway": "steps"})],
+    )
+    city = read_raw(path)
+    assert sorted(city.osm) == ["node/3", "way/1"]
+    assert np.ptp(city.segments.reshape(-1, 2)[:, 0]) == pytest.approx(10.0, abs=0.02)
+
+
+def test_nothing_to_read_is_said(write_world, tmp_path):
+    with pytest.raises(InputError, match="no tagged object"):
+        read_raw(write_world([(0.0, 0.0, {"name": "Only a name"})]))
+    damaged = tmp_path / "damaged.osm.pbf"
+    damaged.write_bytes(b"not a map")
+    with pytest.raises(InputError, match=r"damaged\.osm\.pbf"):
+        read_raw(damaged)

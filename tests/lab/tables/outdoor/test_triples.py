@@ -1,0 +1,73 @@
+"""Relations by Eq. 6 and the pairs that have one."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph_lab.tables.outdoor.nearby import Around
+from placegraph_lab.tables.outdoor.triples import (
+    DIRECTIONS,
+    EAST,
+    NORTH,
+    SOUTH,
+    WEST,
+    Triples,
+    encode,
+    relations,
+)
+
+METRES = st.floats(-100.0, 100.0, allow_subnormal=False)
+
+
+@pytest.mark.parametrize(
+    ("delta", "expected"),
+    [
+        ((0.0, 5.0), NORTH),
+        ((4.9, 5.0), NORTH),
+        ((5.0, 5.0), NORTH),
+        ((-5.0, 5.0), NORTH),
+        ((5.0, -5.0), SOUTH),
+        ((5.1, 5.0), EAST),
+        ((-5.1, -5.0), WEST),
+    ],
+)
+def test_direction_of_a_seen_from_b(delta, expected):
+    assert relations(delta) == expected
+
+
+@given(st.tuples(METRES, METRES).filter(lambda d: d != (0.0, 0.0)))
+def test_turning_around_turns_the_relation(delta):
+    opposite = {NORTH: SOUTH, SOUTH: NORTH, EAST: WEST, WEST: EAST}
+    assert int(relations(np.negative(delta))) == opposite[int(relations(delta))]
+
+
+@given(st.lists(st.tuples(METRES, METRES), min_size=1, max_size=12))
+def test_pairs_are_those_of_brute_force(points):
+    points = np.array(points)
+    around = Around(np.array([0, 0, len(points)]), np.arange(len(points), dtype=np.int32), points)
+    triples = Triples.of(around, 30.0)
+    assert triples.starts[1] == 0
+    found = {
+        (a, b): r
+        for a, b, r in zip(
+            triples.source.tolist(), triples.target.tolist(), triples.relation.tolist(), strict=True
+        )
+    }
+    expected = {
+        (a, b): int(relations(points[a] - points[b]))
+        for a in range(len(points))
+        for b in range(len(points))
+        if a != b and 1.0 <= np.sqrt(((points[a] - points[b]) ** 2).sum()) <= 30.0
+    }
+    assert found == expected
+
+
+@given(st.integers(0, 99), st.integers(0, 3), st.integers(0, 99))
+def test_codes_are_one_to_one(source, direction, target):
+    code = int(encode(source, direction, target, 100))
+    assert (code // 100 // len(DIRECTIONS), code // 100 % len(DIRECTIONS), code % 100) == (
+        source,
+        direction,
+        target,
+    )

@@ -1,0 +1,106 @@
+"""Walks: places that are reached as they are told, and methods that get no more than the words."""
+
+import re
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.geometry import angle_between, bearing
+from placegraph.outdoor.track.motion import Leg, ways
+from placegraph_lab.tables.outdoor.metrics import distances
+from placegraph_lab.tables.outdoor.queries import load
+from placegraph_lab.tables.outdoor.walks import FARTHEST, METHODS, NEAREST, follow, make_walks, told
+
+WINDS = {"north": 0, "north-east": 1, "east": 2, "south-east": 3, "south": 4, "south-west": 5,
+         "west": 6, "north-west": 7}  # fmt: skip
+TOLD = re.compile(r"I walked about (\d+) metres ([a-z-]+)\.")
+
+
+@pytest.fixture(scope="module")
+def walks(town):
+    return make_walks(town, n=30, seed=4)
+
+
+def true_ways(walk, plane):
+    at = np.array(
+        [plane.to_plane((s.query.longitude, s.query.latitude)) for s in walk.steps], np.float64
+    )
+    return np.diff(at, axis=0)
+
+
+def test_places_lie_as_far_apart_as_they_should(walks, town):
+    plane = load(town).city.plane
+    assert {len(walk.steps) for walk in walks} == {3, 4, 5}
+    errors, turns = [], []
+    for k, walk in enumerate(walks):
+        for way, step in zip(true_ways(walk, plane), walk.steps[1:], strict=True):
+            assert NEAREST - 1e-6 <= np.hypot(*way) <= FARTHEST + 1e-6
+            assert len(step.query.said) == 2
+            errors.append((np.subtract(step.measured, way)) / np.hypot(*way))
+        angles = bearing(true_ways(walk, plane))
+        turns.append((k % 2, np.max(angle_between(angles[1:], angles[:-1]))))
+    assert 0.02 < np.std(errors) < 0.04
+    assert max(turn for bent, turn in turns if not bent) < 0.9
+    assert np.mean([turn for bent, turn in turns if bent]) > 1.0
+
+
+def test_what_is_told_of_the_way_is_about_right(walks, town):
+    plane = load(town).city.plane
+    ratios, angles = [], []
+    for walk in walks:
+        assert walk.steps[0].told == ""
+        for way, step in zip(true_ways(walk, plane), walk.steps[1:], strict=True):
+            metres, wind = TOLD.fullmatch(step.told).groups()
+            ratios.append(int(metres) / np.hypot(*way))
+            angles.append(float(angle_between(bearing(way), WINDS[wind] * np.pi / 4)))
+    assert abs(np.mean(ratios) - 1.0) < 0.1
+    assert 0.08 < np.std(ratios) < 0.3
+    assert 0.15 < np.mean(angles) < 0.6
+
+
+def test_a_tracker_reads_what_is_told(rng):
+    for wind, eighth in WINDS.items():
+        (leg,) = ways(f"I walked about 70 metres {wind}.")
+        assert isinstance(leg, Leg)
+        assert leg.bearing == pytest.approx(eighth * np.pi / 4)
+    way = np.array([60.0, 0.0])
+    assert isinstance(ways(told(way, rng))[0], Leg)
+
+
+def test_the_same_seed_gives_the_same_walks(walks, town):
+    assert make_walks(town, n=3, seed=4) == walks[:3]
+    assert make_walks(town, n=3, seed=5) != walks[:3]
+    wrong = make_walks(town, n=3, seed=4, setting="replaced")
+    assert [len(w.steps) for w in wrong] == [len(w.steps) for w in walks[:3]]
+
+
+def test_all_methods_answer_and_the_way_helps(walks, harbour):
+    right = dict.fromkeys(METHODS, 0)
+    for walk in walks[:10]:
+        for method in METHODS:
+            estimate, seconds = follow(harbour, walk, method)
+            one = method in METHODS[:2]
+            assert len(seconds) == (1 if one else 2 * len(walk.steps) - 1)
+            best = estimate.best
+            if best is not None:
+                at = np.array([[best.longitude, best.latitude]])
+                right[method] += distances(at, walk.last.longitude, walk.last.latitude)[0] <= 50.0
+    assert right["track, measured"] > right["last place alone"]
+    assert right["track, measured"] > right["all as one text"]
+
+
+def test_what_is_refused(town):
+    with pytest.raises(OptionError, match="places"):
+        make_walks(town, fewest=4, most=3)
+    with pytest.raises(OptionError, match="ask for fewer"):
+        make_walks(town, n=2, statements=500)
+    with pytest.raises(OptionError):
+        make_walks(town, n=2, setting="none", fewest=0)
+
+
+@pytest.fixture(scope="module")
+def harbour(town, tmp_path_factory):
+    from placegraph.outdoor.map.build import build_city
+
+    return build_city(town, tmp_path_factory.mktemp("walks") / "town.city")

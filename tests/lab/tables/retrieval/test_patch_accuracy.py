@@ -1,0 +1,125 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.geometry import Camera
+from placegraph.indoor.encode import Patches
+from placegraph.indoor.options import FilterOptions
+from placegraph_lab.tables.retrieval.patch_accuracy import (
+    accuracy,
+    mean,
+    nats,
+    report,
+    true_objects,
+)
+from placegraph_lab.tables.retrieval.patch_places import drawn_home
+
+
+@pytest.fixture(scope="module")
+def place():
+    return drawn_home(0)
+
+
+class Knowing:
+    """Says what share of the patches truly shows, of the rest what is wrong, or nothing."""
+
+    def __init__(self, place, right, silent=0.0):
+        self.place, self.right, self.silent = place, right, silent
+        self.rng = np.random.default_rng(1)
+
+    def encode(self, frame):
+        scene = self.place.scene
+        camera = frame.camera
+        true = true_objects(scene, camera, self.place.map_from_camera[frame.index], (9, 16))
+        said = np.where(self.rng.random(144) < self.right, true, (true + 1) % len(scene))
+        rows = np.where(self.rng.random(144) < self.silent, -1, np.maximum(said, 0))
+        table = 2.0 * np.eye(len(scene), dtype=np.float32) - 1.0
+        return Patches(camera, (9, 16), rows.astype(np.int32), table, 0.1)
+
+
+def test_rays_say_what_patches_show(place):
+    """As the frames' own label images do."""
+    labels = place.scene.graph.labels
+    for frame, pose in zip(place.frames[:4], place.map_from_camera, strict=False):
+        true = true_objects(place.scene, frame.camera, pose, (9, 16)).reshape(9, 16)
+        shown = frame.labels()
+        agree = []
+        for (y, x), row in np.ndenumerate(true):
+            if row >= 0:
+                h, w = shown.shape
+                middle = shown[int((y + 0.5) * h / 9), int((x + 0.5) * w / 16)]
+                agree.append(frame.label_names.get(int(middle)) == labels[row])
+        assert np.mean(agree) > 0.85
+        assert len(agree) > 100
+
+
+def test_a_camera_that_sees_nothing(place):
+    pose = np.eye(4)
+    pose[:3, 3] = 100.0
+    camera = Camera(16, 9, 10.0, 10.0, 8.0, 4.5)
+    assert (true_objects(place.scene, camera, pose, (9, 16)) == -1).all()
+
+
+def test_who_knows_everything(place):
+    told = accuracy(Knowing(place, 1.0), place.scene, place.frames[:3], place.map_from_camera[:3])
+    assert (told.best, told.auc, told.telling) == (1.0, 1.0, 1.0)
+    background = place.scene.visibility(FilterOptions()).background.objects
+    true = np.concatenate(
+        [
+            true_objects(place.scene, f.camera, p, (9, 16))
+            for f, p in zip(place.frames[:3], place.map_from_camera, strict=False)
+        ]
+    )
+    surprise = -np.log(background[true[true >= 0]]).mean()  # all there is to know
+    assert told.bare == pytest.approx(surprise, abs=1e-3)
+    assert 0.5 * surprise < told.nats < surprise
+    assert told.patches == (true >= 0).sum()
+
+
+def test_who_knows_less_tells_less(place):
+    frames, poses = place.frames[:3], place.map_from_camera[:3]
+    right = [accuracy(Knowing(place, r), place.scene, frames, poses) for r in (0.1, 0.5, 0.9)]
+    assert right[0].nats < right[1].nats < right[2].nats
+    assert [r.best for r in right] == pytest.approx([0.1, 0.5, 0.9], abs=0.1)
+    half = accuracy(Knowing(place, 0.9, silent=0.5), place.scene, frames, poses)
+    assert half.telling == pytest.approx(0.5, abs=0.1)
+    assert half.nats == pytest.approx(half.telling * right[2].nats, rel=0.15)
+    assert half.auc == pytest.approx(0.5 + half.telling * (right[2].auc - 0.5), abs=0.05)
+
+
+def test_who_says_nothing(place):
+    class Silent:
+        def encode(self, frame):  # noqa: ARG002
+            return None
+
+    assert accuracy(Silent(), place.scene, place.frames[:2], place.map_from_camera[:2]) is None
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.floats(0, 0.9))
+def test_the_ratio_is_one_on_average(seed, count, wrong):
+    """Over the background, whatever the patch says: who guesses gains nothing."""
+    rng = np.random.default_rng(seed)
+    background = rng.dirichlet(np.ones(count))
+    cosines = np.repeat(rng.uniform(-1, 1, (1, count)), count, axis=0)
+    ratio = np.exp(nats(cosines, np.arange(count), background, 0.2, wrong))
+    assert ratio @ background == pytest.approx(1.0)
+
+
+def test_nats_of_two_objects():
+    told = nats(np.array([[1.0, 0.0]]), np.array([0]), np.array([0.5, 0.5]), 1 / math.log(3))
+    assert told == pytest.approx([math.log(1.5)])
+
+
+def test_tables(place):
+    told = accuracy(Knowing(place, 0.8), place.scene, place.frames[:2], place.map_from_camera[:2])
+    both = mean([told, None, told])
+    assert both.patches == 2 * told.patches
+    assert both.nats == pytest.approx(told.nats)
+    assert mean([None]) is None
+    text = report({"homes": {"knowing": told, "silent": None}})
+    assert "| homes, knowing" in text
+    assert f"{told.nats:.2f}" in text
+    assert "–" in text.splitlines()[3]

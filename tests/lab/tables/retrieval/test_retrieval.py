@@ -1,0 +1,425 @@
+"""The retrieval benchmark: what it asks, the paper's sum, and what it makes of answers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.library import SearchOptions
+from placegraph.indoor.map.rooms import rooms_of
+from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.retrieval import retrieval
+from placegraph_lab.tables.retrieval.retrieval import (
+    ABSENT,
+    Answer,
+    Found,
+    Scenes,
+    ask,
+    library_of,
+    pool,
+    queries,
+    recall,
+    searcher,
+)
+from placegraph_lab.tables.retrieval.retrieval_places import (
+    Place,
+    Walk,
+    finer,
+    homes,
+    room_scene,
+)
+from placegraph_lab.tables.retrieval.retrieval_report import figures, report
+from placegraph_lab.tables.retrieval.retrieval_scale import measure, turned, varied
+from placegraph_lab.tables.retrieval.retrieval_study import Row, Study
+from placegraph_lab.tables.retrieval.retrieval_vectors import (
+    NOISY,
+    THINGS,
+    encoded,
+    encoder_of,
+    noisy,
+    replay,
+)
+from placegraph_lab.tables.retrieval.retrieval_walks import kept, read, said, write
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import home, record, scene_of, visit
+
+TWO_ROOMS = """
+[drawing]
+################################
+#BBBB          #         SSSSSS#
+#BBBB          #         SSSSSS#
+#              #         SSSSSS#
+#              #               #
+#      1       :       2       #
+#              :               #
+#              :               #
+#     TTTT     #               #
+#     TTTT     #        CCCC   #
+################################
+[legend]
+1 room: label=study
+2 room: label=living room
+B shelf: label=bookcase
+T table: label=desk
+S sofa: look=fabric darkred
+C cabinet: label=sideboard
+"""
+
+
+def _walk(seed, frames=10, changed=False):
+    rng = np.random.default_rng(seed)
+    flat = home(rng, style="hotel")
+    interior = flat.furnish(rng)
+    capture = record(interior, visit(flat, interior, rng, frames=frames), rng)
+    name = f"home {seed}"
+    return Place(name, scene_of(interior, name=name)), Walk(f"{name} same", name, capture, changed)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return [_walk(seed) for seed in range(4)]
+
+
+@pytest.fixture(scope="module")
+def scenes(world):
+    made = Scenes([place for place, _ in world])
+    made.know(LabelsEncoder())
+    return made
+
+
+def _paper_sums(encoder, vectors, capture):
+    """Sum over frames of the mean over patches of the best cosine, scene by scene."""
+    sums = []
+    for nodes in vectors.values():
+        total = 0.0
+        for frame in capture:
+            patches = encoder.patches(frame)
+            flat = np.zeros((0, 1)) if patches is None else patches.reshape(-1, patches.shape[2])
+            best = [max(float(p @ n) for n in nodes) for p in flat if p.any()]
+            total += sum(best) / len(best) if best else 0.0
+        sums.append(total)
+    return sums
+
+
+def test_the_papers_sum_is_that_of_the_paper(world, scenes):
+    encoder = LabelsEncoder()
+    vectors = {name: s.vectors[encoder.key] for name, s in scenes.signatures.items()}
+    capture = world[1][1].capture
+    by_hand = _paper_sums(encoder, vectors, capture)
+    library = scenes.library(vectors, [encoder])
+    told = library.search(capture, options=SearchOptions(method="cosines"))
+    scores = {mode.scene: mode.score for mode in told.modes}
+    assert np.allclose([scores[name] for name in vectors], by_hand, atol=1e-3)
+    found = searcher(library, "paper").search(capture)
+    assert np.allclose(found.scores, sorted(by_hand, reverse=True), atol=1e-3)
+    assert found.names[0] == max(scores, key=scores.get)
+    assert found.status == ""
+
+
+def test_frames_that_say_nothing_add_nothing(world, scenes):
+    encoder = LabelsEncoder()
+    first = world[1][1].capture[0]
+    ids = np.full_like(first.labels(), -1)
+    nothing = Frame.from_arrays(
+        first.rgb(), first.camera, labels=ids, label_names=first.label_names, stamp=first.stamp + 1
+    )
+    paper = searcher(scenes.library(scenes.names, [encoder]), "paper")
+    assert paper.search([first, nothing]).scores == pytest.approx(paper.search([first]).scores)
+
+
+def test_scenes_that_are_as_good_share_the_hit(world):
+    class Tied:
+        def search(self, capture):  # noqa: ARG002
+            names = ("home 2", "home 1", "home 0", "home 3")
+            return Found(names, (5.0, 3.0, 3.0, 1.0), (0.8, 0.1, 0.1, 0.0), 0.0, "OK")
+
+    answer = ask(Tied(), world[0][1], "q", world[0][1].capture)
+    assert (answer.rank, answer.tied) == (2, 2)
+    assert [recall([answer], k) for k in (1, 2, 3, 5)] == [0.0, 0.5, 1.0, 1.0]
+
+
+def test_things_are_mistaken_for_the_same_as_long_as_they_are_in_view(world):
+    camera = Camera(64, 36, 32.0, 32.0, 32.0, 18.0)
+    names = {0: "sofa", 1: "table", 2: "plant", 3: "wall"}
+    frames = []
+    for t in range(12):
+        ids = np.full((36, 64), 3)
+        ids[:, 4 + t : 20 + t], ids[:, 30 + t : 44 + t] = 0, 1
+        frames.append(
+            Frame.from_arrays(
+                np.zeros((36, 64, 3), np.uint8), camera, labels=ids, label_names=names, stamp=t
+            )
+        )
+    encoder = LabelsEncoder()
+    wrong, alike = [], []
+    for name in map(str, range(60)):
+        walk = replace(
+            world[0][1], name=name, capture=type(world[0][1].capture).from_frames(frames)
+        )
+        made = noisy(encoder, THINGS, list(names.values()), walk)
+        sofa = encoder.vector("sofa")
+        said = [
+            made.patches(f)[(encoder.patches(f) @ sofa) > 1 - 1e-5].mean(axis=0) for f in frames
+        ]
+        wrong.append(not np.allclose(said[0], sofa))
+        alike.append(np.ptp(said, axis=0).max() < 1e-6)
+    assert all(alike)
+    assert 0.1 < np.mean(wrong) < 0.5
+
+
+def test_pools_hold_the_right_scene_once_or_not_at_all():
+    names = [f"home {i}" for i in range(60)]
+    for place in names[:5]:
+        ten, fifty, absent = (pool(place, names, kind) for kind in ("10", "50", ABSENT))
+        assert len(ten) == len(set(ten)) == 10
+        assert len(fifty) == len(set(fifty)) == 50
+        assert place in ten
+        assert set(ten) <= set(fifty)
+        assert place not in absent
+        assert len(set(absent)) == 50
+        assert pool(place, names, "50") == fifty
+    first = [pool(place, names, "10").index(place) for place in names]
+    assert len(set(first)) > 5  # its position tells nothing
+    with pytest.raises(OptionError, match="too few"):
+        pool("home 0", names[:40], "50")
+    with pytest.raises(OptionError, match="too few"):
+        pool("home 0", names[:50], ABSENT)
+
+
+def test_queries_are_windows_of_a_walk(world):
+    walk = world[0][1]
+    found = list(queries(walk, 5))
+    assert [name for name, _ in found] == ["home 0 same 0:5"]
+    assert [f.index for f in found[0][1]] == [0, 1, 2, 3, 4]
+    assert [name for name, _ in queries(walk, 1)] == ["home 0 same 0:1"]
+    assert list(queries(walk, 25)) == []
+
+
+def test_truth_is_held_against_the_answer_only_afterwards(world, scenes):
+    encoder = LabelsEncoder()
+    walk = world[2][1]
+    for method in retrieval.METHODS:
+        all_, some = (scenes.library(n, [encoder]) for n in (scenes.names, scenes.names[:2]))
+        answer = ask(searcher(all_, method), walk, "q", walk.capture)
+        elsewhere = ask(searcher(some, method), walk, "q", walk.capture)
+        assert answer.rank >= 1
+        assert elsewhere.rank == 0
+        assert elsewhere.right == 0.0
+        assert answer.milliseconds > 0
+
+
+def test_a_walk_on_disk_is_the_walk(tmp_path, world):
+    capture = world[0][1].capture[:3]
+    write(tmp_path / "walk.npz", capture)
+    back = read(tmp_path / "walk.npz")
+    assert len(back) == 3
+    assert back.camera == capture.camera
+    assert back.label_names == capture.label_names
+    for one, other in zip(capture, back, strict=True):
+        assert np.array_equal(one.labels(), other.labels())
+        assert one.label_camera == other.label_camera
+        assert np.abs(one.rgb().astype(int) - other.rgb()).mean() < 6
+        assert np.array_equal(one.odometry, other.odometry)
+        assert np.array_equal(one.gravity, other.gravity)
+    assert kept(tmp_path / "walk.npz", lambda: pytest.fail("made again")).stamps.tolist() == (
+        capture.stamps.tolist()
+    )
+
+
+def test_vectors_are_kept_and_replayed(tmp_path, world):
+    walk = world[0][1]
+    encoder = LabelsEncoder()
+    words = sorted(walk.capture.label_names.values())
+    known = encoded(walk, "labels", encoder, words, tmp_path)
+    told = replay(encoder)
+    for frame, old in zip(known.walk.capture, walk.capture, strict=True):
+        assert np.array_equal(told.patches(frame), encoder.patches(old))
+    assert known.seconds > 0
+    files = list(tmp_path.rglob("*.npz"))
+    again = encoded(walk, "labels", encoder, words, tmp_path)
+    assert again.seconds == known.seconds
+    assert list(tmp_path.rglob("*.npz")) == files
+    with pytest.raises(OptionError, match="has not been encoded"):
+        told.patches(walk.capture[0])
+    other = encoded(walk, NOISY, encoder, words, tmp_path)
+    differ = [
+        (told.patches(a) != told.patches(b)).any(axis=2)[told.patches(a).any(axis=2)]
+        for a, b in zip(known.walk.capture, other.walk.capture, strict=True)
+    ]
+    assert 0.2 < np.concatenate(differ).mean() < 0.4
+    bare = replace(
+        walk,
+        name="bare",
+        capture=record_without_labels(walk),
+    )
+    assert encoded(bare, "labels", encoder, words, tmp_path) is None
+
+
+def record_without_labels(walk):
+    frames = [
+        Frame.from_arrays(f.rgb(), f.camera, stamp=f.stamp, index=f.index)
+        for f in walk.capture.frames[:2]
+    ]
+    return type(walk.capture).from_frames(frames)
+
+
+def test_what_a_network_says_is_the_plain_word_where_it_is_the_only_one():
+    flat = Flat.parse(TWO_ROOMS.replace("label=bookcase", "label=bookshelf"))
+    words = said(flat.furnish(np.random.default_rng(0)))
+    assert words["bookshelf"] == "bookcase"
+    assert words["sofa"] == "sofa"
+    table = said(
+        Flat.parse(TWO_ROOMS.replace("label=desk", "label=table")).furnish(np.random.default_rng(0))
+    )
+    assert "table" not in table  # a desk, or one to dine at
+
+
+def test_rooms_become_scenes_of_their_own():
+    interior = Flat.parse(TWO_ROOMS).furnish(np.random.default_rng(0))
+    scene = scene_of(interior)
+    rooms = rooms_of(scene.mesh, scene.graph.labels, 0.0)
+    assert len(rooms) == 2
+    parts = [room_scene(scene, rooms, i) for i in range(2)]
+    things = [set(part.graph.labels) - {"wall", "floor", "ceiling"} for part in parts]
+    assert {"bookcase", "desk"} in [t - {"doorway"} for t in things]
+    assert {"sofa", "sideboard"} in [t - {"doorway"} for t in things]
+    for part in parts:
+        assert {"wall", "floor", "ceiling"} <= set(part.graph.labels)
+        width = part.bounds[1, 0] - part.bounds[0, 0]
+        assert 3.4 < width < 5.0
+        for a, b in zip(part.graph.sources, part.graph.targets, strict=True):
+            assert 0 <= a < len(part)
+            assert 0 <= b < len(part)
+
+
+def test_finer_meshes_are_the_same_surface():
+    scene = scene_of(Flat.parse(TWO_ROOMS).furnish(np.random.default_rng(0)))
+    fine = finer(scene.mesh, 0.5)
+    corners = fine.vertices[fine.triangles]
+    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    assert edges.max() <= 0.5
+    areas = [
+        np.bincount(m.object_of, np.linalg.norm(m.normals(), axis=1), len(scene))
+        for m in (scene.mesh, fine)
+    ]
+    assert np.allclose(*areas, rtol=1e-3)
+
+
+def test_homes_are_filmed_once(tmp_path, monkeypatch):
+    monkeypatch.setattr("placegraph_lab.tables.retrieval.retrieval_walks.LENGTH", 2)
+    ((place, walks),) = homes([5], tmp_path)
+    assert [w.changed for w in walks] == [False, True]
+    assert all(w.place == place.name == "home 5" for w in walks)
+    files = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.npz")}
+    assert len(files) == 2
+    ((again, _),) = homes([5], tmp_path)
+    assert again.scene.graph.labels == place.scene.graph.labels
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.npz")} == files
+
+
+def test_a_study_of_four_homes(tmp_path, world, monkeypatch):
+    monkeypatch.setitem(retrieval.POOLS, "10", 2)
+    monkeypatch.setitem(retrieval.POOLS, "50", 3)
+    places, walks = [place for place, _ in world], [walk for _, walk in world]
+    journal = Journal(tmp_path / "answers.jsonl")
+    study = Study(places, walks, tmp_path, journal)
+    row = study.row("labels")
+    assert {key[2] for key in row.answers} == {1, 5, 10}
+    assert len(row.answers["ours", "10", 10]) == 4
+    assert recall(row.answers["ours", "50", 10], 1) == 1.0
+    assert all(a.rank == 0 for a in row.answers["ours", ABSENT, 10])
+    assert row.kilobytes > 0.1
+    count = len(journal)
+    Study(places, walks, tmp_path, Journal(tmp_path / "answers.jsonl")).row("labels")
+    assert len(Journal(tmp_path / "answers.jsonl")) == count  # nothing was asked again
+    large = study.scale("labels", np.random.default_rng(0), 12)
+    assert [s.scenes for s in large] == [12] * len(large)
+    text = report([row], large)
+    assert "labels, paper" in text
+    assert "| 12 |" in text.replace("  ", " ").replace("  ", " ") or " 12 |" in text
+    cells = figures([row])
+    assert {c["method"] for c in cells} == {"paper", "ours"}
+    assert all((c["status"] is None) == (c["method"] == "paper") for c in cells)
+    both = study.row(f"{NOISY}, and compact")
+    assert len(both.answers["ours", "50", 10]) == 4
+    noise = study.row(NOISY)
+    assert {key[0] for key in noise.answers} == set(retrieval.METHODS)
+    assert "without rarity" in report([noise])
+
+
+def _answer(rank, status="OK", changed=False, probability=0.9, place="home 1"):
+    return Answer("q", place, changed, 5, rank, 1, 0.5, probability, 0.1, status, 2.0)
+
+
+def test_recall_and_tables_of_known_answers():
+    answers = [_answer(1), _answer(2, "AMBIGUOUS"), _answer(4, "LOST"), _answer(0, changed=True)]
+    assert [recall(answers, k) for k in (1, 3, 5)] == [0.25, 0.5, 0.75]
+    assert np.isnan(recall([], 1))
+    row = Row(
+        "labels",
+        {("paper", "50", 5): answers, ("ours", "50", 5): answers, ("ours", ABSENT, 5): answers},
+        1.0,
+        3.2,
+        30.0,
+    )
+    text = report([row])
+    line = next(t for t in text.splitlines() if t.startswith("| labels, ours"))
+    assert ".25/.50/.75" in line
+    assert "3.2" in line
+    status = next(t for t in text.splitlines() if t.startswith("| labels  "))
+    cells = [cell.strip() for cell in status.strip("|").split("|")]
+    assert cells[2:6] == [".50", ".50", ".25", ".25"]
+    months = text.split("Months later")[1]
+    assert ".33/.00" in months
+
+
+def test_variations_of_homes(scenes):
+    key = LabelsEncoder().key
+    found = varied(scenes.signatures, 30, np.random.default_rng(0))
+    assert len(found) == 30
+    shares = []
+    for signature in found.values():
+        base = next(
+            s
+            for s in scenes.signatures.values()
+            if len(s) == len(signature) and np.allclose(np.sort(s.share), np.sort(signature.share))
+        )
+        row = {id_: i for i, id_ in enumerate(base.graph.ids)}
+        was = base.vectors[key][[row[id_] for id_ in signature.graph.ids]]
+        shares.append((was != signature.vectors[key]).any(axis=1).mean())
+    assert 0.2 < np.mean(shares) < 0.5  # an exchanged object may be of the same label
+
+
+def test_a_turned_scene_is_the_same_to_who_searches(world, scenes):
+    encoder = LabelsEncoder()
+    rng = np.random.default_rng(1)
+    moved = {name: turned(s, rng) for name, s in scenes.signatures.items()}
+    assert any((moved[n].panoramas != s.panoramas).any() for n, s in scenes.signatures.items())
+    for _, walk in world:
+        one, other = (
+            library_of(of, [encoder]).search(walk.capture) for of in (scenes.signatures, moved)
+        )
+        assert [m.scene for m in one.modes] == [m.scene for m in other.modes]
+        assert np.allclose([m.score for m in one.modes], [m.score for m in other.modes], rtol=1e-3)
+
+
+def test_a_large_library_is_measured(tmp_path, world, scenes):
+    encoder = encoder_of("labels")
+    walk = encoded(world[0][1], "labels", encoder, [], tmp_path)
+    lines = measure(
+        "labels", scenes.signatures, [replay(encoder)], [walk], np.random.default_rng(0), scenes=8
+    )
+    assert [line.frames for line in lines] == [1, 10]
+    assert all(line.milliseconds > 0 and line.vectors[0] > 5 for line in lines)
+
+
+def test_noise_is_of_labels_alone(world):
+    class Other:
+        name = "appearance"
+
+    with pytest.raises(OptionError, match="noise is of labels"):
+        noisy(Other(), NOISY, ["a", "b"], world[0][1])

@@ -1,0 +1,60 @@
+"""The measures of changes, on answers by hand and on one real sequence."""
+
+import json
+
+import numpy as np
+import pytest
+
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.tables.scene.changes import Told, ask, changes_of, figures, report
+
+
+def told(**columns):
+    plain = {
+        "sequence": "seq01", "first": 0, "frames": 10, "status": "OK", "changed": True,
+        "visible": ("1", "2", "3"), "found": ("1", "2"), "moves": 1, "moves_found": 1, "removed": 1,
+        "removed_found": 1, "errors": ((0.02, 1.0),), "right": (0.9, 0.8), "wrong": (0.3,),
+        "new_right": 1, "new_wrong": 1, "seconds": 2.0,
+    }  # fmt: skip
+    return Told(**(plain | columns))
+
+
+def test_sums_and_rates():
+    still = told(
+        sequence="seq00", changed=False, visible=(), found=(), moves=0, moves_found=0, removed=0,
+        removed_found=0, errors=(), right=(), wrong=(0.6,), new_right=0, new_wrong=0,
+    )  # fmt: skip
+    f = figures([told(), still])
+    assert f["recall"] == pytest.approx(2 / 3)
+    assert f["precision"] == pytest.approx(2 / 4)
+    assert (f["still_windows"], f["still_false"]) == (1, 1)
+    assert (f["median_m"], f["median_deg"]) == (0.02, 1.0)
+    assert f["confidence_right"] > f["confidence_wrong"]
+    table = report([("10 frames", [told(), still])])
+    assert ".67 (2 of 3)" in table
+    assert ".50 (2 of 4)" in table
+    assert "1 in 1" in table
+
+
+def test_nothing_visible_is_no_rate():
+    f = figures([told(visible=(), found=(), right=(), wrong=(), errors=())])
+    assert f["recall"] is None
+    assert f["precision"] is None
+    assert "–" in report([("x", [told(visible=(), found=(), right=(), wrong=(), errors=())])])
+
+
+def test_what_was_changed_is_read(tmp_path):
+    matrix = np.eye(4).tolist()
+    entries = [{"id": 3, "action": "move", "matrix": matrix}, {"id": 4, "action": "remove"}]
+    (tmp_path / "changes.json").write_text(json.dumps({"changes": entries}))
+    found = changes_of(tmp_path)
+    np.testing.assert_array_equal(found["3"], np.eye(4))
+    assert found["4"] is None
+
+
+def test_an_unchanged_sequence_of_the_house_raises_no_alarm(shared):
+    scene = build_scene(shared / "data/house/map/house.glb", None)
+    answer = ask(scene, shared / "data/house/seq03", 10, 5)
+    assert answer.status == "OK"
+    assert not answer.changed
+    assert (answer.right, answer.wrong, answer.new_wrong) == ((), (), 0)

@@ -1,0 +1,294 @@
+"""Maps of many sizes: built by the command line, measured once, compared window by window."""
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from placegraph.errors import PlacegraphError
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.metrics import Answer
+from placegraph_lab.tables.indoor.refine_metrics import Refined
+from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.scene import maps as scene_maps
+from placegraph_lab.tables.scene import maps_recall as scene_maps_recall
+from placegraph_lab.tables.scene.maps import FULL, LABELLED, VERTICES, Maps, Place, Run, Size
+from placegraph_lab.tables.scene.maps_recall import (
+    Asking,
+    Paired,
+    difference,
+    findings,
+    refinings,
+    study,
+)
+from placegraph_lab.tables.scene.maps_report import report
+from placegraph_lab.worlds.flat.flat import Flat
+
+ROOT = Path(__file__).resolve().parents[2]
+DEFAULT = Size("default", ("--detail", "default"))
+ROOM = """
+[flat]
+name = Cell
+height = 2.5
+[drawing]
+##########
+#SS      #
+#SS  TT  #
+#    TT  #
+##########
+[legend]
+S sofa:
+T table:
+"""
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """Folder of data with a small room instead of the house."""
+    folder = tmp_path_factory.mktemp("data")
+    Flat.parse(ROOM).furnish(np.random.default_rng(0)).write_glb(folder / "room.glb")
+    return folder
+
+
+@pytest.fixture
+def maps(room, tmp_path, monkeypatch):
+    """Maps of the room, built in this process; `commands` are those that would have run."""
+    monkeypatch.setitem(scene_maps.PLACES, "house", Place("Room", "room.glb", (), ()))
+    commands = []
+
+    def run(arguments):
+        commands.append(arguments)
+        out, detail = arguments[arguments.index("-o") + 1], "default"
+        if "--detail" in arguments:
+            detail = arguments[arguments.index("--detail") + 1]
+        build_scene(arguments[2], out, detail=detail)
+        told = {"seconds": len(commands), "left_out": {}, "notes": ["It is a room."]}
+        return Run(json.dumps(told), 2.0 * len(commands), 100 * len(commands))
+
+    monkeypatch.setattr(scene_maps, "run", run)
+    made = Maps(room, tmp_path / "net.tflite", tmp_path, Journal(tmp_path / "journal.jsonl"))
+    made.commands = commands
+    return made
+
+
+def test_a_map_is_measured_once(maps):
+    made = maps.made("house", DEFAULT)
+    assert [c[:2] for c in maps.commands] == [["scene", "build"]] * 4  # the first warms
+    assert (made.build_seconds, made.command_seconds, made.peak_bytes) == (3.0, 6.0, 400)
+    scene = SceneMap.open(maps.path("house", DEFAULT))
+    assert (made.objects, made.triangles) == (len(scene), len(scene.mesh))
+    assert made.labelled == made.objects
+    assert made.bytes == maps.path("house", DEFAULT).stat().st_size
+    assert sum(made.parts.values()) - made.parts["embeddings"] == made.bytes
+    assert 440 * made.objects < made.parts["embeddings"] < 530 * made.objects
+    assert made.open_seconds > 0
+    assert maps.made("house", DEFAULT) == made
+    assert maps.scene("house", DEFAULT).graph.ids == scene.graph.ids
+    assert len(maps.commands) == 4
+
+
+def test_a_map_that_is_not_what_was_measured_is_made_anew(maps):
+    maps.made("house", FULL)
+    maps.path("house", FULL).write_bytes(b"something else")
+    again = maps.made("house", FULL)
+    assert len(maps.commands) == 7
+    assert again.bytes == maps.path("house", FULL).stat().st_size
+
+
+def test_slow_builds_are_measured_once(maps, monkeypatch):
+    monkeypatch.setattr(scene_maps, "CHEAP", 1.0)
+    assert maps.made("house", DEFAULT).build_seconds == 2.0
+    assert len(maps.commands) == 2
+
+
+def test_smaller_maps_lie_near_the_full_one(maps):
+    small = maps.apart("house", Size("small", ("--detail", "small")))
+    assert 0 < small.mean <= small.most <= small.maximum < 0.05
+    commands = len(maps.commands)
+    vertices = maps.made("house", VERTICES)
+    assert len(maps.commands) == commands  # made from the full map
+    assert vertices.build_seconds is None
+    assert vertices.textures == 1
+    assert maps.apart("house", VERTICES).mean < 0.01
+
+
+def test_commands_name_source_frames_and_network(tmp_path):
+    maps = Maps(tmp_path, tmp_path / "net.tflite", tmp_path, Journal(tmp_path / "j"))
+    command = maps.command("a in b", LABELLED, tmp_path / "x.scene")
+    assert command[2] == str(tmp_path / "office")
+    assert command[command.index("--frames") + 1] == "186:373"
+    assert command[-2:] == ["--segmenter", str(tmp_path / "net.tflite")]
+    sweep = maps.command("house", scene_maps.SWEEP[0], tmp_path / "x.scene")
+    assert sweep[-2:] == ["--error", "0.001"]
+
+
+def test_a_process_of_its_own_has_its_own_memory(tmp_path):
+    ballast = np.ones(60_000_000)  # 480 MB that are not the command's
+    told = scene_maps.run(["--version"])
+    assert told.out.strip()
+    assert 1e7 < told.peak < ballast.nbytes
+    with pytest.raises(PlacegraphError, match=r"nowhere\.glb"):
+        scene_maps.run(["scene", "build", str(tmp_path / "nowhere.glb"), "-o", "x.scene"])
+
+
+# -------------------------------------------------------------------------------------- recall
+
+
+def answer(name, position, rotation=1.0, place="seq00"):
+    return Answer(
+        window=name, place=place, changed=False, coverage=None, position=position,
+        rotation=rotation, status="OK", probability=0.9, held=True,
+        whitened=(0.0,) * 6, frames=5, seconds=0.1,
+    )  # fmt: skip
+
+
+def paired(now, full, row="instances: semantic, 5 frames", size="small"):
+    both = [[answer(f"w{i}", p) for i, p in enumerate(row)] for row in (now, full)]
+    return Paired(row, size, *map(tuple, both), limits=((0.10, 5.0), (0.25, 2.0)))
+
+
+def test_windows_are_compared_one_by_one():
+    found = paired([0.05, 0.2, 0.3, 0.01], [0.05, 0.3, 0.2, 0.9])
+    assert found.recalls == (0.5, 0.75)
+    assert found.steps == (0, 1, -1, 1)
+    assert found.gained == ["w1", "w3"]
+    assert found.lost == ["w2 0.30 m 1.0 deg"]
+    points, error = difference(found.steps)
+    assert points == pytest.approx(25.0)
+    assert error == pytest.approx(100 * np.std([0, 1, -1, 1]) / 2)
+    assert np.isnan(difference(())).all()
+
+
+def test_all_rows_are_those_of_the_protocols():
+    assert {f.place for f in findings()} == {"house", "b in a", "a in b"}
+    assert len(findings()) == 3 * 2 + 2
+    assert len(refinings()) == len(scene_maps_recall.REFINED_ROWS)
+
+
+@pytest.fixture
+def asking(maps, monkeypatch):
+    """What asks about two windows; on the full map the second is right, on the other the first."""
+    asked = []
+
+    def ask(job, scene, window, *, seed, device):  # noqa: ARG001
+        asked.append((job.row, window.name, seed))
+        full = scene.mesh.steps()[0] < 0.0005  # m: others lie on a coarser grid
+        right = full == (window.place == "b")
+        return answer(window.place, 0.01 if right else 3.0)
+
+    def refine(job, scene, window, *, matcher, seed, device):
+        after = ask(job, scene, window, seed=seed, device=device)
+        assert matcher == "auto"
+        return Refined(before=(0.2, 10.0), after=after, accepted=True)
+
+    class Frame:
+        index = 0
+
+    windows = [Window(name, (Frame(),), np.eye(4)) for name in ("a", "b")]
+    monkeypatch.setattr(scene_maps_recall, "house_windows", lambda *_, **__: windows)
+    monkeypatch.setattr(scene_maps_recall, "ask", ask)
+    monkeypatch.setattr(scene_maps_recall.indoor_refine, "ask", refine)
+    made = Asking(maps, 5, 9)
+    made.asked = asked
+    return made
+
+
+def test_both_maps_get_the_same_windows_and_go_on_where_they_were_cut(asking):
+    rows = [r for r in findings() if r.name == "none: depth + colour, 5 frames"]
+    full, default = study(asking, rows, {"house": [DEFAULT]})
+    assert (full.size, default.size) == ("full", "default")
+    assert full.steps == (0, 0)
+    assert default.steps == (1, -1)
+    assert [a.window for a in default.answers] == [a.window for a in default.full] == ["a", "b"]
+    seeds = [seed for _, _, seed in asking.asked]
+    assert seeds == [1, 0, 0] * 2  # each map is warmed once
+    assert study(asking, rows, {"house": [DEFAULT]}) == [full, default]
+    assert len(asking.asked) == 6
+    study(replaced(asking, seed=7), rows, {"house": [FULL]})
+    assert [seed for _, _, seed in asking.asked[6:]] == [8, 7, 7]
+
+
+def replaced(asking, **options):
+    return Asking(asking.maps, asking.every, asking.office_every, **options)
+
+
+# -------------------------------------------------------------------------------------- report
+
+
+@pytest.fixture
+def script(maps, asking, monkeypatch):
+    """The benchmark itself."""
+    spec = importlib.util.spec_from_file_location("bench", ROOT / "benchmarks/scene_maps.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "Maps", lambda *_: maps)
+    monkeypatch.setattr(module, "Asking", lambda *_, **__: asking)
+    return module
+
+
+def invoke(script, *options):
+    app = typer.Typer()
+    app.command()(script.main)
+    return CliRunner().invoke(app, list(options))
+
+
+def test_it_prints_and_writes_what_it_measured(script, tmp_path):
+    out = tmp_path / "out.json"
+    result = invoke(
+        script, "--only", "none: *; house found: *", "--sizes", "default,error 10 mm",
+        "--cache", str(tmp_path), "--out", str(out), "--weights", str(tmp_path / "none.tflite"),
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "extra `segment`" in result.output
+    text = result.stdout
+    assert "| *SG2Loc, 3RScan / ScanNet*" in text
+    assert "bytes against recall" in text
+    assert "lost b 3.00 m 1.0 deg" in text
+    default = next(row for row in text.splitlines() if row.startswith("| default"))
+    assert "+0.0 ± 50.0" in default  # one of two gained, the other lost, at 5 and at 10 frames
+    assert "2 / 2" in default
+    written = json.loads(out.read_text())
+    assert [m["size"] for m in written["maps"]] == ["full", "default", "error 10 mm"]
+    assert written["maps"][0]["off_m"] is None
+    assert written["maps"][1]["off_m"]["maximum"] > 0
+    assert {r["row"] for r in written["recall"]} == {
+        "none: depth + colour, 5 frames", "none: depth + colour, 10 frames",
+    }  # fmt: skip
+    assert [r["size"] for r in written["refined"]] == ["full", "default"]
+    assert written["refined"][0]["after"]["recall"]["0.1 m, 5 deg"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "said"), [(("--sizes", "huge"), "tiny"), (("--only", "depth"), "house found")]
+)
+def test_what_is_asked_for_must_exist(script, options, said):
+    result = invoke(script, *options)
+    assert result.exit_code == 2
+    assert said in result.output
+
+
+def test_sizes_fit_their_place(script):
+    house = [s.name for s in script.sizes_of("house", [])]
+    assert house[0] == "full"
+    assert "coarse" in house
+    assert "labelled" not in house
+    assert [s.name for s in script.sizes_of("b in a", [])] == list(scene_maps.OFFICE_SIZES)
+    assert [s.name for s in script.sizes_of("b in a", ["tiny"])] == ["full", "tiny"]
+
+
+def test_figures_stand_where_they_belong(maps):
+    full = maps.made("house", FULL)
+    small = replace(full, size="small", bytes=30_000, objects=30, parts=full.parts, place="a in b")
+    text = report([full, small], {}, [], [])
+    row = next(line for line in text.splitlines() if line.startswith("| a in b, small"))
+    assert "1,000" in row  # bytes an object
+    assert "30 " in row  # kB a room of 30
+    assert "bytes against recall" not in text
+    assert "1433.6 / 589.7" in text

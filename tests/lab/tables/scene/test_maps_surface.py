@@ -1,0 +1,77 @@
+"""Distances between surfaces, against those that geometry gives."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.indoor.map.mesh import Mesh
+from placegraph_lab.tables.scene.maps_surface import REACH, compare, distances, spread
+
+
+def sheet(height=0.0, side=2.0):
+    """A level square around the z axis."""
+    x = side / 2
+    corners = [[-x, -x, height], [x, -x, height], [x, x, height], [-x, x, height]]
+    return Mesh.plain(corners, [[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [
+        ((0.2, -0.3, 0.0), 0.0),
+        ((0.2, -0.3, 0.25), 0.25),
+        ((0.2, -0.3, -0.25), 0.25),
+        ((1.3, 0.4, 0.4), 0.5),
+        ((1.3, 1.4, 0.0), 0.5),
+        ((0.0, 0.0, 0.999), 0.999),
+        ((0.0, 0.0, 5.0), REACH),
+        ((1e6, 0.0, 0.0), REACH),
+    ],
+)
+def test_points_beside_a_square(point, distance):
+    assert distances(np.array([point]), sheet()) == pytest.approx([distance], abs=1e-6)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_point_of_the_triangles_is_nearer(seed):
+    rng = np.random.default_rng(seed)
+    soup = Mesh.plain(rng.uniform(-1, 1, (15, 3)), rng.permutation(15).reshape(5, 3))
+    points = rng.uniform(-1.5, 1.5, (20, 3))
+    shares = rng.dirichlet((1, 1, 1), 4000)
+    dense = np.einsum("nk,tkd->tnd", shares, soup.vertices[soup.triangles]).reshape(-1, 3)
+    apart = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
+    found = distances(points, soup)
+    assert (found <= apart + 1e-6).all()
+    assert (apart - found)[apart < REACH].max(initial=0.0) < 0.15  # samples lie that dense
+
+
+def test_a_triangle_without_area_is_a_line():
+    line = Mesh.plain([[0, 0, 0], [0.5, 0, 0], [1, 0, 0]], [[0, 1, 2]])
+    found = distances(np.array([[0.7, 0.3, 0.0], [1.3, 0.0, 0.4]]), line)
+    assert found == pytest.approx([0.3, 0.5], abs=1e-6)
+
+
+def test_samples_are_even_over_the_surface(rng):
+    large, small = sheet(side=3.0), sheet(height=1.0, side=1.0)
+    both = Mesh.plain(
+        np.vstack([large.vertices, small.vertices]),
+        np.vstack([large.triangles, small.triangles + 4]),
+    )
+    points = spread(both, rng, 20_000)
+    assert (points[:, 2] == 1.0).mean() == pytest.approx(0.1, abs=0.01)
+    assert (points[points[:, 2] == 0.0][:, 0] > 0).mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_only_one_has_is_seen_from_there(rng):
+    small, large = sheet(side=1.0), sheet(side=2.0)
+    off = compare(small, large, rng, 5000)
+    assert off.there == pytest.approx([0, 0, 0], abs=1e-6)
+    assert off.back[2] == pytest.approx(0.5 * np.sqrt(2), abs=0.03)
+    assert off.mean == pytest.approx(off.back[0] / 2)
+    assert off.maximum == off.back[2]
+
+
+def test_a_moved_sheet_is_as_far_off_as_it_was_moved(rng):
+    off = compare(sheet(), sheet(0.02), rng, 500)
+    assert [off.mean, off.most, off.maximum] == pytest.approx([0.02] * 3, abs=1e-6)

@@ -1,0 +1,70 @@
+"""Answers survive an interruption, and not a change of the code."""
+
+import pytest
+
+from placegraph_lab.tables import journal
+from placegraph_lab.tables.journal import Journal, fingerprint
+
+
+def test_rows_are_found_again(tmp_path):
+    first = Journal(tmp_path / "a.jsonl")
+    first.put("x", {"n": 1})
+    first.put("y", [2.5, None])
+    first.put("x", {"n": 3})
+    again = Journal(tmp_path / "a.jsonl")
+    assert (len(again), again["x"], again["y"]) == (2, {"n": 3}, [2.5, None])
+    assert "z" not in again
+
+
+def test_a_line_cut_short_is_passed_over(tmp_path):
+    path = tmp_path / "a.jsonl"
+    Journal(path).put("x", 1)
+    with path.open("a") as file:
+        file.write('{"key": "y", "ro')
+    cut = Journal(path)
+    assert "y" not in cut
+    cut.put("y", 2)
+    assert Journal(path)["y"] == 2
+    assert Journal(path)["x"] == 1
+
+
+def test_what_is_missing_is_asked_and_written_down_at_once(tmp_path):
+    kept = Journal(tmp_path / "a.jsonl")
+    kept.put("b", 20)
+    told = []
+
+    def ask(i):
+        told.append(i)
+        if i == 3:
+            raise KeyboardInterrupt
+        return 10 * (i + 1)
+
+    keys = ["a", "b", "c", "d"]
+    assert kept.missing(keys) == [0, 2, 3]
+    with pytest.raises(KeyboardInterrupt):
+        kept.filled(keys, ask, warm=lambda: told.append("warm"), tick=lambda: told.append("tick"))
+    assert told == ["warm", 0, "tick", 2, "tick", 3]
+    again = Journal(tmp_path / "a.jsonl")
+    assert again.missing(keys) == [3]
+    assert again.filled(keys, lambda i: 10 * (i + 1)) == [10, 20, 30, 40]
+    assert again.filled(keys, pytest.fail, warm=pytest.fail) == [10, 20, 30, 40]
+
+
+def test_nan_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        Journal(tmp_path / "a.jsonl").put("x", float("nan"))
+
+
+def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal, "PACKAGE", tmp_path)
+    (tmp_path / "indoor").mkdir()
+    (tmp_path / "indoor/a.py").write_text("x = 1")
+    (tmp_path / "other.py").write_text("y = 1")
+    patterns = ("indoor/**/*.py", "indoor/a.py")
+    before = fingerprint(patterns)
+    (tmp_path / "other.py").write_text("y = 2")
+    assert fingerprint(patterns) == before
+    (tmp_path / "indoor/a.py").write_text("x = 2")
+    changed = fingerprint(patterns)
+    (tmp_path / "indoor/a.py").rename(tmp_path / "indoor/b.py")
+    assert len({before, changed, fingerprint(patterns)}) == 3

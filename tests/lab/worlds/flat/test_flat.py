@@ -1,0 +1,239 @@
+"""Flats drawn in ASCII: what the text means, and what is said of texts that mean nothing."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, OptionError, PlacegraphError
+from placegraph_lab.worlds.flat.flat import OUTSIDE, SOLID, Flat, shipped
+
+CHAMBER = """
+[flat]
+name = Chamber
+metres = 0.5 0.25
+height = 3
+
+[drawing]
+  ####==####
+  #SS.1   B#
+  #SS     B#
+  #  tvt   :
+  #  ttt c :
+  #     2  #
+  ##########
+
+[legend]
+1 room: label=study floor=parquet sienna walls=wallpaper palegoldenrod
+2 spot:
+S sofa: look=fabric darkred
+B shelf: label=bookcase height=2.1
+t table: label=desk
+v drum: in=t label=vase height=0.3
+c chair: faces=t
+"""
+
+
+@pytest.fixture(scope="module")
+def chamber():
+    return Flat.parse(CHAMBER, source="chamber.txt")
+
+
+def test_settings_and_size(chamber):
+    assert (chamber.name, chamber.metres, chamber.height) == ("Chamber", (0.5, 0.25), 3.0)
+    assert chamber.size == (6.0, 1.75)
+
+
+def test_defaults():
+    flat = Flat.parse("[drawing]\n###\n# #\n###\n[legend]\n")
+    assert (flat.name, flat.metres, flat.height) == ("", (0.25, 0.25), 2.6)
+    assert [room.name for room in flat.rooms] == ["room 1"]
+
+
+def test_page_and_metres_lead_back_to_each_other(chamber):
+    assert chamber.corner(0, 0) == (0.0, 1.75)
+    assert chamber.corner(7, 12) == (6.0, 0.0)
+    for cell in ((0, 0), (3, 7), (6, 11)):
+        assert chamber.cell(*chamber.corner(cell[0] + 0.5, cell[1] + 0.5)) == cell
+
+
+def test_positions(chamber):
+    assert chamber.position("2") == pytest.approx((4.25, 0.375))
+    assert chamber.position("S") == pytest.approx((2.0, 1.25))
+    with pytest.raises(OptionError, match=r"chamber\.txt has 0 places drawn 'x'"):
+        chamber.position("x")
+
+
+def test_rooms_walls_and_the_outside(chamber):
+    assert [room.name for room in chamber.rooms] == ["study"]
+    assert chamber.rooms[0].symbol.looks["walls"].kind == "wallpaper"
+    assert chamber.room_of[0, 0] == OUTSIDE
+    assert chamber.room_of[0, 2] == chamber.room_of[0, 7] == chamber.room_of[3, 11] == SOLID
+    assert chamber.room_of[1, 3] == 0
+    assert len(chamber.rooms[0].cells) == 8 * 5
+
+
+def test_things_and_what_carries_them(chamber):
+    assert [blot.glyph for blot in chamber.things] == ["S", "B", "t", "v", "c"]
+    desk, vase = chamber.things[2:4]
+    assert len(desk.cells) == 6  # the vase's cell is the desk's too
+    assert len(vase.cells) == 1
+    assert chamber.host(vase) is desk
+    assert chamber.host(desk) is None
+    assert chamber.base(desk) == 0.0
+    assert chamber.base(vase) == desk.symbol.height == 0.75
+
+
+def test_blocked(chamber):
+    blocked = chamber.blocked
+    assert blocked[1, 3]  # a sofa
+    assert blocked[0, 6]  # a window
+    assert not blocked[3, 11]  # a doorway
+    assert not blocked[5, 8]  # floor
+    assert blocked[0, 0]  # outside
+
+
+def test_rugs_pictures_and_what_hangs_high_block_nobody():
+    text = "[drawing]\n######\n#rpo #\n#LH  #\n######\n[legend]\n"
+    text += "r rug:\np picture:\no pendant:\nL lamp:\nH coats:\n"
+    assert Flat.parse(text).blocked[1:3, 1:5].tolist() == [[0, 0, 0, 0], [1, 1, 0, 0]]
+
+
+def test_a_closed_door_blocks_and_divides():
+    flat = Flat.parse("[drawing]\n######\n# +  #\n##+###\n#    #\n######\n[legend]\n+ doorway:\n")
+    assert len(flat.rooms) == 3
+    assert not flat.blocked[1, 2]
+    assert Flat.parse("[drawing]\n#####\n# + #\n#####\n[legend]\n").blocked[1, 2]
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_flats_load(name):
+    flat = Flat.load(name)
+    assert len(flat.rooms) >= 3
+    assert len(flat.things) >= 20
+
+
+def test_rooms_do_not_meet_at_corners():
+    assert len(Flat.parse("[drawing]\n####\n# ##\n## #\n####\n[legend]\n").rooms) == 2
+
+
+def test_a_flat_that_does_not_ship():
+    with pytest.raises(OptionError, match="There is no flat 'neubau'; there are altbau"):
+        Flat.load("neubau")
+
+
+BOX = "[drawing]\n####\n#T #\n####\n[legend]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no drawing; add a line [drawing]"),
+        ("hello", "line 1, column 1: text before the first section"),
+        ("[drawing]\n##\t#", "line 2, column 3: a tab"),
+        ("[flat]\nwidth = 3\n[drawing]\n#", "line 2, column 1: expected name, metres or height"),
+        ("[flat]\nmetres = 0\n[drawing]\n#", "metres = '0' is no size"),
+        ("[flat]\nmetres = 1 2 3\n[drawing]\n#", "metres = '1 2 3' is no size"),
+        ("[flat]\nheight = tall\n[drawing]\n#", "height = 'tall' is no height"),
+        ("[flat]\nheight = nan\n[drawing]\n#", "height = 'nan' is no height"),
+        ("[drawing]\n####\n#  \n####\n", "no room; close the walls"),
+        ("[drawing]\n####\n#T #\n####\n", "line 3, column 2: 'T' has no meaning"),
+        (BOX + "T throne:", "line 6, column 3: 'throne' is no kind of thing"),
+        (BOX + "T:", "line 6, column 1: '' is no kind of thing"),
+        (BOX + "table", "line 6, column 1: expected 'glyph kind"),
+        (BOX + "T table: wood=oak", "column 9: wood after a table; its keys are base, depth"),
+        (BOX + "T table: large", "column 9: no key=value after a table"),
+        (BOX + "T spot: label=x", "label after a spot; nothing may follow"),
+        (BOX + "T table: height=high", "height='high' is no length"),
+        (BOX + "T table: height=-1", "height='-1' is no length"),
+        (BOX + "T table: height=inf", "height='inf' is no length"),
+        (BOX + "T table: height=0", "height is 0"),
+        (BOX + "T table: look=velvet red", "look: 'velvet' is no look; write one of plain"),
+        (BOX + "T table: look=wood mahoganyish", "'mahoganyish' is no colour; write wood and a"),
+        (BOX + "T table: look=wood", "'' is no colour"),
+        (BOX + "T table: faces=up", "faces='up' is no glyph; write one or one of north"),
+        (BOX + "T table: in=RR", "in='RR' is no glyph; write one."),
+        (BOX + "T table: in=", "in='' is no glyph"),
+        (BOX + "T table: in=R", "'T' refers to 'R', which is no other piece of furniture"),
+        (BOX + "T table: in=#", "'T' refers to '#'"),
+        (BOX + "T table: faces=T", "'T' refers to 'T'"),
+        (BOX + "T table:\n# table:", "# is always a wall"),
+        (BOX + "T table: in=R\nR rug: in=T", "'T' stands in 'R', which stands in it"),
+        (BOX + "T drum: in=R\nR rug:", "line 3, column 2: 'T' stands in 'R', but touches none"),
+        (
+            "[drawing]\n####\n#1 #\n# 1#\n####\n[legend]\n1 room:",
+            "line 4, column 3: the room has two labels",
+        ),
+        ("[drawing]\n####\n#  #T\n####\n[legend]\nT table:", "column 5: 'T' stands in no room"),
+    ],
+)
+def test_errors_say_where_and_how_to_mend(text, said):
+    with pytest.raises(InputError) as error:
+        Flat.parse(text, source="x.txt")
+    assert said in str(error.value)
+    assert "x.txt" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("row", "kind", "said"),
+    [
+        ("#  =  #", "", "this window leads through no wall"),
+        ("#  #  #", "T picture:", ""),
+        ("#  T  #", "T picture:", "this picture hangs on no wall; draw it beside one (#)"),
+        ("#  T  #", "T table: height=2.7", "ends 2.7 m above the floor of a room 2.6 m high"),
+        ("#  T  :", "T drum:\n: doorway: height=2.6", "ends 2.6 m above the floor of a room"),
+        (":  #  :", "", ""),
+    ],
+)
+def test_errors_of_furnishing(row, kind, said, rng):
+    page = ["#######", "#     #", row, "#     #", "#######"]
+    flat = Flat.parse("[drawing]\n" + "\n".join(page) + "\n[legend]\n" + kind, source="x.txt")
+    if not said:
+        assert flat.furnish(rng).things
+        return
+    with pytest.raises(InputError) as error:
+        flat.furnish(rng)
+    assert said in str(error.value)
+    assert "x.txt, line 4, column" in str(error.value)
+
+
+def test_an_opening_that_is_bent(rng):
+    flat = Flat.parse("[drawing]\n#####\n#   #\n#:###\n#::##\n#   #\n#####\n[legend]\n")
+    with pytest.raises(InputError, match="line 4, column 2: this doorway is no rectangle"):
+        flat.furnish(rng)
+
+
+def test_an_opening_to_two_rooms(rng):
+    flat = Flat.parse("[drawing]\n######\n# ## #\n#:::##\n#    #\n######\n[legend]\n")
+    with pytest.raises(InputError, match="opens to more than one room, or to wall and room"):
+        flat.furnish(rng)
+
+
+GLYPHS = "##  .=:+STv1"
+LEGEND = "\n[legend]\n1 room:\nS sofa:\nT table:\nv drum: in=T height=0.2\n"
+
+
+@given(st.lists(st.text(GLYPHS, max_size=9), max_size=9))
+def test_any_drawing_is_a_flat_or_an_error(rows):
+    try:
+        flat = Flat.parse("[drawing]\n" + "\n".join(rows) + LEGEND)
+        interior = flat.furnish(np.random.default_rng(0))
+    except PlacegraphError:
+        return
+    assert len(interior.things) >= 2 * len(flat.rooms)
+
+
+@given(st.text())
+def test_any_text_is_a_flat_or_an_error(text):
+    try:
+        Flat.parse(text)
+    except PlacegraphError:
+        return
+
+
+@given(st.text("#: abct=\n[]0.5gelnd", max_size=60))
+def test_any_legend_is_read_or_an_error(text):
+    try:
+        Flat.parse("[drawing]\n###\n# #\n###\n[legend]\n" + text)
+    except PlacegraphError:
+        return

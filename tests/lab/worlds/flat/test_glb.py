@@ -1,0 +1,137 @@
+"""Drawn flats as binary glTF: sound by the standard, and the same flat when read back."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph.formats.mesh.glb import read_glb
+from placegraph.indoor.mapping.build import build_scene
+from placegraph.maps import open_map
+from placegraph_lab.worlds.flat.flat import Flat
+
+SIZES = {5126: 4, 5125: 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return Flat.load("altbau")
+
+
+@pytest.fixture(scope="module")
+def interior(flat):
+    return flat.furnish(np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def path(interior, tmp_path_factory):
+    return interior.write_glb(tmp_path_factory.mktemp("glb") / "flat.glb")
+
+
+@pytest.fixture(scope="module")
+def chunks(path):
+    """JSON and binary chunk, after the header was checked."""
+    data = path.read_bytes()
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack_from("<I4s", data, 12)
+    assert (kind, size % 4) == (b"JSON", 0)
+    rest, second = struct.unpack_from("<I4s", data, 20 + size)
+    assert (second, rest % 4, 28 + size + rest) == (b"BIN\0", 0, len(data))
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def test_views_and_accessors_lie_within_the_buffer(chunks):
+    content, data = chunks
+    assert content["asset"]["version"] == "2.0"
+    assert content["buffers"][0]["byteLength"] <= len(data)
+    for view in content["bufferViews"]:
+        assert view["byteOffset"] % 4 == 0
+        assert view["byteOffset"] + view["byteLength"] <= content["buffers"][0]["byteLength"]
+    for accessor in content["accessors"]:
+        view = content["bufferViews"][accessor["bufferView"]]
+        size = accessor["count"] * WIDTHS[accessor["type"]] * SIZES[accessor["componentType"]]
+        assert size == view["byteLength"]
+
+
+def test_positions_have_their_bounds_and_indices_their_vertices(chunks):
+    content, data = chunks
+
+    def array(row):
+        accessor = content["accessors"][row]
+        view = content["bufferViews"][accessor["bufferView"]]
+        dtype = "<u4" if accessor["componentType"] == 5125 else "<f4"
+        raw = np.frombuffer(data, dtype, view["byteLength"] // 4, view["byteOffset"])
+        return accessor, raw.reshape(accessor["count"], -1)
+
+    for mesh in content["meshes"]:
+        for primitive in mesh["primitives"]:
+            accessor, points = array(primitive["attributes"]["POSITION"])
+            assert accessor["min"] == pytest.approx(points.min(axis=0), abs=1e-6)
+            assert accessor["max"] == pytest.approx(points.max(axis=0), abs=1e-6)
+            _, corners = array(primitive["indices"])
+            assert len(corners) % 3 == 0
+            assert corners.max() == len(points) - 1  # none is idle
+            assert content["accessors"][primitive["attributes"]["TEXCOORD_0"]]["count"] == len(
+                points
+            )
+
+
+def test_one_node_an_object_and_one_image_a_surface(chunks, interior):
+    content, data = chunks
+    assert content["scenes"] == [{"nodes": list(range(len(interior.things)))}]
+    for node, thing in zip(content["nodes"], interior.things, strict=True):
+        assert node["name"] == thing.name
+        assert node["extras"] == {"label": thing.label, "id": thing.id, "room": thing.room}
+        assert len(content["meshes"][node["mesh"]]["primitives"]) == len(thing.surfaces)
+    surfaces = [s for thing in interior.things for s in thing.surfaces]
+    assert len(content["images"]) == len(surfaces)
+    for image, surface in zip(content["images"][::20], surfaces[::20], strict=True):
+        view = content["bufferViews"][image["bufferView"]]
+        start = view["byteOffset"]
+        picture = Image.open(io.BytesIO(data[start : start + view["byteLength"]]))
+        difference = np.asarray(picture, int) - surface.texture
+        assert np.abs(difference).mean() < 6
+
+
+def test_read_back_it_is_the_same_flat(path, interior):
+    model = read_glb(path)
+    assert not model.left_out
+    assert [(t.id, t.label, t.name) for t in model.things] == [
+        (str(t.id), t.label, t.name) for t in interior.things
+    ]
+    for row, thing in enumerate(interior.things):
+        points = model.vertices[model.triangles[model.thing_of == row]].reshape(-1, 3)
+        assert np.stack([points.min(0), points.max(0)]) == pytest.approx(thing.bounds, abs=1e-5)
+
+
+def test_as_a_scene_map(path, flat, interior, tmp_path):
+    built = build_scene(path, tmp_path / "flat.scene", detail="full")
+    opened = open_map(tmp_path / "flat.scene")
+    for scene in (built, opened):
+        assert len(scene.graph) == len(interior.things)
+        assert scene.floors == pytest.approx([0.0], abs=1e-3)
+        assert scene.bounds[1, 2] == pytest.approx(flat.height, abs=1e-3)
+        assert scene.attributes[interior.thing("stove").id]["room"] == "kitchen"
+        assert len(scene.mesh) == len(interior.mesh())
+    lamp = built.graph.positions[interior.thing("floor lamp").id]
+    assert lamp[:2] == pytest.approx(flat.position("L"), abs=0.02)
+
+
+def test_colours_survive_the_way_into_the_map(path, interior, tmp_path):
+    scene = build_scene(path, tmp_path / "flat.scene", detail="full")
+    own = interior.mesh()
+    third = np.full(len(own), 1 / 3, np.float32)
+    rows = np.arange(len(own), dtype=np.int32)
+    ours, theirs = (m.colour_at(rows, third, third).astype(int) for m in (own, scene.mesh))
+    assert np.abs(ours - theirs).mean() < 8
+    assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.98
+
+
+def test_the_same_flat_gives_the_same_bytes(interior, path, tmp_path):
+    again = interior.write_glb(tmp_path / "again.glb")
+    assert again.read_bytes() == path.read_bytes()

@@ -1,0 +1,281 @@
+"""Furnished flats: where things stand, which way they look, and that no ray slips out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import OptionError
+from placegraph.indoor.rays import RayCaster
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import furnish
+from placegraph_lab.worlds.flat.walls import SEAM
+
+
+def furnished(drawing, legend="", head="", seed=0):
+    text = f"[flat]\n{head}\n[drawing]\n{drawing}\n[legend]\n{legend}"
+    flat = Flat.parse(text)
+    return flat, flat.furnish(np.random.default_rng(seed))
+
+
+def caster(interior):
+    mesh = interior.mesh()
+    return mesh, RayCaster(mesh.vertices, mesh.triangles)
+
+
+@pytest.fixture(scope="module")
+def altbau():
+    flat = Flat.load("altbau")
+    return flat, flat.furnish(np.random.default_rng(1))
+
+
+BARE = "####\n#  #\n#  #\n####"
+
+
+def test_a_bare_room_is_floor_ceiling_and_four_walls():
+    _, interior = furnished(BARE, head="metres = 1\nheight = 3")
+    assert [thing.name for thing in interior.things] == [
+        "floor", "ceiling", "wall 1", "wall 2", "wall 3", "wall 4"
+    ]  # fmt: skip
+    assert [thing.id for thing in interior.things] == list(range(6))
+    bounds = {thing.name: thing.bounds.tolist() for thing in interior.things}
+    for which, z in (("floor", 0.0), ("ceiling", 3.0)):
+        expected = [[1 - SEAM, 1 - SEAM, z], [3 + SEAM, 3 + SEAM, z]]
+        assert np.allclose(bounds[which], expected)
+    assert sorted(bounds[f"wall {k}"] for k in (1, 2, 3, 4)) == [
+        [[1, 1, 0], [1, 3, 3]],
+        [[1, 1, 0], [3, 1, 3]],
+        [[1, 3, 0], [3, 3, 3]],
+        [[3, 1, 0], [3, 3, 3]],
+    ]
+
+
+def test_walls_look_into_the_room_and_textures_stand_upright():
+    _, interior = furnished(BARE, head="metres = 1\nheight = 3")
+    middle = np.array([2.0, 2.0, 1.5])
+    for thing in interior.things:
+        for surface in thing.surfaces:
+            a, b, c = np.moveaxis(surface.vertices[surface.triangles], 1, 0)
+            normal = np.cross(b - a, c - a)
+            assert (np.sum(normal * (middle - a), axis=1) > 0).all()
+            if thing.label != "wall":
+                continue
+            high = surface.vertices[:, 2] > 1.5
+            assert surface.uv[high, 1] == pytest.approx(0.0)  # v grows downwards
+            assert surface.uv[~high, 1] == pytest.approx(1.0)
+            # u grows to the right of who looks at the wall from the middle of the room
+            right = np.cross(surface.vertices.mean(axis=0) - middle, [0, 0, 1])
+            along = (surface.vertices - middle) @ right
+            assert np.corrcoef(along, surface.uv[:, 0])[0, 1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("drawing", "front"),
+    [
+        ("######\n#BBB #\n#    #\n#    #\n######", (0, -1)),
+        ("######\n#    #\n#    #\n# BBB#\n######", (0, 1)),
+        ("#####\n#B  #\n#B  #\n#B  #\n#   #\n#####", (1, 0)),
+        ("#####\n#   #\n#  B#\n#  B#\n#  B#\n#####", (-1, 0)),
+    ],
+)
+def test_a_shelf_has_its_back_to_the_longest_wall(drawing, front):
+    _, interior = furnished(drawing, "B shelf: depth=0.2", "metres = 0.25")
+    (low, high) = interior.thing("shelf").bounds
+    page = np.array([len(drawing.split("\n")[0]), len(drawing.split("\n"))]) * 0.25
+    walls = {(0, -1): page[1] - 0.25 - high[1], (0, 1): low[1] - 0.25,
+             (1, 0): low[0] - 0.25, (-1, 0): page[0] - 0.25 - high[0]}  # fmt: skip
+    assert walls[front] == pytest.approx(0.005, abs=1e-9)
+    depth = (high - low)[0 if front[0] else 1]
+    assert depth == pytest.approx(0.19, abs=1e-9)
+    books = [s for s in interior.thing("shelf").surfaces if s.texture.shape[0] < 40]
+    assert books  # spines, at the front
+    for surface in books:
+        a, b, c = np.moveaxis(surface.vertices[surface.triangles], 1, 0)
+        assert (np.cross(b - a, c - a)[:, :2] @ front > 0).all()
+
+
+@pytest.mark.parametrize(("column", "front"), [(1, 1), (6, -1)])
+def test_a_chair_looks_at_its_table(column, front):
+    row = [" "] * 6
+    row[column - 1] = "c"
+    row[2:4] = "TT"
+    drawing = f"########\n#      #\n#{''.join(row)}#\n#      #\n########"
+    _, interior = furnished(drawing, "T table:\nc chair: faces=T", "metres = 0.5")
+    chair = interior.thing("chair")
+    points = np.concatenate([s.vertices for s in chair.surfaces])
+    back = points[points[:, 2] > 0.8]
+    assert np.sign(chair.bounds.mean(axis=0)[0] - back[:, 0].mean()) == front
+
+
+def test_a_direction_wins_over_the_wall():
+    _, interior = furnished("#####\n#S  #\n#   #\n#####", "S screen: faces=west", "metres = 0.5")
+    low, high = interior.thing("screen").bounds
+    assert high[1] - low[1] > high[0] - low[0]  # it is thin along x
+
+
+def test_things_stand_on_things_and_hang_from_ceilings():
+    legend = "T table: height=0.7\nv drum: in=T height=0.3\no pendant: in=v height=0.5\n"
+    legend += "p picture: base=1.5 height=0.4\n"
+    _, interior = furnished("#####\n#TTp#\n#vo #\n#####", legend, "height = 2.5")
+    heights = {t.name: t.bounds[:, 2].tolist() for t in interior.things}
+    assert heights["table"] == pytest.approx([0.0, 0.7])
+    assert heights["drum"] == pytest.approx([0.7, 1.0])
+    assert heights["pendant"] == pytest.approx([2.0, 2.5])
+    assert heights["picture"] == pytest.approx([1.5, 1.9])
+
+
+def test_pictures_are_flat_on_the_wall():
+    _, interior = furnished("#####\n#   #\n#  p#\n#  p#\n#####", "p picture: height=0.6")
+    low, high = interior.thing("picture").bounds
+    assert high[0] == pytest.approx(1.0, abs=0.006)  # the wall
+    assert (high - low) == pytest.approx([0.02, 0.48, 0.6])
+
+
+def test_a_blot_that_is_no_rectangle_is_one_thing():
+    _, interior = furnished("######\n#CCCC#\n#C   #\n#C   #\n######", "C counter:")
+    counter = interior.thing("counter")
+    assert [t.label for t in interior.things].count("counter") == 1
+    assert counter.bounds[0, :2] == pytest.approx([0.25, 0.25], abs=0.02)
+    assert counter.bounds[1, :2] == pytest.approx([1.25, 1.0], abs=0.02)
+
+
+def test_names_count_where_several_share_a_label(altbau):
+    _, interior = altbau
+    names = [thing.name for thing in interior.things]
+    assert len(set(names)) == len(names) == 110
+    assert {"sofa", "chair 1", "chair 6", "bookcase"} <= set(names)
+    assert interior.thing("sofa").room == "living room"
+    assert interior.thing("bathtub").room == "bathroom"
+    with pytest.raises(OptionError, match="There is no 'throne' in the flat; there are floor 1"):
+        interior.thing("throne")
+
+
+def test_every_room_has_light(altbau):
+    flat, interior = altbau
+    lit = set()
+    for lamp in interior.lamps:
+        cell = flat.cell(*lamp.position[:2])
+        assert flat.room_of[cell] >= 0
+        assert 0.0 < lamp.position[2] < flat.height
+        if not lamp.is_window:
+            lit.add(int(flat.room_of[cell]))
+    assert lit == set(range(5))
+    assert sum(lamp.is_window for lamp in interior.lamps) == 5
+
+
+def test_things_stay_in_their_rooms(altbau):
+    flat, interior = altbau
+    for thing in interior.things[len(interior.things) - len(flat.things) :]:
+        low, high = thing.bounds
+        assert low[2] >= 0.0
+        assert high[2] <= flat.height + 1e-9
+        for x, y in ((low[0], low[1]), (high[0], high[1]), (low[0], high[1]), (high[0], low[1])):
+            assert flat.room_of[flat.cell(x, y)] >= 0, thing.name
+
+
+def test_the_same_seed_makes_the_same_flat():
+    flat = Flat.load("altbau")
+    one, same, other = (furnish(flat, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    textures = [[s.texture for t in i.things for s in t.surfaces] for i in (one, same, other)]
+    assert all(np.array_equal(a, b) for a, b in zip(*textures[:2], strict=True))
+    assert not all(np.array_equal(a, b) for a, b in zip(*textures[::2], strict=True))
+
+
+def test_moved_and_taken_away(altbau):
+    _, interior = altbau
+    sofa, chair = interior.thing("sofa"), interior.thing("chair 1")
+    moved = interior.moved("sofa", (0.5, -0.25), np.pi / 2)
+    extent = np.diff(sofa.bounds, axis=0)[0]
+    turned = np.diff(moved.thing("sofa").bounds, axis=0)[0]
+    assert turned == pytest.approx(extent[[1, 0, 2]])
+    shift = moved.thing("sofa").bounds.mean(axis=0) - sofa.bounds.mean(axis=0)
+    assert shift == pytest.approx([0.5, -0.25, 0.0])
+    assert moved.thing("chair 1") is chair
+    gone = moved.without("sofa")
+    assert len(gone.things) == len(interior.things) - 1
+    assert gone.thing("chair 1").id == chair.id  # ids stay
+    assert sofa.id not in gone.mesh().object_of
+    with pytest.raises(OptionError):
+        gone.without("sofa")
+
+
+# ------------------------------------------------------------------------------ watertightness
+
+
+def inside(flat, n, rng):
+    """Points (n, 3) within the rooms."""
+    room = np.argwhere(flat.room_of >= 0)
+    cells = room[rng.integers(len(room), size=n)]
+    at = (cells[:, ::-1] + rng.random((n, 2))) * flat.metres
+    at[:, 1] = flat.size[1] - at[:, 1]
+    return np.column_stack([at, rng.uniform(0.0, flat.height, n)])
+
+
+def test_no_ray_leaves_the_flat(altbau, rng):
+    flat, interior = altbau
+    _, cast = caster(interior)
+    origins = inside(flat, 200_000, rng)
+    hits = cast.cast(origins, rng.standard_normal(origins.shape))
+    assert (hits.triangle >= 0).all()
+
+
+def test_rays_to_the_seams_do_not_leave_either(altbau, rng):
+    """Aimed at where walls, floors, ceilings and openings meet, where a crack would be."""
+    flat, interior = altbau
+    _, cast = caster(interior)
+    shell = [t for t in interior.things if t.label in {"floor", "ceiling", "wall", "doorway"}]
+    seams = np.concatenate([s.vertices for t in shell for s in t.surfaces])
+    along = seams[rng.integers(len(seams), size=100_000)]
+    axis = rng.integers(3, size=len(along))
+    along[np.arange(len(along)), axis] += rng.uniform(-0.3, 0.3, len(along))
+    origins = inside(flat, len(along), rng)
+    hits = cast.cast(origins, along - origins)
+    assert (hits.triangle >= 0).all()
+
+
+def test_rays_leave_through_an_open_door_only(rng):
+    flat, interior = furnished("#####\n#   #\n#   :\n#   #\n#####", head="metres = 1")
+    _, cast = caster(interior)
+    origins = inside(flat, 20_000, rng)
+    directions = rng.standard_normal(origins.shape)
+    out = cast.cast(origins, directions).triangle < 0
+    share = (5.0 - origins[:, 0]) / directions[:, 0]  # to the outer face of the wall
+    at = origins + share[:, None] * directions
+    door = (share > 0) & (np.abs(at[:, 1] - 2.5) < 0.5) & (at[:, 2] > 0) & (at[:, 2] < 2.05)
+    assert 20 < out.sum() < 2000
+    assert door[out].all()
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.text("# ", min_size=6, max_size=6), min_size=1, max_size=6),
+    st.integers(0, 2**32 - 1),
+)
+def test_any_plan_is_watertight_and_as_drawn(rows, seed):
+    """Along the axes, a ray from a cell's middle runs as far as the drawing says."""
+    drawing = ["########", *(f"#{row}#" for row in rows), "########"]
+    if not any(" " in row for row in rows):
+        return
+    flat, interior = furnished("\n".join(drawing), head="metres = 0.5\nheight = 2")
+    mesh, cast = caster(interior)
+    cells = np.argwhere(flat.room_of >= 0)
+    origins = np.array([(*flat.corner(r + 0.5, c + 0.5), 1.1) for r, c in cells])
+    for (dr, dc), direction in {
+        (0, 1): (1, 0, 0), (0, -1): (-1, 0, 0), (1, 0): (0, -1, 0), (-1, 0): (0, 1, 0)
+    }.items():  # fmt: skip
+        free = np.array([_run(drawing, r, c, dr, dc) for r, c in cells])
+        hits = cast.cast(origins, np.tile(np.array(direction, float), (len(cells), 1)))
+        assert hits.distance == pytest.approx(0.5 * free + 0.25, abs=1e-5)
+        labels = {interior.things[i].label for i in mesh.object_of[hits.triangle]}
+        assert labels == {"wall"}
+    rng = np.random.default_rng(seed)
+    many = np.repeat(origins, 50, axis=0)
+    assert (cast.cast(many, rng.standard_normal(many.shape)).triangle >= 0).all()
+
+
+def _run(drawing, row, column, dr, dc):
+    """Free cells from here to the wall."""
+    n = 0
+    while drawing[row + (n + 1) * dr][column + (n + 1) * dc] == " ":
+        n += 1
+    return n

@@ -1,0 +1,321 @@
+"""Walks through drawn flats: where they lead, and whether captures tell the truth they should."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.tum import read_tum
+from placegraph.geometry import Camera, between, level_from_camera, pose_matrix, split_pose, wrap
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.paths import BODY, FloorPlan
+from placegraph_lab.worlds.flat.render import Stage
+from placegraph_lab.worlds.flat.walks import Walk, drifted, stroll, write_walk
+
+ROOM = """
+[flat]
+metres = 0.5
+height = 2.5
+[drawing]
+######=#####
+#    #   c #
+#    #  TT #
+#1   : 2TT #
+#    #     #
+####+#######
+#  3 #
+######
+[legend]
+1 room: walls=plaster tan
+2 room: label=dining room
+3 spot:
+T table:
+c chair: faces=T
+"""
+SMALL = Camera(96, 54, 69.0, 69.0, 48.0, 27.0)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return Flat.parse(ROOM)
+
+
+@pytest.fixture(scope="module")
+def interior(flat):
+    return flat.furnish(np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def walk(flat):
+    return stroll(flat, np.random.default_rng(2), frames=8, through="12")
+
+
+@pytest.fixture(scope="module")
+def folder(interior, walk, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk")
+    return write_walk(interior, walk, folder, np.random.default_rng(3), camera=SMALL)
+
+
+@pytest.fixture(scope="module")
+def stage(interior):
+    return Stage(interior, np.random.default_rng(4))
+
+
+def level(x, y, z, yaw):
+    return pose_matrix([x, y, z, yaw], level_from_camera([0.0, 1.0, 0.0]))
+
+
+# --------------------------------------------------------------------------------------- paths
+
+
+def test_a_walk_passes_its_places(flat):
+    walk = stroll(flat, np.random.default_rng(0), frames=40, through="121", speed=1.0)
+    at = walk.map_from_camera[:, :2, 3]
+    first, second = (np.array(flat.position(g)) for g in "12")
+    assert np.hypot(*(at[0] - first)) < 0.3
+    assert np.hypot(*(at[-1] - first)) < 0.3
+    assert np.hypot(*(at - second).T).min() < 0.4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_walk_keeps_away_from_walls_and_furniture(seed):
+    flat = Flat.load("altbau")
+    walk = stroll(flat, np.random.default_rng(seed), frames=60)
+    blocked = np.argwhere(flat.blocked)
+    middles = np.array([flat.corner(r + 0.5, c + 0.5) for r, c in blocked])
+    for x, y in walk.map_from_camera[:, :2, 3]:
+        assert not flat.blocked[flat.cell(x, y)]
+        assert np.hypot(*(middles - (x, y)).T).min() > BODY - 0.08
+
+
+@pytest.mark.parametrize("through", ["", "121"])
+def test_a_walk_is_smooth_and_level(flat, through):
+    rng = np.random.default_rng(5)
+    walk = stroll(flat, rng, frames=30, height=1.5, speed=0.5, through=through)
+    poses, tilt = split_pose(walk.map_from_camera)
+    assert np.diff(walk.stamps) == pytest.approx(0.2)
+    steps = between(poses[:-1], poses[1:])
+    assert np.hypot(*steps[:, :2].T).max() <= 0.1 + 1e-6  # a chord is no longer than its arc
+    assert np.hypot(*steps[:, :2].T).mean() > 0.08
+    assert np.abs(wrap(steps[:, 3])).max() < 0.4
+    assert np.abs(poses[:, 2] - 1.5).max() <= 0.02
+    upright = level_from_camera([0.0, 1.0, 0.0])
+    angle = np.arccos(np.clip((np.einsum("tij,ij->t", tilt, upright) - 1) / 2, -1, 1))
+    assert 0.01 < angle.max() < 0.3
+
+
+def test_a_short_way_is_walked_slowly(flat):
+    walk = stroll(flat, np.random.default_rng(0), frames=200, through="12")
+    at = walk.map_from_camera[:, :2, 3]
+    assert np.hypot(*(at[-1] - flat.position("2"))) < 0.3
+    assert np.hypot(*np.diff(at, axis=0).T).max() < 0.05
+
+
+def test_one_frame(flat):
+    walk = stroll(flat, np.random.default_rng(0), frames=1, through="1")
+    assert len(walk) == 1
+    assert np.isfinite(walk.map_from_camera).all()
+
+
+def test_the_same_seed_walks_the_same_way(flat):
+    ways = [stroll(flat, np.random.default_rng(s)).map_from_camera for s in (7, 7, 8)]
+    assert np.array_equal(ways[0], ways[1])
+    assert not np.allclose(ways[0], ways[2])
+
+
+def test_behind_a_closed_door(flat):
+    with pytest.raises(OptionError, match="no way leads to x = 1"):
+        stroll(flat, np.random.default_rng(0), through="13")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"frames": 0}, {"height": 2.6}, {"speed": 0.0}, {"rate": -1.0}, {"tilt": -0.1}],
+    ids=str,
+)
+def test_numbers_out_of_range(flat, wrong):
+    with pytest.raises(OptionError, match=r"height from 0\.3 to 2\.5"):
+        stroll(flat, np.random.default_rng(0), **wrong)
+
+
+def test_a_place_that_is_not_drawn(flat):
+    with pytest.raises(OptionError, match="0 places drawn '9'"):
+        stroll(flat, np.random.default_rng(0), through="9")
+
+
+def test_a_flat_without_floor_to_stand_on():
+    flat = Flat.parse("[drawing]\n###\n#T#\n###\n[legend]\nT table:\n")
+    with pytest.raises(OptionError, match="nobody can stand"):
+        FloorPlan(flat)
+
+
+# --------------------------------------------------------------------------- what a camera sees
+
+
+def test_depth_is_what_the_drawing_says(stage, interior):
+    """The left room is 2 x 2 m from (0.5, 1.5) to (2.5, 3.5), its walls in the way of every pixel."""
+    pose = level(1.5, 1.75, 1.25, np.pi)  # looks left, along -x
+    shot = stage.shot(SMALL, pose)
+    names = np.array([thing.label for thing in interior.things])
+    middle = shot.depth[27, 48]
+    assert middle == pytest.approx(1.0, abs=1e-4)
+    wall = (names[shot.ids] == "wall") & (np.abs(shot.depth - 1.0) < 1e-3)
+    assert wall.mean() > 0.3
+    u, v = np.meshgrid(np.arange(96) + 0.5, np.arange(54) + 0.5)
+    across, down = (u - 48) / 69, (v - 27) / 69
+    # x right of the camera is north here: the room ends at y = 1.5 and 3.5; floor 1.25 m below
+    sides = np.minimum(1.0, np.where(across > 0, 1.75, 0.25) / np.maximum(np.abs(across), 1e-9))
+    expected = np.minimum(sides, 1.25 / np.maximum(np.abs(down), 1e-9))
+    assert shot.depth == pytest.approx(expected, abs=1e-3)
+    assert (names[shot.ids[shot.depth < 0.99]] == "wall").any()
+
+
+def test_nothing_beyond_an_open_door():
+    flat = Flat.parse("[flat]\nmetres = 0.5\n[drawing]\n####\n#  :\n####\n[legend]\n")
+    stage = Stage(flat.furnish(np.random.default_rng(0)), np.random.default_rng(0))
+    shot = stage.shot(SMALL, level(1.0, 0.75, 1.2, 0.0))
+    assert shot.ids[27, 48] == -1
+    assert np.isnan(shot.depth[27, 48])
+    assert shot.facing[27, 48] == 0.0
+    assert stage.radiance(SMALL, level(1.0, 0.75, 1.2, 0.0))[27, 48].tolist() == [0, 0, 0]
+
+
+def test_light_casts_shadows_and_fades(interior):
+    """By lamplight the floor under the table is darker than the floor beside it."""
+    stage = Stage(interior, np.random.default_rng(0), daylight=0.0)
+    table = interior.thing("table").bounds
+    under = [*((table[0] + table[1]) / 2)[:2], 0.3]
+    down = level_from_camera([0.0, 0.0, 1.0])
+    dark = stage.radiance(SMALL, pose_matrix([*under, 0.0], down)).mean()
+    lit = stage.radiance(SMALL, pose_matrix([3.25, 2.6, 0.3, 0.0], down)).mean()
+    assert dark < 0.7 * lit
+    bright = Stage(interior, np.random.default_rng(0), daylight=1.0)
+    lookout = level(4.0, 3.3, 1.5, np.pi / 2)
+    assert bright.radiance(SMALL, lookout).max() > stage.radiance(SMALL, lookout).max()
+
+
+# ------------------------------------------------------------------------------------- captures
+
+
+def test_a_capture_opens_with_all_it_has(folder, walk):
+    capture = open_capture(folder)
+    assert len(capture) == 8
+    assert capture.stamps == pytest.approx(walk.stamps)
+    assert (capture.camera.width, capture.depth_camera.width) == (96, 48)
+    assert capture.label_kind == "instances"
+    for frame in capture:
+        assert frame.rgb().shape == (54, 96, 3)
+        assert frame.depth().shape == frame.labels().shape == (27, 48)
+
+
+def test_depth_and_instances_are_those_of_the_truth(folder, stage, walk):
+    capture = open_capture(folder)
+    for frame, pose in zip(capture, walk.map_from_camera, strict=True):
+        shot = stage.shot(capture.depth_camera, pose)
+        assert np.array_equal(frame.labels(), shot.ids)
+        depth = frame.depth()
+        holes = np.isnan(depth)
+        assert 0.01 < holes.mean() < 0.5
+        error = np.abs(depth - shot.depth)[~holes]
+        assert 0.0003 < np.median(error) < 0.01
+        assert np.quantile(error, 0.99) < 0.05
+
+
+def test_colours_are_those_of_the_map_in_other_light(folder, stage, walk):
+    capture = open_capture(folder)
+    pictures, albedos = [], []
+    for frame, pose in zip(capture, walk.map_from_camera, strict=True):
+        v, u = np.mgrid[:54, :96] + 0.5
+        rays = capture.camera.directions(np.stack([u, v], -1)).reshape(-1, 3) @ pose[:3, :3].T
+        hits = stage.caster.cast(pose[:3, 3], rays)
+        albedos.append(stage.mesh.colour_at(hits.triangle, hits.u, hits.v))
+        pictures.append(frame.rgb().reshape(-1, 3))
+    ours, theirs = (np.concatenate(a).astype(float) for a in (pictures, albedos))
+    assert 10 < np.abs(ours - theirs).mean() < 120  # it differs ...
+    assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.5  # ... and yet shows the flat
+
+
+def test_gravity_is_that_of_the_truth(folder, walk):
+    down = -walk.map_from_camera[:, 2, :3]
+    angles = np.arccos(np.clip(np.sum(open_capture(folder).gravity * down, axis=1), -1, 1))
+    assert 0.0 < np.degrees(angles).max() < 0.6
+
+
+def test_odometry_begins_at_home_and_drifts_a_little(flat):
+    walk = stroll(flat, np.random.default_rng(0), frames=400, through="12121212")
+    odometry, tilt = split_pose(drifted(walk.map_from_camera, np.random.default_rng(1)))
+    truth, level_ = split_pose(walk.map_from_camera)
+    assert odometry[0] == pytest.approx(np.zeros(4), abs=1e-12)
+    assert tilt == pytest.approx(level_, abs=1e-9)
+    steps, ours = (between(p[:-1], p[1:]) for p in (truth, odometry))
+    lengths = np.linalg.norm(steps[:, :3], axis=1)
+    error = (ours - steps)[:, :3] / lengths[:, None]
+    assert np.std(error) == pytest.approx(0.01, rel=0.1)
+    assert np.std(np.degrees(wrap(ours - steps)[:, 3])) == pytest.approx(0.1, rel=0.15)
+
+
+def test_the_truth_is_written_apart(folder, walk):
+    truth = read_tum(folder / "trajectory.tum")
+    assert truth.poses == pytest.approx(walk.map_from_camera, abs=1e-8)
+    odometry = read_tum(folder / "odometry.tum").poses
+    assert not np.allclose(odometry[0], truth.poses[0])
+
+
+def test_the_same_seed_writes_the_same_files(interior, walk, folder, tmp_path):
+    again = write_walk(interior, walk, tmp_path, np.random.default_rng(3), camera=SMALL)
+    files = sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file())
+    assert len(files) == 3 * 8 + 4
+    assert all((folder / f).read_bytes() == (again / f).read_bytes() for f in files)
+
+
+def test_labels_instead_of_instances(interior, walk, tmp_path):
+    short = Walk(walk.stamps[:2], walk.map_from_camera[:2])
+    rng = np.random.default_rng(3)
+    write_walk(interior, short, tmp_path, rng, camera=SMALL, labels="labels", depth=False)
+    capture = open_capture(tmp_path)
+    assert capture.label_kind == "labels"
+    assert capture.depth_camera is None
+    assert set(capture.label_names.values()) == {thing.label for thing in interior.things}
+    seen = {capture.label_names[i] for i in np.unique(capture[0].labels()) if i >= 0}
+    assert {"wall", "floor"} <= seen
+    assert "0" not in json.loads((tmp_path / "labels.json").read_text())
+
+
+def test_neither_labels_nor_depth(interior, walk, tmp_path):
+    short = Walk(walk.stamps[:1], walk.map_from_camera[:1])
+    rng = np.random.default_rng(3)
+    write_walk(interior, short, tmp_path, rng, camera=SMALL, labels=None, depth=False)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "camera.json", "gravity.txt", "odometry.tum", "rgb", "trajectory.tum"
+    ]  # fmt: skip
+
+
+def test_an_earlier_walk_in_the_folder_goes(interior, walk, tmp_path):
+    short = Walk(walk.stamps[:2], walk.map_from_camera[:2])
+    for each, labels in ((walk, "labels"), (short, "instances")):
+        write_walk(interior, each, tmp_path, np.random.default_rng(3), camera=SMALL, labels=labels)
+    capture = open_capture(tmp_path)
+    assert (len(capture), capture.label_kind) == (2, "instances")
+    assert not (tmp_path / "labels.json").exists()
+
+
+def test_a_changed_flat_is_seen_as_it_is_now(interior, tmp_path):
+    chair = interior.thing("chair")
+    at = chair.bounds.mean(axis=0)
+    walk = Walk(np.array([0.0]), level(at[0] - 1.2, at[1] - 0.3, 1.3, 0.0)[None])
+    found = {}
+    for name, now in {
+        "before": interior,
+        "moved": interior.moved("chair", (0.2, -0.3)),
+        "gone": interior.without("chair"),
+    }.items():
+        write_walk(now, walk, tmp_path / name, np.random.default_rng(0), camera=SMALL)
+        picture = np.asarray(Image.open(tmp_path / name / "instances/000000.png"))
+        found[name] = picture == chair.id + 1
+    assert found["before"].any()
+    assert found["moved"].any()
+    assert not np.array_equal(found["moved"], found["before"])
+    assert not found["gone"].any()

@@ -1,0 +1,222 @@
+"""Procedural homes: sound, alike and yet each its own."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import OptionError
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.paths import BODY, FloorPlan
+from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS
+from placegraph_lab.worlds.home.change import BUILT_IN, SHELL, on
+from placegraph_lab.worlds.home.home import (
+    CAMERA,
+    STYLES,
+    changed,
+    drawn,
+    home,
+    record,
+    scene_of,
+    visit,
+)
+from placegraph_lab.worlds.trace import blots
+
+SEEDS = st.integers(0, 10**6)
+WORDS = {word for plain in KINDS for word in SYNONYMS.get(plain, (plain,))} | SHELL
+FEW = settings(max_examples=25, deadline=None)
+
+
+def _furnished(seed):
+    rng = np.random.default_rng(seed)
+    flat = home(rng)
+    return flat, flat.furnish(rng), rng
+
+
+@given(SEEDS, st.sampled_from(sorted(STYLES)))
+@FEW
+def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
+    text = drawn(np.random.default_rng(seed), style)
+    assert drawn(np.random.default_rng(seed), style) == text
+    flat = Flat.parse(text)
+    assert 1 <= len(flat.rooms) <= 3
+    assert {room.name for room in flat.rooms} <= ROOMS.keys()
+    assert len({room.name for room in flat.rooms}) == len(flat.rooms)
+    assert {blot.symbol.label for blot in flat.things} <= WORDS
+
+
+@given(SEEDS)
+@FEW
+def test_who_walks_gets_into_every_room(seed):
+    flat = home(np.random.default_rng(seed))
+    floor = FloorPlan(flat)
+    groups = blots(map(tuple, np.argwhere(floor.clear >= BODY).tolist()))
+    largest = max(groups, key=len)
+    x, y = ((np.array(sorted(largest)) + 0.5) * 0.1).T
+    rooms = {int(flat.room_of[flat.cell(*at)]) for at in zip(x.tolist(), y.tolist(), strict=True)}
+    assert {i for i in rooms if i >= 0} == set(range(len(flat.rooms)))
+
+
+@given(SEEDS)
+@settings(max_examples=10, deadline=None)
+def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
+    _, interior, rng = _furnished(seed)
+    for state in (interior, changed(interior, rng)):
+        floors = {t.room: t.bounds for t in state.things if t.label == "floor"}
+        standing = [
+            t
+            for t in state.things
+            if t.label not in SHELL and t.bounds[0, 2] < 0.005 and t.bounds[1, 2] > 0.05
+        ]
+        for thing in standing:
+            low, high = thing.bounds[:, :2]
+            floor = floors[thing.room][:, :2]
+            assert (low >= floor[0] - 1e-6).all()
+            assert (high <= floor[1] + 1e-6).all()
+        boxes = np.array([t.bounds for t in standing])
+        for i, box in enumerate(boxes):
+            overlap = np.minimum(box[1], boxes[:i, 1]) - np.maximum(box[0], boxes[:i, 0])
+            # handles stand out of fronts by 3 cm
+            assert not (overlap > 0.035).all(axis=1).any()
+
+
+@given(SEEDS)
+@settings(max_examples=10, deadline=None)
+def test_months_later(seed):
+    _, interior, _ = _furnished(seed)
+    one, other = (changed(interior, np.random.default_rng(seed)) for _ in range(2))
+    assert [t.id for t in one.things] == [t.id for t in other.things]
+    assert all((a.bounds == b.bounds).all() for a, b in zip(one.things, other.things, strict=True))
+    later = {t.id: t for t in one.things}
+    before = {t.id: t for t in interior.things}
+    assert len(later) == len(one.things)
+    for thing in interior.things:
+        # what stands on a thing that is not built in went with it
+        if thing.label in SHELL:
+            assert later[thing.id] is thing
+    assert all(t.label in WORDS for i, t in later.items() if i not in before)
+
+
+def test_a_moved_table_takes_along_what_stands_on_it():
+    text = """
+[drawing]
+####################
+#                  #
+#   TTTTTTT        #
+#   TTVTTTT        #
+#   TTTTTTT        #
+#                  #
+#        1         #
+#                  #
+####################
+[legend]
+1 room: label=study
+T table: label=desk
+V drum: label=vase in=T height=0.2
+"""
+    interior = Flat.parse(text).furnish(np.random.default_rng(0))
+    desk = interior.thing("desk")
+    assert [t.label for t in on(interior.things, desk)] == ["vase"]
+    later = changed(interior, np.random.default_rng(1), moved=1.0, removed=0.0, added=0)
+    moved, vase = later.thing("desk"), later.thing("vase")
+    assert not np.allclose(moved.bounds, desk.bounds)
+    low, high = vase.bounds[0, :2], vase.bounds[1, :2]
+    assert (low > moved.bounds[0, :2]).all()
+    assert (high < moved.bounds[1, :2]).all()
+    gone = changed(interior, np.random.default_rng(1), moved=0.0, removed=1.0, added=0)
+    assert {t.label for t in gone.things} <= SHELL
+
+
+def test_nothing_built_in_moves():
+    for seed in range(6):
+        _, interior, rng = _furnished(seed)
+        later = {t.id: t for t in changed(interior, rng, moved=0.9, removed=0.1).things}
+        stays = [t for t in interior.things if t.label in SHELL]
+        assert all(later[t.id] is t for t in stays)
+        fixed = [t for t in interior.things if t.label in BUILT_IN and t.bounds[0, 2] < 0.005]
+        assert all(np.array_equal(later[t.id].bounds, t.bounds) for t in fixed)
+
+
+def test_homes_differ_and_vary_in_words():
+    flats = [home(np.random.default_rng(seed), style="hotel") for seed in range(30)]
+    assert len({flat.rows for flat in flats}) == 30
+    labels = {blot.symbol.label for flat in flats for blot in flat.things}
+    assert {"sofa", "couch"} <= labels
+    counts = [len(flat.furnish(np.random.default_rng(0)).things) for flat in flats[:10]]
+    assert 12 <= min(counts) <= max(counts) <= 50
+
+
+def test_the_map_of_a_home():
+    _, interior, _ = _furnished(3)
+    scene = scene_of(interior)
+    assert scene.graph.ids == tuple(str(t.id) for t in interior.things)
+    assert scene.graph.labels == tuple(t.label for t in interior.things)
+    boxes = np.array([t.bounds for t in interior.things])
+    assert np.allclose(scene.graph.positions, boxes.mean(axis=1), atol=1e-3)
+    assert {a["room"] for a in scene.attributes} == {t.room for t in interior.things}
+    assert "standing on" in scene.graph.relations
+    assert scene.coloured
+    later = changed(interior, np.random.default_rng(0), moved=0, removed=0.5, added=0)
+    fewer = scene_of(later, name="later")
+    assert len(fewer) == len(later.things) < len(scene)
+    assert fewer.scenes == ("later",)
+
+
+def test_a_capture_in_memory():
+    flat, interior, rng = _furnished(8)
+    walk = visit(flat, interior, rng, frames=4)
+    one = record(interior, walk, np.random.default_rng(1), depth=True)
+    other = record(interior, walk, np.random.default_rng(1), depth=True)
+    assert len(one) == 4
+    last, same = one[3], other[3]
+    assert np.array_equal(last.depth(), same.depth(), equal_nan=True)
+    _ = other[0].rgb()  # what was asked for before makes no difference
+    assert np.array_equal(last.rgb(), same.rgb())
+    assert last.rgb().shape == (CAMERA.height, CAMERA.width, 3)
+    assert last.rgb() is last.rgb()
+    values = np.unique(last.labels())
+    assert {last.label_names[v] for v in values.tolist() if v >= 0} <= {
+        t.label for t in interior.things
+    }
+    assert np.allclose(np.linalg.norm(one.gravity, axis=1), 1.0)
+    # odometry begins level, at its own origin
+    assert np.allclose(one.odometry[0, :3, 3], 0.0)
+
+
+def test_instances_words_and_nothing():
+    flat, interior, rng = _furnished(8)
+    walk = visit(flat, interior, rng, frames=1)
+    ids = record(interior, walk, rng, labels="instances")[0]
+    assert ids.label_kind == "instances"
+    assert set(np.unique(ids.labels()).tolist()) <= {-1, *(t.id for t in interior.things)}
+    said = record(interior, walk, rng, words={"wall": "partition"})[0]
+    assert "partition" in said.label_names.values()
+    assert "wall" not in said.label_names.values()
+    assert record(interior, walk, rng, labels=None)[0].labels() is None
+    assert record(interior, walk, rng)[0].depth() is None
+
+
+@given(SEEDS)
+@settings(max_examples=8, deadline=None)
+def test_walks_go_around_the_furniture_where_it_stands_now(seed):
+    flat, interior, rng = _furnished(seed)
+    later = changed(interior, rng, moved=0.8)
+    walk = visit(flat, later, rng, frames=10)
+    at = walk.map_from_camera[:, :2, 3]
+    for thing in later.things:
+        low, high = thing.bounds
+        if thing.label not in SHELL and low[2] < 0.005 and high[2] > 0.1:
+            assert not ((at > low[:2]) & (at < high[:2])).all(axis=1).any()
+
+
+def test_bad_options():
+    rng = np.random.default_rng(0)
+    with pytest.raises(OptionError, match="no style 'baroque'"):
+        home(rng, style="baroque")
+    _, interior, _ = _furnished(0)
+    with pytest.raises(OptionError, match="moved=2"):
+        changed(interior, rng, moved=2)
+    flat = home(rng)
+    walk = visit(flat, flat.furnish(rng), rng, frames=1)
+    with pytest.raises(OptionError, match="labels is 'colours'"):
+        record(interior, walk, rng, labels="colours")

@@ -1,0 +1,54 @@
+"""The demo flat: a film through three of its rooms, after something changed, is localized."""
+
+import numpy as np
+import pytest
+
+from placegraph.demo import FLAT, WAY
+from placegraph.formats.capture.capture import open_capture
+from placegraph.geometry import Camera
+from placegraph.indoor.mapping.build import build_scene
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
+
+SMALL = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """Scene, film with an armchair moved and a chair gone, true poses."""
+    folder, rng = tmp_path_factory.mktemp("altbau"), np.random.default_rng(0)
+    drawing = Flat.load(FLAT)
+    interior = drawing.furnish(rng)
+    scene = build_scene(interior.write_glb(folder / "flat.glb"), None)
+    now = interior.moved("armchair", (0.5, -0.2), 0.6).without("chair 1")
+    walk = stroll(drawing, rng, frames=14, through=WAY, speed=1.5)
+    write_walk(now, walk, folder / "walk", rng, camera=SMALL)
+    return scene, open_capture(folder / "walk"), walk.map_from_camera
+
+
+def test_the_film_passes_three_rooms(film):
+    drawing = Flat.load(FLAT)
+    _, _, truth = film
+    rooms = {int(drawing.room_of[drawing.cell(*pose[:2, 3])]) for pose in truth} - {-2}
+    assert {drawing.rooms[room].name for room in rooms} == {"bedroom", "hall", "living room"}
+
+
+def test_the_film_is_localized(film):
+    scene, capture, truth = film
+    estimate = scene.localize(capture, seed=0)
+    off = estimate.best.map_from_camera[:3, 3] - truth[-1, :3, 3]
+    assert np.linalg.norm(off) < 0.1
+    way = estimate.trajectory[:, :3, 3] - truth[:, :3, 3]
+    assert np.linalg.norm(way, axis=1).max() < 0.2
+
+
+def test_without_labels(film, tmp_path):
+    """By depth and colour alone the answer is right, or it is not OK."""
+    scene, capture, truth = film
+    (capture.path / "instances").rename(tmp_path / "instances")
+    try:
+        estimate = scene.localize(open_capture(capture.path), seed=0)
+    finally:
+        (tmp_path / "instances").rename(capture.path / "instances")
+    off = np.linalg.norm(estimate.best.map_from_camera[:3, 3] - truth[-1, :3, 3])
+    assert off < 0.25 or estimate.status.name != "OK"

@@ -1,0 +1,161 @@
+"""Textures, furniture and sensors of drawn flats, each for itself."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph_lab.worlds.flat.furniture import MODELS, Body
+from placegraph_lab.worlds.flat.legend import look
+from placegraph_lab.worlds.flat.parts import box, frustum, joined
+from placegraph_lab.worlds.flat.render import Shot
+from placegraph_lab.worlds.flat.sensors import FARTHEST, develop, measured
+from placegraph_lab.worlds.flat.textures import (
+    LARGEST,
+    PAINTERS,
+    PIXELS_PER_METRE,
+    Look,
+    cloud,
+    paint,
+)
+
+GREY = (128, 128, 128)
+
+
+# ------------------------------------------------------------------------------------- textures
+
+
+@pytest.mark.parametrize("kind", PAINTERS)
+def test_a_look_has_its_size_its_colour_and_some_pattern(kind):
+    image = paint(Look(kind, (150, 110, 70)), (1.5, 1.0), np.random.default_rng(0))
+    assert image.shape == (96, 144, 3)
+    assert image.dtype == np.uint8
+    assert image.std(axis=(0, 1)).max() > 1.0  # nothing is quite plain
+    if kind not in {"books", "picture", "window", "rug"}:
+        mean = image.mean(axis=(0, 1))
+        assert mean[0] > mean[1] > mean[2]
+
+
+@pytest.mark.parametrize("kind", PAINTERS)
+@settings(max_examples=10)
+@given(width=st.floats(0.0, 30.0), height=st.floats(0.0, 30.0))
+def test_looks_of_any_size(kind, width, height):
+    rng = np.random.default_rng(0)
+    image = paint(Look(kind, GREY), (max(width, 1e-3), max(height, 1e-3)), rng)
+    assert 2 <= image.shape[0] <= LARGEST
+    assert 2 <= image.shape[1] <= LARGEST
+
+
+@pytest.mark.parametrize("kind", PAINTERS)
+def test_the_same_generator_paints_the_same(kind):
+    images = [paint(Look(kind, GREY), (0.5, 0.5), np.random.default_rng(s)) for s in (1, 1, 2)]
+    assert np.array_equal(images[0], images[1])
+    assert not np.array_equal(images[0], images[2])
+
+
+def test_clouds_repeat_at_their_edges(rng):
+    field = cloud((64, 96), (8, 12), rng)
+    inner = np.abs(np.diff(field, axis=0)).max(), np.abs(np.diff(field, axis=1)).max()
+    assert np.abs(field[0] - field[-1]).max() <= inner[0] * 1.5
+    assert np.abs(field[:, 0] - field[:, -1]).max() <= inner[1] * 1.5
+    assert abs(field.mean()) < 0.5
+    assert 0.5 < field.std() < 1.5
+
+
+# -------------------------------------------------------------------------------- parts, models
+
+
+def volume(parts):
+    """Signed volume [m3] of closed parts: positive where faces look outwards."""
+    total = 0.0
+    for part in parts:
+        a, b, c = np.moveaxis(part.vertices[part.triangles], 1, 0)
+        total += float(np.sum(a * np.cross(b, c))) / 6
+    return total
+
+
+def test_boxes_and_frustums_are_closed_and_look_outwards():
+    wood = Look("wood", GREY)
+    assert volume(box((1, 2, 3), (2, 4, 6), wood)) == pytest.approx(6.0)
+    cylinder = volume([frustum((5, 5), (0.5, 0.5), (1, 3), wood, sides=64)])
+    assert cylinder == pytest.approx(np.pi * 0.25 * 2, rel=0.01)
+    cone = volume([frustum((5, 5), (1.0, 0.5), (0, 3), wood, sides=64)])
+    assert cone == pytest.approx(np.pi * 3 * (1 + 0.5 + 0.25) / 3, rel=0.01)
+
+
+def test_joined_parts_keep_their_triangles():
+    wood, tin = Look("wood", GREY), Look("metal", GREY)
+    parts = [*box((0, 0, 0), (1, 1, 1), wood, top=tin), *box((2, 0, 0), (3, 1, 1), wood)]
+    groups = joined(parts)
+    assert [(g.look.kind, len(g.triangles)) for g in groups] == [("wood", 22), ("metal", 2)]
+    assert volume(groups) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@settings(max_examples=10)
+@given(st.floats(0.1, 3.0), st.floats(0.1, 3.0), st.floats(0.2, 2.0))
+def test_furniture_keeps_to_its_body(name, width, depth, stretch):
+    model = MODELS[name]
+    body = Body(width, depth, model.height * stretch, look(model.look, ""), look(model.trim, ""))
+    parts = model.made(body)
+    points = np.concatenate([part.vertices for part in parts])
+    low, high = points.min(axis=0), points.max(axis=0)
+    assert (low >= 0.0).all()
+    assert (high <= (width, depth + 0.03, body.height + model.above)).all()
+    assert high[2] >= 0.9 * body.height
+    for part in parts:
+        assert part.triangles.max() < len(part.vertices) == len(part.uv)
+        assert np.isfinite(part.uv).all()
+
+
+# -------------------------------------------------------------------------------------- sensors
+
+
+def flat_wall(distance, shape=(90, 160)):
+    full = np.full(shape, 1.0, np.float32)
+    return Shot(distance * full, np.zeros(shape, np.int32), full)
+
+
+@pytest.mark.parametrize("distance", [0.8, 2.0, 5.0])
+def test_depth_errors_grow_with_the_square_of_the_distance(distance, rng):
+    depth = measured(flat_wall(distance), rng)
+    read = depth[depth > 0] / 1000.0
+    sigma = 0.0012 + 0.0019 * (distance - 0.4) ** 2
+    assert 0.8 < len(read) / depth.size < 0.985
+    assert np.std(read - distance) == pytest.approx(sigma, rel=0.35)
+    assert np.mean(read) == pytest.approx(distance, abs=sigma)
+
+
+def test_no_depth_of_nothing_of_the_far_and_of_grazing_walls(rng):
+    shot = flat_wall(2.0)
+    shot.depth[:, :40] = np.nan
+    shot.depth[:, 40:80] = FARTHEST + 0.5
+    shot.facing[:, 80:120] = 0.05
+    depth = measured(shot, rng)
+    assert (depth[:, :120] == 0).all()
+    assert (depth[:, 122:] > 0).mean() > 0.8
+
+
+def test_holes_at_edges(rng):
+    shot = flat_wall(2.0)
+    shot.depth[:, 80:] = 3.0
+    depth = measured(shot, rng)
+    assert (depth[:, 79:81] == 0).mean() > 0.4 > (depth[:, 20:60] == 0).mean()
+
+
+def test_exposure_brightens_and_noise_is_small(rng):
+    radiance = np.full((90, 160, 3), 0.3, np.float32)
+    radiance[:, 80:] = 0.6
+    dark, mid, light = (develop(radiance, e, rng).astype(float) for e in (0.5, 1.0, 2.0))
+    assert dark.mean() < mid.mean() < light.mean()
+    assert mid[:, 90:].mean() > mid[:, :70].mean() + 15
+    assert 0.5 < mid[40:50, 20:30].std(axis=(0, 1)).mean() < 8
+
+
+def test_darkness_stays_dark(rng):
+    assert develop(np.zeros((9, 16, 3), np.float32), 1.0, rng).mean() < 40
+
+
+def test_pixels_per_metre_are_what_textures_have():
+    image = paint(Look("plain", GREY), (1.0, 2.0), np.random.default_rng(0))
+    assert image.shape[:2] == (2 * PIXELS_PER_METRE, PIXELS_PER_METRE)

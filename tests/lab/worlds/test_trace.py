@@ -1,0 +1,57 @@
+"""Strokes and blots: every edge once, areas to the cell."""
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph_lab.worlds.trace import ORTHOGONAL, blots, heading, rings, step, strokes
+
+cells = st.sets(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1)
+
+
+def signed_area(ring):
+    """Shoelace; positive where the ring is clockwise on the page (rows grow southwards)."""
+    return sum(c0 * r1 - c1 * r0 for (r0, c0), (r1, c1) in pairwise(ring)) / 2
+
+
+@given(cells)
+def test_blots_part_the_cells(drawn):
+    found = blots(drawn)
+    assert sum(map(len, found)) == len(drawn)
+    assert set().union(*found) == drawn
+    for blot in found:
+        around = {step(cell, d) for cell in blot for d in ORTHOGONAL} - blot
+        assert not around & drawn
+
+
+@given(cells)
+def test_rings_enclose_the_blot(drawn):
+    for blot in blots(drawn):
+        outer, *inner = rings(blot)
+        assert signed_area(outer) > 0
+        assert all(signed_area(ring) < 0 for ring in inner)
+        assert sum(signed_area(ring) for ring in [outer, *inner]) == len(blot)
+        for ring in [outer, *inner]:
+            assert ring[0] == ring[-1]
+            assert len(set(ring)) == len(ring) - 1, "a ring must not touch itself"
+
+
+@given(cells)
+def test_strokes_walk_every_edge_once(drawn):
+    links = {
+        cell: [n for d in ORTHOGONAL if (n := step(cell, d)) in drawn]
+        for cell in drawn
+        if any(step(cell, d) in drawn for d in ORTHOGONAL)
+    }
+    edges = sorted(tuple(sorted((a, b))) for a, arms in links.items() for b in arms)
+    walked = sorted(tuple(sorted(edge)) for line in strokes(links) for edge in pairwise(line))
+    assert walked == sorted(set(edges))
+
+
+def test_a_crossing_is_crossed_straight():
+    plus = {(1, 0), (1, 1), (1, 2), (0, 1), (2, 1)}
+    links = {cell: [n for d in ORTHOGONAL if (n := step(cell, d)) in plus] for cell in plus}
+    lines = strokes(links)
+    assert sorted(lines) == [[(0, 1), (1, 1), (2, 1)], [(1, 0), (1, 1), (1, 2)]]
+    assert all(len({heading(a, b) for a, b in pairwise(line)}) == 1 for line in lines)

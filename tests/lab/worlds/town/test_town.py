@@ -1,0 +1,185 @@
+"""Towns drawn in ASCII become OpenStreetMap files that osmium reads."""
+
+import osmium
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, OptionError, PlacegraphError
+from placegraph_lab.worlds.town.town import COMMON, Town, shipped
+
+
+def osm(text, tmp_path):
+    """Ways (tags, [(lon, lat)]), tagged nodes and relations of a town."""
+    path = Town.parse(text).write_osm(tmp_path / "town.osm")
+    nodes, ways, relations = [], [], []
+    for thing in osmium.FileProcessor(path).with_locations():
+        tags = dict(thing.tags)
+        if thing.is_node() and tags:
+            nodes.append((tags, (thing.location.lon, thing.location.lat)))
+        elif thing.is_way():
+            ways.append((tags, [(n.location.lon, n.location.lat) for n in thing.nodes]))
+        elif thing.is_relation():
+            relations.append((tags, [(m.role, m.ref) for m in thing.members]))
+    return nodes, ways, relations
+
+
+def plane(text, lonlat):
+    return Town.parse(text).plane.to_plane(lonlat)
+
+
+CROSSING = """
+[town]
+name = Crossing
+metres = 20
+[drawing]
+  B |
+----+--1--
+    |
+≈≈≈≈|≈≈≈≈≈
+    |
+[legend]
+B: shop=bakery name=Bäckerei "Kern" & <Söhne>
+1 road: highway=primary name=Lange Straße
+"""
+
+
+def test_points_roads_and_bridge(tmp_path):
+    nodes, ways, _ = osm(CROSSING, tmp_path)
+    [(tags, lonlat)] = nodes
+    assert tags == {"shop": "bakery", "name": 'Bäckerei "Kern" & <Söhne>'}
+    town = Town.parse(CROSSING)
+    assert town.position("B") == pytest.approx(lonlat, abs=1e-7)
+    assert town.plane.to_plane(lonlat) == pytest.approx((-50.0, 40.0), abs=0.01)
+    roads = [(tags, line) for tags, line in ways if "highway" in tags]
+    names = [(t.get("name"), t["highway"], t.get("bridge")) for t, _ in roads]
+    assert ("Lange Straße", "primary", None) in names
+    assert names.count((None, "residential", "yes")) == 1
+    [bridge] = [town.plane.to_plane(line) for tags, line in roads if "bridge" in tags]
+    assert bridge[0] == pytest.approx((-10.0, 0.0), abs=0.02)
+    assert bridge[-1] == pytest.approx((-10.0, -40.0), abs=0.02)
+
+
+def test_roads_share_the_node_where_they_cross(tmp_path):
+    _, ways, _ = osm(CROSSING, tmp_path)
+    [east_west] = [line for tags, line in ways if tags.get("name")]
+    north_south = [line for tags, line in ways if tags.get("highway") == "residential"]
+    assert any(set(east_west) & set(line) for line in north_south)
+
+
+def test_area_with_hole_is_a_multipolygon(tmp_path):
+    _, ways, relations = osm("[drawing]\n####\n#  #\n####\n", tmp_path)
+    assert relations == [
+        ({"type": "multipolygon", "building": "yes"}, [("outer", 1), ("inner", 2)])
+    ]
+    assert [len(line) for _, line in ways] == [5, 5]
+
+
+def test_a_park_runs_on_below_its_pond_and_bench(tmp_path):
+    park = '[drawing]\nb"""""\n""≈≈""\n""""""\n""b"""\n[legend]\nb: amenity=bench\n'
+    _, ways, relations = osm(park, tmp_path)
+    assert not relations
+    [outline] = [line for tags, line in ways if tags == {"leisure": "park"}]
+    assert len(outline) == 7  # the first bench stands beside the park and dents it
+
+
+def test_diagonal_roads_and_bends(tmp_path):
+    _, ways, _ = osm("[drawing]\n   /\n  /\n-+\n |\n +--\n", tmp_path)
+    assert len(ways) == 3
+    _, ways, _ = osm("[drawing]\n-+\n |\n +--\n", tmp_path)
+    [(_, line)] = ways
+    assert len(line) == 4
+
+
+def test_a_tram_passes_over_road_and_stop(tmp_path):
+    tram = "[drawing]\n   |\n==S|==\n   |\n[legend]\nS: railway=tram_stop\n= line: railway=tram\n"
+    with pytest.raises(InputError, match=r"line of one character|joins"):
+        osm(tram.replace("==S|==", "= S| ="), tmp_path)
+    _, ways, _ = osm(tram.replace("==S|==", "=S=|=="), tmp_path)
+    assert [len(line) for tags, line in ways if tags == {"railway": "tram"}] == [2]
+    assert [len(line) for tags, line in ways if "highway" in tags] == [2]
+
+
+def test_same_town_same_bytes(tmp_path):
+    one = Town.parse(CROSSING).write_osm(tmp_path / "one.osm").read_bytes()
+    assert one == Town.parse(CROSSING).write_osm(tmp_path / "two.osm").read_bytes()
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_towns_load(name, tmp_path):
+    town = Town.load(name)
+    nodes, ways, _ = osm_of(town, tmp_path)
+    assert town.name
+    assert nodes > 20
+    assert ways > 20
+
+
+def osm_of(town, tmp_path):
+    counts = [0, 0, 0]
+    for thing in osmium.FileProcessor(town.write_osm(tmp_path / "town.osm")):
+        counts[0 if thing.is_node() else 1 if thing.is_way() else 2] += 1
+    return counts
+
+
+def test_hafenstadt_has_two_look_alike_squares():
+    town = Town.load("hafenstadt")
+    for cafe, square in (("u", ","), ("v", ";")):
+        east, north = town.plane.to_plane(town.position(cafe)) - town.plane.to_plane(
+            town.position(square)
+        )
+        assert east > 30
+        assert abs(north) < 20
+    assert len(town.positions("F")) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "mend"),
+    [
+        ("", "<text>", "add a line [drawing]"),
+        ("B--\n", "line 1, column 1", "begin with a line [town]"),
+        ("[drawing]\n\n--?--\n", "line 3, column 3", "'?: amenity=bench'"),
+        ("[drawing]\n-- \t-\n", "line 2, column 4", "write blanks"),
+        ("[drawing]\n -- + --\n", "line 2, column 5", "joins no road"),
+        ("[drawing]\n--1--2--\n[legend]\n1 road: highway=path\n2 road: highway=path\n",
+         "line 2, column 6", "leave one out"),
+        ("[drawing]\n |\n-1-\n[legend]\n1 road: highway=path\n",
+         "line 3, column 2", "put '+' here"),
+        ("[drawing]\n--\n[legend]\nB amenity=bench\n", "line 4, column 1", "glyph kind"),
+        ("[drawing]\n--\n[legend]\nB blob: amenity=bench\n", "line 4, column 3", "road, spot"),
+        ("[drawing]\n--\n[legend]\nB: bench\n", "line 4, column 3", "key=value"),
+        ("[drawing]\n--\n[legend]\nB: x bench=1\n", "line 4, column 3", "key=value"),
+        ("[drawing]\n--\n[legend]\nB spot: a=1\n", "line 4, column 8", "nothing after"),
+        ("[drawing]\n--\n[legend]\n- road: highway=path\n", "line 4, column 1", "by a label"),
+        ("[town]\nsize = 3\n[drawing]\n--\n", "line 2, column 1", "name, center or metres"),
+        ("[town]\ncenter = 9\n[drawing]\n--\n", "[town]", "two numbers"),
+        ("[town]\ncenter = 9 91\n[drawing]\n--\n", "[town]", "85 north"),
+        ("[town]\nmetres = nan\n[drawing]\n--\n", "[town]", "0.1 to 1000"),
+    ],
+)  # fmt: skip
+def test_errors_name_the_place_and_the_mend(text, where, mend, tmp_path):
+    with pytest.raises(InputError) as error:
+        Town.parse(text).write_osm(tmp_path / "town.osm")
+    assert where in str(error.value)
+    assert mend in str(error.value)
+
+
+def test_asking_for_what_is_not_there():
+    with pytest.raises(OptionError, match="hafenstadt"):
+        Town.load("atlantis")
+    with pytest.raises(OptionError, match="0 places"):
+        Town.parse("[drawing]\n--\n").position("B")
+    with pytest.raises(OptionError, match="2 places"):
+        Town.parse("[drawing]\n* *\n").position("*")
+
+
+@given(st.text(alphabet="".join(COMMON) + " .\nBx", max_size=80))
+def test_any_drawing_is_written_or_refused(tmp_path_factory, drawing):
+    text = f"[drawing]\n{drawing}\n[legend]\nB: amenity=bench\nx spot:\n"
+    path = tmp_path_factory.getbasetemp() / "any.osm"
+    try:
+        Town.parse(text).write_osm(path)
+    except PlacegraphError:
+        return
+    for thing in osmium.FileProcessor(path).with_locations():
+        if thing.is_way():
+            assert len(thing.nodes) >= 2

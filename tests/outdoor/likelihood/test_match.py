@@ -1,0 +1,421 @@
+"""How statements move the score of a place: each the right way, and together."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.outdoor.likelihood.fit_kernels import direction_table
+from placegraph.outdoor.likelihood.match import MOST
+
+FOUNTAIN, BENCH, BAKERY = "amenity=fountain", "amenity=bench", "shop=bakery"
+CHURCH, TREE, STOP = "amenity=place_of_worship", "natural=tree", "highway=bus_stop"
+ROAD, PARK, PATH = "highway=primary", "leisure=park", "highway=path"
+
+
+def tags(label, **more):
+    key, _, value = label.partition("=")
+    return {key: value} | more
+
+
+@pytest.fixture
+def around(build_world, at):
+    """City of things around (0, 0), with a town of benches, trees and stops far to the east.
+
+    Returns the city and a function from east and north around (0, 0) to positions in it.
+    """
+
+    def make(nodes=(), ways=(), relations=()):
+        town = [
+            (600.0 + 40.0 * i, 40.0 * j, tags((BENCH, TREE, STOP, "shop=kiosk")[(i + j) % 4]))
+            for i in range(12)
+            for j in range(12)
+        ]
+        city = build_world([*nodes, *town], ways, relations)
+        return city, lambda *p: at(city, p)
+
+    return make
+
+
+@pytest.fixture
+def weight(score):
+    """Log-likelihood ratio of one statement at a place, or of all of them together."""
+
+    def of(city, description, position):
+        return float(score(city, description, position)[0][0])
+
+    return of
+
+
+# --- directions ---
+
+
+def test_directions_are_soft(around, said, weight):
+    city, p = around([(0, 15, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
+
+    def heard(degrees):
+        return weight(city, said((FOUNTAIN, float(np.radians(degrees)), "me")), p(0, 0))
+
+    exact, a_little, much, opposite = map(heard, (0, 50, 90, 180))
+    assert exact - a_little > 0.5
+    assert a_little - opposite > 1.0
+    assert exact - opposite > 2.0
+    assert much - opposite < 0.5
+    assert heard(20) > exact - 0.3
+    for degrees in (10, 45, 70, 120):
+        assert heard(degrees) == pytest.approx(heard(-degrees), abs=0.1)
+
+
+def test_directions_between_things_are_soft(around, said, weight):
+    city, p = around([(-5, 18, tags(FOUNTAIN)), (-5, -12, tags(BAKERY)), (9, 0, tags(BENCH))])
+
+    def heard(degrees):
+        return weight(city, said((FOUNTAIN, float(np.radians(degrees)), BAKERY)), p(0, 0))
+
+    exact, a_little, opposite = map(heard, (0, 50, 180))
+    assert exact - a_little > 0.5
+    assert a_little - opposite > 1.0
+    other = weight(city, said((BAKERY, "south", FOUNTAIN)), p(0, 0))
+    assert other == pytest.approx(exact, abs=0.02), "A north of B is B south of A"
+
+
+def test_me_as_source_or_target(around, said, weight):
+    city, p = around([(0, 15, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
+    one = weight(city, said((FOUNTAIN, "north", "me")), p(0, 0))
+    other = weight(city, said(("me", "south", FOUNTAIN)), p(0, 0))
+    wrong = weight(city, said(("me", "north", FOUNTAIN)), p(0, 0))
+    assert one == pytest.approx(other, abs=1e-4)
+    assert one > wrong + 2
+
+
+def test_loosely_meant_directions_are_softer(around, said, weight):
+    city, p = around([(0, 15, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
+
+    def heard(degrees, sigma):
+        bearing = float(np.radians(degrees))
+        statement = (FOUNTAIN, bearing, "me", {"bearing_sigma": sigma})
+        return weight(city, said(statement), p(0, 0))
+
+    assert heard(60, 0.8) > heard(60, 0.5) > heard(60, 0.25)
+    assert heard(0, 0.25) > heard(90, 0.25) + 2
+
+
+@given(st.floats(0.1, 1.2), st.floats(0, 0.5))
+def test_direction_tables_fall_from_ahead_to_behind(sigma, slip):
+    table = direction_table(sigma, slip)
+    assert (np.diff(table) >= -1e-6).all()
+    assert 0 <= table[0] <= slip * 0.25 + 0.5
+    assert table[-1] <= 1
+    assert np.isfinite(table).all()
+
+
+def test_no_direction_where_two_things_are_one_place(around, said, weight):
+    city, p = around([(0, 0, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
+    heard = [weight(city, said((FOUNTAIN, w, "me")), p(0, 0)) for w in ("north", "south", "east")]
+    assert np.ptp(heard) < 0.05
+    assert np.isfinite(heard).all()
+
+
+# --- one thing for all statements ---
+
+
+def test_one_road_for_two_sentences_beats_two(around, said, weight):
+    """A road runs between bakery and church, another one past them."""
+    one, p = around(
+        [(0, -60, {}), (0, 60, {}), (-12, 6, tags(BAKERY)), (12, -6, tags(CHURCH)),
+         (-60, 24, {}), (60, 24, {})],
+        [([0, 1], tags(ROAD)), ([4, 5], tags(ROAD))],
+    )  # fmt: skip
+    position = p(4, 4)
+    text = said((BAKERY, "west", ROAD), (CHURCH, "east", ROAD))
+    apart = said((BAKERY, "west", ROAD), (CHURCH, "east", f"{ROAD}#2"))
+    assert weight(one, text, position) > weight(one, apart, position) + 0.02
+    torn = said((BAKERY, "west", ROAD), (CHURCH, "south", ROAD))  # which only the other road serves
+    torn_apart = said((BAKERY, "west", ROAD), (CHURCH, "south", f"{ROAD}#2"))
+    assert weight(one, torn, position) < weight(one, torn_apart, position) - 0.02
+
+
+def test_coherence_prefers_where_one_thing_serves_all(said, score, build_world, at):
+    """At one place a bench is north and in the park; at the other these are two benches."""
+    park = [(-10, -10, {}), (10, -10, {}), (10, 10, {}), (-10, 10, {})]
+
+    def place(east, *benches):
+        return [(e + east, n, t) for e, n, t in (*park, *((x, y, tags(BENCH)) for x, y in benches))]
+
+    whole = [*place(0, (0, 8), (0, -18)), (0, -5, tags(FOUNTAIN))]
+    torn = [*place(400, (0, -8), (0, 18)), (400, -5, tags(FOUNTAIN))]
+    start = len(whole)
+    city = build_world(
+        [*whole, *torn],
+        [([0, 1, 2, 3, 0], tags(PARK)), ([start + i for i in (0, 1, 2, 3, 0)], tags(PARK))],
+    )
+    text = said((BENCH, "north", "me"), (BENCH, "inside", PARK))
+    positions = [at(city, (0, 0)), at(city, (400, 0))]
+    together, _, served = score(city, text, positions, together=0.9)
+    apart, _, _ = score(city, text, positions, together=0.0)
+    assert together[0] - together[1] > apart[0] - apart[1] + 0.05
+    assert served[0, 0, 0] == served[0, 1, 0], "one bench serves both"
+
+
+def test_one_bench_cannot_be_north_of_itself(around, said, weight):
+    city, p = around([(0, 12, tags(BENCH)), (12, 0, tags(FOUNTAIN)), (3, 3, tags(BAKERY))])
+    two, q = around([(0, 12, tags(BENCH)), (0, -12, tags(BENCH)), (3, 3, tags(BAKERY))])
+    text = said((BENCH, "north", f"{BENCH}#2"))
+    assert weight(two, text, q(0, 0)) > weight(city, text, p(0, 0)) + 1
+
+
+def test_served_are_the_right_things(around, said, score):
+    city, p = around(
+        [
+            (0, 15, tags(FOUNTAIN)),
+            (0, -15, tags(FOUNTAIN)),
+            (15, 0, tags(BENCH)),
+            (-15, 0, tags(BENCH)),
+        ]
+    )
+    _, _, served = score(
+        city, said((FOUNTAIN, "south", "me"), (BENCH, "west", "me")), p(0, 0), together=0.9
+    )
+    [[fountain, _], [bench, _]] = served[0]
+    np.testing.assert_allclose(city.objects.center[fountain] - p(0, 0), (0, -15), atol=1)
+    np.testing.assert_allclose(city.objects.center[bench] - p(0, 0), (-15, 0), atol=1)
+
+
+# --- other relations ---
+
+
+def test_near(around, said, weight):
+    city, p = around([(0, 0, tags(BAKERY)), (5, 3, tags(BENCH))])
+    text = said(("me", "near", BAKERY))
+    heard = [weight(city, text, p(-x, 0)) for x in (3, 20, 30, 60)]
+    assert heard == sorted(heard, reverse=True)
+    assert heard[0] > heard[-1] + 2
+
+
+def test_near_each_other(around, said, weight):
+    close, p = around([(0, 8, tags(BAKERY)), (4, 10, tags(FOUNTAIN))])
+    apart, q = around([(0, 22, tags(BAKERY)), (0, -22, tags(FOUNTAIN))])
+    text = said((BAKERY, "near", FOUNTAIN))
+    assert weight(close, text, p(0, 0)) > weight(apart, text, q(0, 0)) + 0.5
+
+
+def park_world():
+    square = [(-30, -30, {}), (30, -30, {}), (30, 30, {}), (-30, 30, {})]
+    hole = [(-5, -5, {}), (5, -5, {}), (5, 5, {}), (-5, 5, {})]
+    nodes = [*square, *hole, (20, 20, tags(FOUNTAIN)), (45, 0, tags(FOUNTAIN)), (0, 0, tags(BENCH))]
+    ways = [([0, 1, 2, 3, 0], {}), ([4, 5, 6, 7, 4], {})]
+    return nodes, ways, [([(0, "outer"), (1, "inner")], tags(PARK))]
+
+
+def test_inside(around, said, weight):
+    city, p = around(*park_world())
+    text = said(("me", "inside", PARK))
+    inside, edge, beside, away = (weight(city, text, p(x, 15)) for x in (0, 29, 45, 90))
+    assert inside == pytest.approx(edge, abs=0.5)
+    assert inside > beside + 0.5
+    assert beside > away
+    in_hole = weight(city, text, p(0, 0))
+    assert in_hole <= inside + 1e-3
+
+
+def test_a_thing_inside(around, said, weight):
+    city, p = around(*park_world())
+    text = said((FOUNTAIN, "inside", PARK))
+    nothing = said((STOP, "inside", PARK))
+    assert weight(city, text, p(15, 10)) > 2
+    assert weight(city, nothing, p(15, 10)) < 0
+
+
+def test_along(around, said, weight):
+    road = [(-80, 0, {}), (80, 0, {})]
+    city, p = around([*road, (0, 4, tags(BAKERY)), (40, 25, tags(BAKERY))], [([0, 1], tags(ROAD))])
+    text = said(("me", "along", ROAD))
+    on, beside, away = (weight(city, text, p(-20, y)) for y in (1, 20, 60))
+    assert on > beside > away
+    assert weight(city, said((BAKERY, "along", ROAD)), p(0, 10)) > 1
+
+
+def test_across(around, said, weight):
+    road = [(-80, 0, {}), (80, 0, {})]
+    city, p = around([*road, (0, 12, tags(BAKERY))], [([0, 1], tags(ROAD))])
+    text = said((BAKERY, "across", "me", {"target2": ROAD}))
+    across, at_it, away = (weight(city, text, p(0, y)) for y in (-8, 12, -120))
+    assert across > at_it
+    assert across > away + 1
+
+
+def test_between(around, said, weight):
+    city, p = around([(-18, 0, tags(BAKERY)), (18, 0, tags(FOUNTAIN)), (0, 4, tags(BENCH))])
+    me = said(("me", "between", BAKERY, {"target2": FOUNTAIN}))
+    between, aside, beyond = (weight(city, me, p(*q)) for q in ((0, 0), (0, 20), (25, 0)))
+    assert between > aside > beyond
+    assert between > beyond + 1
+    bench = said((BENCH, "between", BAKERY, {"target2": FOUNTAIN}))
+    assert weight(city, bench, p(0, 0)) > 1
+    other = said((BAKERY, "between", BENCH, {"target2": FOUNTAIN}))
+    assert weight(city, bench, p(0, 0)) > weight(city, other, p(0, 0)) + 1
+
+
+def test_distances(around, said, weight):
+    city, p = around([(0, 0, tags(BAKERY)), (2, 2, tags(BENCH))])
+
+    def heard(said_m, true_m):
+        statement = ("me", "near", BAKERY, {"distance": float(said_m)})
+        return weight(city, said(statement), p(0, -true_m))
+
+    assert heard(10, 10) > heard(30, 10) > heard(60, 10)
+    assert heard(30, 30) > heard(30, 5)
+    assert heard(30, 30) > heard(30, 80)
+    assert heard(60, 60) > heard(60, 5), "from out of sight too"
+    assert heard(100, 100) > heard(100, 10)
+    direction = [
+        weight(city, said((BAKERY, "north", "me", {"distance": d})), p(0, -25))
+        for d in (25.0, 70.0)
+    ]
+    assert direction[0] > direction[1] + 0.5
+
+
+# --- negation and numbers ---
+
+
+NEGATIONS = [
+    (BAKERY, "visible", "me"),
+    (BAKERY, "near", "me"),
+    ("me", "near", BAKERY),
+    ("me", "same", BAKERY),
+    (BAKERY, "north", "me"),
+    ("me", "south", BAKERY),
+    (BAKERY, "near", BENCH),
+    (BAKERY, "north", BENCH),
+]
+
+
+@pytest.mark.parametrize("statement", NEGATIONS, ids=str)
+def test_negation_turns_a_statement_round(statement, around, said, weight):
+    city, p = around([(0, 5, tags(BAKERY)), (0, -6, tags(BENCH)), (90, 0, tags(FOUNTAIN))])
+    no = said((*statement, {"negated": True}))
+    there, elsewhere = weight(city, no, p(0, 0)), weight(city, no, p(85, 0))
+    assert there < elsewhere - 0.5, "what is denied is there"
+    assert elsewhere == pytest.approx(0, abs=0.15)
+    yes = said(statement)
+    assert weight(city, yes, p(0, 0)) > weight(city, yes, p(85, 0)) + 1
+
+
+def test_not_in_the_park(around, said, weight):
+    city, p = around(*park_world())
+    text = said(("me", "inside", PARK, {"negated": True}))
+    assert weight(city, text, p(15, 15)) < weight(city, text, p(120, 0)) - 0.5
+
+
+def test_a_denied_direction_spares_the_others(around, said, weight):
+    city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
+    north = weight(city, said((BAKERY, "north", "me", {"negated": True})), p(0, 0))
+    south = weight(city, said((BAKERY, "south", "me", {"negated": True})), p(0, 0))
+    assert south > north + 0.5
+
+
+@pytest.mark.parametrize("there", [1, 2, 4])
+def test_numbers(there, around, said, weight):
+    trees = [(6 * i - 9, 12 + (i % 2), tags(TREE)) for i in range(there)]
+    city, p = around([*trees, (8, -8, tags(FOUNTAIN)), (-8, -8, tags(BENCH))])
+    heard = {
+        n: weight(city, said((TREE, "north", "me", {"count": n})), p(0, 0)) for n in (1, 2, 4, 12)
+    }
+    assert max(heard, key=heard.get) == there
+    assert heard[there] > heard[12] + 0.5
+
+
+def test_numbers_of_things_beside_things(around, said, weight):
+    trees = [(6 * i - 9, 15, tags(TREE)) for i in range(4)]
+    city, p = around([*trees, (0, -5, tags(FOUNTAIN)), (-8, -8, tags(BENCH))])
+    four, one = (
+        weight(city, said((TREE, "north", FOUNTAIN, {"count": n})), p(0, 0)) for n in (4, 1)
+    )
+    assert four > one
+
+
+# --- rarity, names, certainty ---
+
+
+def test_rare_things_say_more(around, said, weight):
+    city, p = around([(0, 10, tags(BAKERY)), (0, 12, tags(BENCH))])
+    rare = weight(city, said((BAKERY, "north", "me")), p(0, 0))
+    common = weight(city, said((BENCH, "north", "me")), p(0, 0))
+    assert rare > common + 1
+
+
+def test_names_say_more_than_kinds(around, said, weight):
+    nodes = [(0, 10, tags(BAKERY, name="Kern")), (0, 300, tags(BAKERY, name="Brot"))]
+    city, p = around(nodes)
+    name, kind, wrong = (
+        weight(city, said((what, "north", "me")), p(0, 0)) for what in ("Kern", BAKERY, "Brot")
+    )
+    assert name > kind
+    assert name > wrong + 2
+
+
+def test_hedged_statements_say_less(around, said, weight):
+    city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
+    right = [
+        weight(city, said((BAKERY, "north", "me", {"certainty": c})), p(0, 0))
+        for c in (1.0, 0.5, 0.1)
+    ]
+    wrong = [
+        weight(city, said((STOP, "north", "me", {"certainty": c})), p(0, 0))
+        for c in (1.0, 0.5, 0.1)
+    ]
+    assert right == sorted(right, reverse=True)
+    assert wrong == sorted(wrong)
+    assert right[-1] > 0 > wrong[-1]
+
+
+def test_statements_add_up(around, said, weight):
+    city, p = around([(0, 10, tags(BAKERY)), (10, 0, tags(FOUNTAIN)), (-5, -5, tags(BENCH))])
+    one, two = (BAKERY, "north", "me"), (FOUNTAIN, "east", "me")
+    both = weight(city, said(one, two), p(0, 0))
+    alone = weight(city, said(one), p(0, 0)) + weight(city, said(two), p(0, 0))
+    assert both == pytest.approx(alone, abs=0.05)
+    assert weight(city, said(two, one), p(0, 0)) == pytest.approx(both, abs=1e-3)
+
+
+# --- invariance ---
+
+
+def test_moving_the_world_changes_nothing(make_city, said, score):
+    from dataclasses import replace
+
+    from placegraph_lab.worlds.town.town import Town
+
+    here = Town.load("hafenstadt")
+    text = said(
+        (BENCH, "near", "me"), ("amenity=cafe", "east", BENCH), ("me", "inside", "place=square")
+    )
+    totals = []
+    for center in (here.center, (-58.4, -53.0), (179.9999, 53.5511)):
+        town = replace(here, center=center)
+        city = make_city(town)
+        at = [
+            city.plane.to_plane(town.lonlat(r, c)) for r in range(0, 40, 3) for c in range(0, 88, 5)
+        ]
+        totals.append(score(city, text, at)[0])
+    # coordinates are stored in steps of half a metre, and so differ a little
+    for moved in totals[1:]:
+        assert np.median(np.abs(moved - totals[0])) < 0.05
+        assert abs(moved.max() - totals[0].max()) < 0.3
+
+
+def test_more_things_than_are_weighed(around, said, weight):
+    """Of a crowd only so many things are looked at; that must not run over."""
+    crowd = [(0.5 * (i % 20) - 5, 0.5 * (i // 20) + 2, tags(TREE)) for i in range(3 * MOST)]
+    city, p = around([*crowd, (0, -5, tags(BENCH))])
+    text = said((TREE, "north", "me"), (TREE, "north", BENCH), (BENCH, "near", f"{TREE}#2"))
+    assert np.isfinite(weight(city, text, p(0, 0)))
+    assert weight(city, said((TREE, "north", "me")), p(0, 0)) > -1
+
+
+def test_things_nobody_sees(around, said, score):
+    city, p = around([(0, 10, tags(BAKERY))])
+    far_off = score(city, said((BAKERY, "north", BENCH), (BENCH, "near", "me")), p(-5000, -5000))
+    assert np.isfinite(far_off[0]).all()
+    assert (far_off[1] <= 0).all()
+    assert (far_off[2] == -1).all()

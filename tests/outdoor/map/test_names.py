@@ -1,0 +1,134 @@
+"""Proper names of a map, as people write them."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.map.names import CLOSE, LONGEST, NameIndex
+
+NAMES = [
+    "Café de l'Étoile",
+    "Ripley's Aquarium of Canada",
+    "Ripley's",
+    "The Rex Theatre",
+    "E Carson Street",
+    "Place du Casino",
+    "Straße des 17. Juni",
+    "Москва",
+    "7-Eleven",
+    "— · —",
+    "Casino",
+]
+
+
+class Objects:
+    def __init__(self, *names):
+        self.names = names
+
+
+@pytest.fixture(scope="module")
+def index():
+    return NameIndex.build(Objects(*NAMES))
+
+
+def row(name):
+    return NAMES.index(name)
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("Café de l'Étoile", "Café de l'Étoile"),
+        ("cafe de l’etoile", "Café de l'Étoile"),
+        ("CAFE DE LETOILE", "Café de l'Étoile"),
+        ("Ripley's_Aquarium_of_Canada", "Ripley's Aquarium of Canada"),
+        ("ripleys aquarium of canada", "Ripley's Aquarium of Canada"),
+        ("Ripley´s", "Ripley's"),
+        ("Rex Theater", "The Rex Theatre"),
+        ("the rex theatre", "The Rex Theatre"),
+        ("East Carson St", "E Carson Street"),
+        ("e. carson street", "E Carson Street"),
+        ("the Place du Casino", "Place du Casino"),
+        ("pl. du casino", "Place du Casino"),
+        ("Strasse des 17 Juni", "Straße des 17. Juni"),
+        ("москва", "Москва"),
+        ("7 eleven", "7-Eleven"),
+    ],
+)
+def test_named(written, name, index):
+    assert index.named(written) == {row(name): 1.0}
+
+
+@pytest.mark.parametrize("written", ["", " ", "—", "Canada", "the", "Place", "Carson", "😀"])
+def test_not_named(written, index):
+    assert index.named(written) == {}
+
+
+def test_not_every_pub_is_the_pub():
+    index = NameIndex.build(Objects("The Pub"))
+    assert index.named("pub") == {}
+    assert index.named("The Pub") == {0: 1.0}
+
+
+def test_one_name_of_several_objects_and_spellings():
+    index = NameIndex.build(Objects("Casino", "casino", "CASINO!", "Kasino"))
+    assert index.named("casino") == {0: 1.0, 1: 1.0, 2: 1.0}
+
+
+def test_the_longest_name_wins(index):
+    words = tokens("Near Ripley's Aquarium of Canada and Ripley's there is a Casino.")
+    found = {start: n for start in range(len(words)) if (n := index.longest_name(words, start))}
+    assert found == {words.index("ripleys"): 4, words.index("and") + 1: 1, len(words) - 1: 1}
+
+
+def test_no_name_beyond_the_end_of_the_text(index):
+    assert index.longest_name(tokens("Ripley's Aquarium of"), 0) == 1
+    assert index.longest_name(["aquarium"], 0) == 0
+    assert index.longest_name(tokens("Place du"), 0) == 0
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("Ripleys Aquarum of Canada", "ripleys aquarium of canada"),
+        ("Plce du Casino", "pl du casino"),
+        ("Cafe de l'Etoille", "cafe de letoile"),
+    ],
+)
+def test_misspelt_names(written, name, index):
+    found, similarity = index.closest_name(written)
+    assert found == name
+    assert CLOSE <= similarity < 1
+    assert index.closest_name(written) == (found, similarity), "remembered"
+
+
+@pytest.mark.parametrize("written", ["", "—", "Zoo", "Aquarium", "qqqqqqqq"])
+def test_nothing_close(written, index):
+    assert index.closest_name(written) is None
+
+
+def test_a_map_without_names():
+    index = NameIndex.build(Objects())
+    assert index.named("Casino") == {}
+    assert index.closest_name("Casino") is None
+    assert index.longest_name(["casino"], 0) == 0
+
+
+@given(st.lists(st.text(max_size=30), max_size=8))
+def test_every_name_is_found_as_written(names):
+    index = NameIndex.build(Objects(*names))
+    for i, name in enumerate(names):
+        words = tokens(name)
+        if not words:
+            continue
+        assert i in index.named(name)
+        if len(words) <= LONGEST:
+            assert index.longest_name([*words, "zzz"], 0) == len(words)
+
+
+def test_names_of_a_real_city(monaco):
+    index, names = monaco.name_index, monaco.objects.names
+    for i in range(0, len(names), 17):
+        if tokens(names[i]):
+            assert i in index.named(names[i])

@@ -1,0 +1,283 @@
+"""Texts and places as graphs: what a drawn town says by hand, limits, any input."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.graph import SceneGraph
+from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
+from placegraph.outdoor.network.graphs import (
+    MOST_MENTIONS,
+    MOST_STATEMENTS,
+    MOST_THINGS,
+    REACH,
+    PlaceGraphs,
+    TextGraphs,
+    words_of,
+)
+from placegraph.outdoor.network.relations import (
+    ALONG,
+    CHANNELS,
+    CONTAINS,
+    EAST,
+    INSIDE,
+    NEAR,
+    NORTH,
+    OPPOSITE,
+    PRESENT,
+    SOUTH,
+    WEST,
+    place_relations,
+    text_relations,
+)
+
+BAKERY, BENCH, FOUNTAIN = "shop=bakery", "amenity=bench", "amenity=fountain"
+
+TOWN = """
+[town]
+metres = 10
+
+[drawing]
+B.......
+........
+F.b.....
+........
+[legend]
+B: shop=bakery name=Kern
+F: amenity=fountain
+b: amenity=bench
+"""
+
+
+def relations_of(places, k=0):
+    size = 1 + int(places.starts[k + 1] - places.starts[k])
+    rows = np.array([k])
+    return place_relations(places.starts, places.offsets, places.kinds, rows, size)[0]
+
+
+def said_of(texts, q=0):
+    size = int(texts.starts[q + 1] - texts.starts[q])
+    rows = np.array([q])
+    return text_relations(texts.edge_starts, texts.ends, texts.channels, texts.negated, rows, size)[
+        0
+    ]
+
+
+def things_of(places, k=0):
+    """Node of each thing of a place, by its first label."""
+    first = places.starts[k]
+    rows = range(first, places.starts[k + 1])
+    return {places.vocabulary[places.words[places.word_starts[i]]]: i - first + 1 for i in rows}
+
+
+# --- places ---
+
+
+def test_things_of_a_drawn_place_stand_as_drawn(make_city):
+    city = make_city(TOWN)
+    at = {city.objects.label(i): city.objects.center[i] for i in range(len(city.objects))}
+    view = city.views.near(at[FOUNTAIN].astype(np.float64), 15.0)[0]
+    places = PlaceGraphs.of_views(city, np.array([view]))
+    node, r = things_of(places), relations_of(places)
+    b, f, n = node[BAKERY], node[FOUNTAIN], node[BENCH]
+    assert r[NORTH, b, f] == pytest.approx(1.0, abs=1e-3)
+    assert r[SOUTH, f, b] == pytest.approx(1.0, abs=1e-3)
+    assert r[EAST, n, f] == pytest.approx(1.0, abs=1e-3)
+    assert r[[EAST, WEST, SOUTH], b, f] == pytest.approx(0.0, abs=1e-3)
+    # the bakery lies in the middle of north and west, seen from the bench
+    assert r[[NORTH, WEST], b, n] == pytest.approx(0.5, abs=0.02)
+    assert r[NEAR, b, f] == pytest.approx(1.0 / (1.0 + np.exp((20.0 - 12.0) / 3.0)), rel=0.05)
+    assert r[PRESENT, b, f] == 1.0
+    assert r[PRESENT, 0, b] == 1.0
+    # offsets are seen from the centre
+    for label, i in node.items():
+        off = places.offsets[i - 1] + city.views.positions[view]
+        assert off == pytest.approx(at[label], abs=0.6)
+
+
+def test_who_stands_in_an_area_is_inside_and_by_a_line_along_it(build_world):
+    corners = [(-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0)]
+    nodes = [(*at, {}) for at in corners] + [(-60.0, 5.0, {}), (60.0, 5.0, {})]
+    nodes += [(3.0, -4.0, {"amenity": "bench"})]
+    ways = [
+        ((0, 1, 2, 3, 0), {"leisure": "park"}),
+        ((4, 5), {"highway": "footway", "name": "Weg"}),
+    ]
+    city = build_world(nodes, ways)
+    home = city.plane.to_plane((10.0, 50.0))
+    view = city.views.near(home, 15.0)[0]
+    places = PlaceGraphs.of_views(city, np.array([view]))
+    node, r = things_of(places), relations_of(places)
+    park, way = node["leisure=park"], node["highway=footway"]
+    assert r[INSIDE, 0, park] == r[CONTAINS, park, 0] == 1.0
+    assert r[ALONG, 0, way] == r[ALONG, way, 0] == 1.0
+    assert not r[INSIDE, 0, way]
+    assert not r[CONTAINS, 0, park]
+    assert not r[:, 0, 0].any()
+    assert "~weg" in [places.vocabulary[w] for w in places.words]
+
+
+def test_a_place_holds_the_nearest_things_within_reach(build_world):
+    rng = np.random.default_rng(1)
+    spots = rng.uniform(-45.0, 45.0, (120, 2))
+    city = build_world([(*at, {"natural": "tree"}) for at in spots.tolist()])
+    rows = np.arange(len(city.views.positions))
+    places = PlaceGraphs.of_views(city, rows)
+    counts = np.diff(places.starts)
+    assert counts.max() == MOST_THINGS
+    trees = city.objects.center.astype(np.float64)
+    for k in rows:
+        off = np.hypot(*(trees - city.views.positions[k]).T)
+        kept = np.hypot(*places.offsets[places.starts[k] : places.starts[k + 1]].T)
+        assert (np.diff(kept) >= 0).all()
+        assert kept == pytest.approx(np.sort(off[off <= REACH])[:MOST_THINGS], abs=1e-3)
+
+
+def test_cells_are_rows_of_the_map(harbour, places):
+    assert len(places) == len(harbour.cells)
+    centers = harbour.cells.centers(np.arange(len(harbour.cells)))
+    trees = [i for i in range(len(harbour.objects)) if harbour.objects.kind[i] == 0]
+    known = harbour.objects.center[trees]
+    for k in range(0, len(places), 20):
+        mine = slice(places.starts[k], places.starts[k + 1])
+        off = places.offsets[mine][places.kinds[mine] == 0]
+        for at in off + centers[k]:
+            assert np.hypot(*(known - at).T).min() < 0.1
+
+
+points = st.tuples(*[st.floats(-40.0, 40.0, width=32)] * 2)
+
+
+@given(st.lists(points, max_size=45), points)
+def test_any_scene_graph_becomes_a_place(spots, center):
+    n = len(spots)
+    graph = SceneGraph(
+        tuple(map(str, range(n))),
+        tuple(f"kind {i % 3}" for i in range(n)),
+        np.array(spots, np.float64).reshape(-1, 2),
+        np.zeros(0, np.int64),
+        np.zeros(0, np.int64),
+        (),
+        tuple("Ada" if i % 4 == 0 else "" for i in range(n)),
+    )
+    places = PlaceGraphs.of_scene_graphs([graph, graph], np.array([center, (0.0, 0.0)]))
+    assert len(places) == 2
+    assert np.diff(places.starts).tolist() == [min(n, MOST_THINGS)] * 2
+    off = np.hypot(*places.offsets[: places.starts[1]].T)
+    assert (np.diff(off) >= -1e-3).all()
+    r = relations_of(places)
+    assert np.array_equal(r, r[OPPOSITE].transpose(0, 2, 1))  # the same, seen from the other end
+    assert (r >= 0).all()
+    assert (r <= 1).all()
+    total = r[:4].sum(0)
+    assert np.allclose(total[total > 0], 1.0, atol=1e-5)
+    far = np.hypot(*(np.array(spots, np.float32) - np.float32(center)).T) > 1.0 if n else []
+    assert np.count_nonzero(total[0]) >= min(np.count_nonzero(far), MOST_THINGS)
+
+
+# --- texts ---
+
+
+def test_a_text_is_its_speaker_and_what_statements_speak_of(said):
+    text = said(
+        (BAKERY, "north", "me"),
+        ("Kern", "near", BAKERY),
+        (FOUNTAIN, "visible", "me", {"count": 3}),
+        ("me", "inside", BENCH, {"negated": True}),
+    )
+    graphs = TextGraphs.of([text])
+    assert graphs.starts.tolist() == [0, 5]
+    assert graphs.mentions.tolist() == [0, 2, 3, 4, 5]  # the speaker stands first
+    assert graphs.word_starts[:2].tolist() == [0, 0]  # and has no words
+    assert graphs.vocabulary == (BAKERY, "~kern", FOUNTAIN, BENCH)
+    assert graphs.counts.tolist() == pytest.approx([0, 0, 0, np.log(3), 0])
+    r = said_of(graphs)
+    assert r[NORTH, 1, 0] == r[SOUTH, 0, 1] == pytest.approx(1.0)
+    assert r[NEAR, 2, 1] == r[NEAR, 1, 2] == 1.0
+    assert r[PRESENT, 3, 0] == 1.0
+    assert r[INSIDE, 0, 4] == r[CONTAINS, 4, 0] == -1.0  # it is not so
+    assert np.count_nonzero(r) == 8
+
+
+def test_the_speaker_is_there_whatever_is_said(said):
+    graphs = TextGraphs.of([said((BAKERY, "north", FOUNTAIN)), said()])
+    assert graphs.starts.tolist() == [0, 3, 4]
+    assert graphs.mentions.tolist() == [0, 2, 3, 0]
+    assert graphs.edge_starts.tolist() == [0, 1, 1]
+
+
+def test_bearings_between_two_winds_are_half_each(said):
+    r = said_of(TextGraphs.of([said((BAKERY, "northeast", "me"))]))
+    assert r[[NORTH, EAST], 1, 0] == pytest.approx(0.5, abs=1e-5)
+    r = said_of(TextGraphs.of([said((BAKERY, np.radians(20.0), "me"))]))
+    assert r[NORTH, 1, 0] > 0.97
+    assert r[NORTH, 1, 0] + r[EAST, 1, 0] == pytest.approx(1.0)
+
+
+def test_words_are_senses_then_names_then_the_bare_word():
+    both = (Sense("amenity=cafe", 1.0), Sense("shop=coffee", 0.5))
+    assert words_of(Mention(2, "coffee shop", both)) == [
+        ("amenity=cafe", pytest.approx(2 / 3)),
+        ("shop=coffee", pytest.approx(1 / 3)),
+    ]
+    assert words_of(Mention(2, "the cafe", both)) == [("amenity=cafe", 1.0)]  # the tag's own value
+    assert words_of(Mention(2, "Rex", (), "Rex  Theater")) == [("~rex theater", 1.0)]
+    assert words_of(Mention(2, "Zwirbel")) == [("zwirbel", 1.0)]
+
+
+def test_the_listener_and_what_exceeds_the_limits_is_left_out(said):
+    many = [(f"thing {i}", "near", "me") for i in range(MOST_MENTIONS + 9)]
+    texts = TextGraphs.of([said(*many), said((BAKERY, "north", "you"), (BENCH, "near", "me"))])
+    assert texts.starts[1] == 1 + MOST_MENTIONS
+    assert texts.edge_starts[1] == MOST_MENTIONS  # nothing is said of what is left out
+    assert texts.edge_starts[2] - texts.edge_starts[1] == 1
+    assert 1 not in texts.mentions
+    talk = [(BAKERY, bearing, BENCH) for bearing in np.linspace(0.0, 6.0, MOST_STATEMENTS + 5)]
+    texts = TextGraphs.of([said(*talk), said((BENCH, "near", "me"))])
+    assert texts.edge_starts.tolist() == [0, MOST_STATEMENTS, MOST_STATEMENTS + 1]
+
+
+@st.composite
+def descriptions(draw):
+    n = draw(st.integers(2, 30))
+    mentions = [
+        Mention(i, f"word {i % 5}", (), "", draw(st.none() | st.integers(0, 9))) for i in range(n)
+    ]
+    node = st.integers(0, n - 1)
+    statements = draw(
+        st.lists(
+            st.builds(
+                Statement,
+                st.sampled_from(list(Relation)),
+                node,
+                node,
+                bearing=st.none() | st.floats(-10.0, 10.0),
+                negated=st.booleans(),
+            ),
+            max_size=40,
+        )
+    )
+    return Description("", tuple(mentions), tuple(statements))
+
+
+@given(st.lists(descriptions(), min_size=1, max_size=3))
+def test_any_description_becomes_a_graph(found):
+    texts = TextGraphs.of(found)
+    assert len(texts) == len(found)
+    nodes, edges = np.diff(texts.starts), np.diff(texts.edge_starts)
+    assert nodes.min() >= 1
+    assert nodes.max() <= 1 + MOST_MENTIONS
+    assert edges.max(initial=0) <= MOST_STATEMENTS
+    assert len(texts.mentions) == len(texts.counts) == texts.starts[-1]
+    assert len(texts.word_starts) == texts.starts[-1] + 1
+    assert texts.channels.shape == (texts.edge_starts[-1], len(CHANNELS))
+    assert np.allclose(texts.channels.sum(1), 1.0, atol=1e-5)
+    for q, description in enumerate(found):
+        mine = slice(texts.edge_starts[q], texts.edge_starts[q + 1])
+        assert (texts.ends[mine] < nodes[q]).all()
+        known = texts.mentions[texts.starts[q] : texts.starts[q + 1]]
+        assert len(set(known.tolist())) == len(known)
+        assert set(known.tolist()) <= set(range(len(description.mentions)))
+        r = said_of(texts, q)
+        assert np.allclose(r, r[OPPOSITE].transpose(0, 2, 1))

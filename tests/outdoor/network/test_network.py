@@ -1,0 +1,227 @@
+"""The network in NumPy: that of PyTorch, whatever the batch, the order of nodes, or the partner."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.network.batches import word_fits
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.network.pool import fits_of
+
+BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountain", "natural=tree"
+
+
+@pytest.fixture(scope="module")
+def words(harbour, pool):
+    fits = pool.fits
+    return word_fits(fits.starts, fits.tokens, fits.weights, *harbour.word_counts)
+
+
+@pytest.fixture(scope="module")
+def some(places):
+    return np.arange(0, len(places), 6)
+
+
+def test_embeddings_have_unit_length(network, texts, places):
+    for embeddings in (network.embed_texts(texts), network.embed_places(places)):
+        assert embeddings.dtype == np.float32
+        assert np.allclose(np.linalg.norm(embeddings, axis=1), 1.0, atol=1e-5)
+    assert network.embed_texts(texts).shape == (len(texts), network.shape.dimension)
+    assert network.embed_places(places).shape == (len(places), network.shape.dimension)
+
+
+def test_embeddings_alone_are_embeddings_in_a_batch(network, texts, places, some):
+    together = network.embed_texts(texts)
+    for q in range(len(texts)):
+        alone = network.encode_texts(texts, np.array([q])).embeddings[0]
+        assert alone == pytest.approx(together[q], abs=1e-5)
+    vectors, together = network.word_vectors(places.vocabulary), network.embed_places(places)
+    for k in some:
+        alone = network.encode_places(places, np.array([k]), vectors).embeddings[0]
+        assert alone == pytest.approx(together[k], abs=1e-5)
+
+
+def test_many_pairs_at_once_are_pairs_one_by_one(network, texts, places, words, some):
+    for q in range(0, len(texts), 5):
+        together = network.match(texts, q, places, some, words)
+        assert together.logit.std() > 0.01  # places differ
+        for i, k in enumerate(some):
+            alone = network.match(texts, q, places, np.array([k]), words)
+            assert alone.logit[0] == pytest.approx(together.logit[i], rel=1e-4, abs=1e-4)
+            assert alone.cosine[0] == pytest.approx(together.cosine[i], abs=1e-4)
+        assert together.probability == pytest.approx(1 / (1 + np.exp(-together.logit)))
+
+
+def shuffled_things(places, rng):
+    """The same places; their things stand in another order."""
+    order = np.concatenate(
+        [a + rng.permutation(b - a) for a, b in zip(places.starts, places.starts[1:], strict=False)]
+    )
+    counts = np.diff(places.word_starts)
+    entry = np.concatenate(
+        [np.arange(places.word_starts[i], places.word_starts[i + 1]) for i in order]
+    )
+    return replace(
+        places,
+        offsets=places.offsets[order],
+        kinds=places.kinds[order],
+        word_starts=np.concatenate(([0], np.cumsum(counts[order]))),
+        words=places.words[entry],
+        weights=places.weights[entry],
+    )
+
+
+def test_the_order_of_things_does_not_matter(network, texts, places, words, some, rng):
+    others = shuffled_things(places, rng)
+    assert not np.array_equal(others.offsets, places.offsets)
+    assert network.embed_places(others) == pytest.approx(network.embed_places(places), abs=1e-4)
+    ours, theirs = (network.match(texts, 3, p, some, words) for p in (places, others))
+    assert theirs.logit == pytest.approx(ours.logit, rel=1e-4, abs=1e-4)
+    assert theirs.residual == pytest.approx(ours.residual, rel=1e-4, abs=1e-4)
+    assert theirs.cosine == pytest.approx(ours.cosine, abs=1e-4)
+
+
+def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, places, some, said):
+    statements = [
+        (TREE, "north", BENCH),
+        (BAKERY, "near", "me"),
+        (FOUNTAIN, "west", BAKERY),
+        (BENCH, "visible", "me", {"negated": True}),
+    ]
+    found = []
+    for order in ([0, 1, 2, 3], [2, 3, 1, 0]):
+        text = said(*(statements[i] for i in order))
+        graphs = TextGraphs.of([text])
+        fits = fits_of(graphs, [compile_query(text, harbour)])
+        words = word_fits(fits.starts, fits.tokens, fits.weights, *harbour.word_counts)
+        found.append((network.embed_texts(graphs), network.match(graphs, 0, places, some, words)))
+    (first, ours), (second, theirs) = found
+    assert second == pytest.approx(first, abs=1e-5)
+    assert theirs.logit == pytest.approx(ours.logit, rel=1e-4, abs=1e-4)
+    assert theirs.residual == pytest.approx(ours.residual, rel=1e-4, abs=1e-4)
+    assert theirs.cosine == pytest.approx(ours.cosine, abs=1e-4)
+
+
+class Watched(GraphTransformer):
+    """Keeps what the joint model pools for the text."""
+
+    def _pool(self, name, x, starts):
+        pooled = super()._pool(name, x, starts)
+        self.__dict__.setdefault("seen", {}).setdefault(name, []).append(pooled)
+        return pooled
+
+
+def watched(network):
+    return Watched(network.shape, network.arrays, network.fingerprint)
+
+
+def test_cross_attention_sees_the_partner(network, make_network, texts, places, words, some):
+    """The published code's does not: its text embedding is the same whatever the place (0.0)."""
+    joint = watched(network)
+    joint.match(texts, 0, places, some, words)
+    (of_text,), (of_place,) = joint.seen["pool_text"], joint.seen["pool_place"]
+    assert np.abs(of_text - of_text[0]).max(axis=1)[1:].min() > 1e-3
+    # and the place's changes with the text
+    other = watched(network)
+    other.match(texts, 1, places, some, words)
+    assert np.abs(other.seen["pool_place"][0] - of_place).max(axis=1).min() > 1e-3
+    # without crossings nothing is exchanged
+    apart = watched(make_network(crossings=0))
+    apart.match(texts, 0, places, some, words)
+    (of_text,) = apart.seen["pool_text"]
+    assert np.abs(of_text - of_text[0]).max() < 1e-6
+
+
+def test_a_place_without_things_is_a_place(network, texts, harbour, words):
+    from placegraph.graph import SceneGraph
+
+    none = np.zeros(0, np.int64)
+    empty = SceneGraph((), (), np.zeros((0, 2)), none, none, ())
+    places = PlaceGraphs.of_scene_graphs([empty], np.zeros((1, 2)))
+    places = replace(places, vocabulary=harbour.words)
+    assert np.isfinite(network.embed_places(places)).all()
+    assert np.isfinite(network.match(texts, 0, places, np.array([0]), words).logit).all()
+
+
+def test_words_that_no_training_saw_have_vectors(network):
+    vectors = network.word_vectors(("shop=zwirbelei", "~Ωmega", ""))
+    assert vectors.shape == (3, network.shape.width)
+    assert np.isfinite(vectors).all()
+    assert network.word_vectors(()).shape == (0, network.shape.width)
+
+
+# --- PyTorch ---
+
+
+@pytest.fixture(scope="module")
+def batch(harbour, pool):
+    pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    from placegraph_lab.train.city.torch_batches import Lessons
+
+    lessons = Lessons(harbour, pool)
+    rows = np.arange(6)
+    return lessons, rows, lessons.batch(rows, pool.views[rows] >= 0)
+
+
+def torch_scores(numpy_network, lessons, batch, device="cpu"):
+    import torch
+
+    from placegraph_lab.train.city.torch_batches import forward
+    from placegraph_lab.train.city.torch_network import Network
+
+    module = Network(numpy_network.shape)
+    module.load_state_dict({n: torch.from_numpy(a) for n, a in numpy_network.arrays.items()})
+    with torch.no_grad():
+        scores = forward(module.eval().to(device), lessons, batch, device)
+    return tuple(np.asarray(score.cpu()) for score in scores)
+
+
+@pytest.mark.parametrize(
+    "sizes", [{}, {"layers": 0}, {"crossings": 0}, {"heads": 1, "subwords": 2.0}]
+)
+def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
+    ours = make_network(**sizes)
+    lessons, rows, made = batch
+    lessons = replace(lessons, subwords=ours.shape.subwords)
+    logit, cosine, embedding, residual = torch_scores(ours, lessons, made)
+    texts = lessons.pool.texts
+    places = PlaceGraphs.of_views(harbour, lessons.pool.views[lessons.pool.views >= 0])
+    of_texts = ours.encode_texts(texts, rows).embeddings
+    for q in rows:
+        mine = np.flatnonzero(made.pairs.text == q)
+        views = lessons.pool.views[q][made.slots[mine]]
+        places = PlaceGraphs.of_views(harbour, views)
+        found = ours.match(texts, int(q), places, np.arange(len(views)), words)
+        assert found.logit == pytest.approx(logit[mine], rel=1e-4, abs=1e-4)
+        assert found.cosine == pytest.approx(cosine[mine], rel=1e-4, abs=1e-5)
+        assert found.residual == pytest.approx(residual[mine], rel=1e-4, abs=1e-4)
+        assert found.embedding == pytest.approx(embedding[q, mine], rel=1e-4, abs=1e-5)
+        assert ours.embed_places(places) @ of_texts.T == pytest.approx(
+            embedding[:, mine].T, rel=1e-4, abs=1e-5
+        )
+
+
+def test_weights_have_the_names_and_shapes_of_torch(make_network):
+    pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    from placegraph_lab.train.city.torch_network import Network
+
+    for sizes in ({}, {"layers": 3, "crossings": 1}, {"crossings": 0}):
+        shape = make_network(**sizes).shape
+        state = Network(shape).state_dict()
+        assert {n: tuple(p.shape) for n, p in state.items()} == shape.arrays()
+
+
+def test_a_gpu_says_the_same(network, batch):
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    lessons, _, made = batch
+    for cpu, gpu in zip(
+        torch_scores(network, lessons, made),
+        torch_scores(network, lessons, made, "cuda"),
+        strict=True,
+    ):
+        assert gpu == pytest.approx(cpu, rel=1e-3, abs=1e-3)

@@ -1,0 +1,399 @@
+"""The paper's pipeline on cells: all matchers, all ways to candidates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import DescriptionError, OptionError, StoreError
+from placegraph.estimate import Status
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.locate import read
+from placegraph.outdoor.network.encoded import EncodedCity
+from placegraph.outdoor.search.cells import (
+    MATCHERS,
+    WAYS,
+    candidate_cells,
+    dense_cells,
+    retrieve,
+    views_in,
+    views_of_candidates,
+    within,
+)
+from placegraph.outdoor.search.viewpoints import Prior, search
+from placegraph.vectors import Neighbours, Origin, Region
+
+BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
+
+
+@pytest.fixture(scope="module")
+def text(said):
+    return said(
+        (FOUNTAIN, "north", "me"), ("me", "inside", "place=square"), (BENCH, "near", FOUNTAIN)
+    )
+
+
+@pytest.fixture(scope="module")
+def query(text, harbour):
+    return compile_query(text, harbour)
+
+
+def whole(city):
+    west, south = city.plane.to_lonlat(city.objects.points.min(axis=0) - 100.0)
+    east, north = city.plane.to_lonlat(city.objects.points.max(axis=0) + 100.0)
+    return float(west), float(south), float(east), float(north)
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+@pytest.mark.parametrize("by", WAYS)
+def test_every_matcher_ranks_the_cells_of_every_way(matcher, by, harbour, encoded, text):
+    if (matcher, by) == ("edit-distance", "all"):
+        pytest.skip("edit distance of all cells takes seconds")
+    found = retrieve(
+        harbour, text, matcher=matcher, by=by, candidates=6, top=4, encoded=encoded, timeout=0.01
+    )
+    assert len(found.cells) == len(found.rows) == len(found.scores) == 4
+    assert len(set(found.cells)) == 4
+    assert (np.diff(found.scores) <= 0).all()
+    assert found.cells == tuple(harbour.cells.id_of(row) for row in found.rows)
+    if by != "all":
+        query = compile_query(text, harbour)
+        assert set(found.rows) <= set(candidate_cells(harbour, query, 6, by, encoded).tolist())
+
+
+def test_relational_matching_finds_the_place(harbour, encoded, text):
+    """The fountain stands on the market: who stands south of it on the square is there."""
+    found = retrieve(harbour, text, matcher="relational", by="sparse", top=1, encoded=encoded)
+    fountains = [i for i in range(len(harbour.objects)) if harbour.objects.label(i) == FOUNTAIN]
+    at = harbour.cells.center(found.cells[0])
+    delta = harbour.objects.center[fountains] - at
+    assert np.hypot(*delta.T).min() < 50.0
+
+
+def test_overlapping_cells_share_their_viewpoints(harbour, encoded, text):
+    """A viewpoint counts for every cell that it lies in, not only for the nearest."""
+    wide = replace(harbour, cells=replace(harbour.cells, size=3.0 * harbour.cells.grid.stride))
+    everything = EncodedCity(wide, encoded.network)
+    best = retrieve(wide, text, matcher="relational", by="all", top=9, encoded=everything)
+    assert best.scores == pytest.approx(best.scores[0])
+
+
+def test_the_transformer_and_the_embedding_are_those_of_the_network(harbour, encoded, text, query):
+    found = retrieve(harbour, text, matcher="transformer", by="all", top=9, encoded=encoded)
+    match = encoded.match(encoded.text(query), encoded.cells, found.rows)
+    assert found.scores == pytest.approx(match.logit, rel=1e-4, abs=1e-4)
+    found = retrieve(harbour, text, matcher="embedding", by="all", top=9, encoded=encoded)
+    vector = encoded.network.embed_texts(encoded.text(query).graphs)[0]
+    similarity = encoded.embeddings @ vector
+    assert found.rows.tolist() == np.argsort(-similarity, kind="stable")[:9].tolist()
+    # candidates by embeddings, ranked by embeddings, are the nearest of all
+    dense = retrieve(
+        harbour, text, matcher="embedding", by="dense", candidates=9, top=9, encoded=encoded
+    )
+    assert set(dense.rows.tolist()) == set(found.rows.tolist())
+
+
+def test_fused_is_relational_shifted(harbour, make_network, text):
+    plain = retrieve(
+        harbour, text, matcher="relational", by="sparse", top=8,
+        encoded=EncodedCity(harbour, make_network()),
+    )  # fmt: skip
+    scores = {}
+    for fusion in (0.0, 0.8):
+        city = EncodedCity(harbour, make_network(fusion=fusion))
+        found = retrieve(harbour, text, matcher="fused", by="sparse", top=8, encoded=city)
+        scores[fusion] = dict(zip(found.cells, found.scores, strict=True))
+    assert scores[0.0] == pytest.approx(dict(zip(plain.cells, plain.scores, strict=True)))
+    assert any(abs(scores[0.8].get(c, 9.0) - s) > 0.01 for c, s in scores[0.0].items())
+
+
+def test_both_takes_turns(harbour, encoded, query):
+    dense, sparse, both = (
+        candidate_cells(harbour, query, 8, by, encoded).tolist()
+        for by in ("dense", "sparse", "both")
+    )
+    assert len(dense) == 8
+    assert len(both) == len(set(both)) == 8
+    assert both[:2] == [dense[0], sparse[0]] or dense[0] == sparse[0]
+    turns = [row for pair in zip(dense, sparse, strict=False) for row in pair]
+    assert both == list(dict.fromkeys(turns))[:8]
+
+
+def test_all_are_all(harbour, encoded, query):
+    found = candidate_cells(harbour, query, 3, "all", encoded)
+    assert found.tolist() == list(range(len(harbour.cells)))
+    views = views_of_candidates(harbour, query, 3, "all", encoded)
+    assert len(views) == len(harbour.views.positions)
+
+
+def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
+    class Store:
+        def __init__(self):
+            self.asked = []
+
+        def search(self, queries, n, region=None):
+            self.asked.append((queries, n, region))
+            ids = np.full((1, n), -1, np.int64)
+            ids[0, :2] = harbour.cells.points[[5, 3]]
+            return Neighbours(ids, np.zeros((1, n), np.float32))
+
+    store, region = Store(), Region(*whole(harbour))
+    rows = dense_cells(harbour, query, 4, encoded, store=store, region=region)
+    assert rows.tolist() == [5, 3]
+    ((vectors, n, asked),) = store.asked
+    assert vectors.shape == (1, encoded.network.shape.dimension)
+    assert (n, asked) == (4, region)
+
+
+def test_a_region_keeps_candidates_in(harbour, encoded, query, text):
+    west, south, east, north = whole(harbour)
+    half = Region(west, south, (west + east) / 2, north)
+    rows = dense_cells(harbour, query, 20, encoded, region=half)
+    lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
+    assert len(rows)
+    assert (lonlat[:, 0] <= half.east).all()
+    nowhere = Region(0.0, 0.0, 1.0, 1.0)
+    found = retrieve(harbour, text, by="dense", region=nowhere, encoded=encoded)
+    assert found.cells == ()
+    assert found.scores.shape == (0,)
+
+
+def test_views_in_cells_are_those_that_lie_there(harbour):
+    rows = np.array([7, 40])
+    views = views_in(harbour, rows)
+    assert (np.diff(views) > 0).all()
+    delta = np.abs(harbour.views.positions[:, None] - harbour.cells.centers(rows)[None]).max(axis=2)
+    assert views.tolist() == np.flatnonzero((delta <= harbour.cells.size / 2).any(axis=1)).tolist()
+    assert views_in(harbour, rows[:0]).shape == (0,)
+
+
+def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
+    text = said((TREE, "near", "me", {"negated": True}))
+    assert retrieve(harbour, text, by="sparse", encoded=encoded).cells == ()
+    dense = retrieve(harbour, text, by="dense", matcher="relational", encoded=encoded)
+    assert (dense.scores == -1e9).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"matcher": "luck"}, r"matcher 'luck'.*relational"),
+        ({"by": "magic"}, r"by 'magic'.*sparse"),
+        ({"candidates": 0}, r"candidates 0"),
+        ({"top": 0}, r"top 0"),
+    ],
+)
+def test_options_out_of_range_are_refused(harbour, encoded, text, options, says):
+    with pytest.raises(OptionError, match=says):
+        retrieve(harbour, text, encoded=encoded, **options)
+
+
+def test_edit_distance_needs_things(harbour, encoded, said):
+    with pytest.raises(DescriptionError):
+        retrieve(harbour, said(), matcher="edit-distance", by="all", encoded=encoded)
+
+
+def test_the_encoded_city_is_read_once(harbour, encoded):
+    assert encoded.embeddings is encoded.embeddings
+    assert encoded.embeddings.shape == (len(harbour.cells), encoded.network.shape.dimension)
+    assert encoded.words.shape == (len(harbour.words), encoded.network.shape.width)
+    near = encoded.store.search(encoded.embeddings[[11, 2]], 5)
+    for row, ids in zip((11, 2), near.ids, strict=True):
+        assert harbour.cells.points[row] in ids  # cells of one street are much alike
+    assert near.similarity[:, 0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_locating_by_any_matcher_and_way(harbour, encoded, text):
+    for matcher in MATCHERS:
+        for by in ("auto", *WAYS):
+            if matcher == "edit-distance" and by in ("all", "both", "auto"):
+                continue
+            found = harbour.locate(text, matcher=matcher, by=by, candidates=8, encoded=encoded)
+            total = sum(mode.probability for mode in found.modes)
+            assert 0.0 < total <= 1.0 + 1e-6
+            assert found.best.cell in harbour.cells
+            assert len(found.evidence) == 3
+
+
+def test_fusing_nothing_is_relational_matching(harbour, make_network, text):
+    nothing = EncodedCity(harbour, make_network(fusion=0.0))
+    fused = harbour.locate(text, matcher="fused", encoded=nothing)
+    plain = harbour.locate(text, matcher="relational")
+    assert fused.best.probability == pytest.approx(plain.best.probability)
+    assert fused.best.latitude == plain.best.latitude
+    loud = EncodedCity(harbour, make_network(fusion=1.0))
+    shifted = harbour.locate(text, matcher="fused", encoded=loud)
+    assert [m.probability for m in shifted.modes] != pytest.approx(
+        [m.probability for m in plain.modes], abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("by", ["auto", *WAYS])
+def test_locating_within_a_region_stays_there(harbour, encoded, text, said, by):
+    """Rare things out of sight draw candidates from everywhere; from outside they must not."""
+    west, south, east, north = whole(harbour)
+    half = Region(west, south, (west + east) / 2, north)
+    slack = 50.0 / 70_000.0  # a cell whose centre is in the region may reach beyond
+    rare = said((FOUNTAIN, "near", "me"), ("tourism=museum", "south", "me", {"far": True}))
+    for matcher in ("relational", "fused", "transformer"):
+        for told in (text, rare):
+            found = harbour.locate(told, matcher=matcher, by=by, region=half, encoded=encoded)
+            assert found.modes
+            assert all(mode.longitude <= half.east + slack for mode in found.modes)
+
+
+def test_no_way_to_candidates_leaves_a_region(harbour, encoded, query):
+    west, south, east, north = whole(harbour)
+    half = Region((west + east) / 2, south, east, north)
+    for by in WAYS:
+        rows = candidate_cells(harbour, query, 12, by, encoded, region=half)
+        assert len(rows)
+        lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
+        # viewpoints of a cell may lie in the region though its centre does not
+        assert (lonlat[:, 0] >= half.west - 25.0 / 70_000.0).all()
+
+
+def test_a_region_over_the_date_line_and_one_that_is_none(harbour):
+    at = harbour.cells.centers(np.arange(3))
+    lon = harbour.plane.to_lonlat(at)[0, 0]
+    assert within(harbour, at, Region(lon - 1.0, -90.0, lon - 2.0, 90.0)).all()
+    assert not within(harbour, at, Region(lon + 1.0, -90.0, lon - 1.0, 90.0)).any()
+    with pytest.raises(OptionError, match="is no region"):
+        within(harbour, at, Region(0.0, 50.0, 1.0, 40.0))
+
+
+def test_locating_asks_a_store(harbour, encoded, text):
+    class Store:
+        asked = 0
+        origin = encoded.origin
+
+        def search(self, queries, n, region=None):
+            Store.asked += 1
+            return encoded.store.search(queries, n, region)
+
+    found = harbour.locate(text, store=Store(), encoded=encoded)
+    assert Store.asked == 1
+    again = harbour.locate(text, by="both", encoded=encoded)
+    assert found.best.probability == pytest.approx(again.best.probability)
+
+
+def test_a_region_is_believed(harbour, encoded, text, said):
+    """Known to be in a small part of the map, the speaker is as likely elsewhere as without it."""
+    at = harbour.locate(text, encoded=encoded).best
+    assert at is not None
+    d = 40.0 / 70_000.0
+    box = Region(at.longitude - d, at.latitude - d, at.longitude + d, at.latitude + d)
+    for by in ("auto", *WAYS):
+        vague = said((BENCH, "near", "me"))
+        anywhere = harbour.locate(vague, by=by, encoded=encoded)
+        here = harbour.locate(vague, by=by, region=box, encoded=encoded)
+        assert here.status is not Status.LOST
+        assert here.best.probability > 3.0 * anywhere.best.probability
+
+
+def test_a_region_holds_where_only_the_way_was_told(harbour, encoded):
+    west, south, east, north = whole(harbour)
+    you = ((west + east) / 2, (south + north) / 2)
+    half = Region(west, south, you[0], north)
+    found = harbour.locate("I am north of you.", listener=you, region=half, encoded=encoded)
+    assert found.modes
+    assert found.support[found.support[:, 2] > 0.0, 0].max() <= half.east
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_a_region_that_holds_nothing_is_said(harbour, encoded, text, matcher):
+    found = harbour.locate(
+        text, matcher=matcher, region=Region(0.0, 0.0, 1.0, 1.0), encoded=encoded
+    )
+    assert found.status is Status.LOST
+    assert "nothing to see in (0.0, 0.0, 1.0, 1.0)" in found.reason
+
+
+def test_the_store_of_another_map_or_network_is_refused(harbour, encoded, make_network, text):
+    store = encoded.store
+    others = (
+        (replace(store, origin=replace(store.origin, map="0" * 32)), "another map"),
+        (EncodedCity(harbour, make_network(fusion=0.8)).store, "another model"),
+    )
+    for other, says in others:
+        with pytest.raises(StoreError, match=says):
+            harbour.locate(text, store=other, encoded=encoded)
+        with pytest.raises(StoreError, match=says):
+            retrieve(harbour, text, store=other, encoded=encoded)
+    unknown = replace(store, origin=Origin())
+    assert harbour.locate(text, store=unknown, encoded=encoded).modes
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"region": (7.0, 43.0, 8.0, 44.0)}, r"region is \(7.0.*`Region`"),
+        ({"store": "monaco.vectors"}, "store is 'monaco.vectors'.*open_store"),
+        ({"encoded": "mine"}, "encoded is not"),
+        ({"candidates": True}, "candidates"),
+        ({"candidates": None}, "candidates"),
+        ({"candidates": 1.5}, "candidates"),
+        ({"top": "five"}, "top"),
+    ],
+)
+def test_what_is_no_option_is_refused_by_both(harbour, encoded, text, options, says):
+    with pytest.raises(OptionError, match=says):
+        harbour.locate(text, **{"encoded": encoded, **options})
+    with pytest.raises(OptionError, match=says):
+        retrieve(harbour, text, **{"encoded": encoded, **options})
+
+
+def test_another_map_read_by_a_network_is_refused(harbour, encoded, text):
+    other = replace(harbour, cells=replace(harbour.cells, size=60.0))
+    with pytest.raises(OptionError, match="encoded is not"):
+        harbour.locate(text, encoded=EncodedCity(other, encoded.network))
+    again = replace(harbour, source="opened twice")
+    assert harbour.locate(text, encoded=EncodedCity(again, encoded.network)).modes
+
+
+def test_more_candidates_than_cells_are_all_cells(harbour, encoded, text):
+    for matcher in ("relational", "embedding"):
+        many = harbour.locate(text, matcher=matcher, by="dense", candidates=10**30, encoded=encoded)
+        assert many.modes
+
+
+def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
+    """Looking at all places, nothing is left to the way of finding candidates."""
+    every = harbour.locate(text, matcher="relational", by="all", encoded=encoded)
+    sparse = harbour.locate(text, matcher="relational", by="sparse", encoded=encoded)
+    assert every.best.probability == pytest.approx(sparse.best.probability, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"matcher": "luck"}, "choose among fused"),
+        ({"by": "magic"}, "auto, sparse"),
+        ({"candidates": 0}, "candidates is 0"),
+        ({"candidates": 2.5}, "candidates is 2.5"),
+    ],
+)
+def test_locate_refuses_what_it_does_not_know(harbour, text, options, says):
+    with pytest.raises(OptionError, match=says):
+        harbour.locate(text, **options)
+
+
+def test_embeddings_alone_are_never_sure(harbour, encoded, text):
+    sure = harbour.locate(text, matcher="relational")
+    found = harbour.locate(text, matcher="relational", by="dense", encoded=encoded, candidates=500)
+    assert sure.status is Status.OK
+    assert found.status is not Status.OK
+    assert sum(mode.probability for mode in found.modes) <= 0.4 + 1e-9
+
+
+@pytest.mark.parametrize("matcher", ["transformer", "embedding", "edit-distance"])
+def test_ranks_are_no_probabilities(harbour, encoded, text, matcher):
+    assert harbour.locate(text, matcher=matcher, encoded=encoded).status is not Status.OK
+
+
+def test_a_share_that_may_be_missing_is_kept_for_the_rest(harbour, text):
+    query = compile_query(read(harbour, text), harbour)
+    rows = np.arange(len(harbour.views.positions))
+    for reach in (1.0, 0.5, 0.1):
+        found = search(query, harbour, Prior(), rows=rows, reach=reach)
+        assert found.probabilities.sum() <= reach + 1e-9

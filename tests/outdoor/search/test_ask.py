@@ -1,0 +1,297 @@
+"""Asking back: the question tells most, and a true answer leads to the true place."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import OptionError
+from placegraph.estimate import CityEstimate, Status
+from placegraph.outdoor.language.description import SPEAKER, Description, Relation
+from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph.outdoor.search.ask import (
+    NO,
+    NONE,
+    UNKNOWN,
+    YES,
+    Answer,
+    Question,
+    Thing,
+    _gain,
+    next_question,
+    possible_questions,
+)
+
+SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
+# What somebody says who sees little, and the places it may have been said at: row and column.
+VAGUE = [
+    ("I am standing on a square near a fountain.", [(4, 38), (30, 58)]),
+    ("There is a bench next to me.", [(2, 70), (4, 85), (7, 37), (13, 82), (17, 4), (17, 29)]),
+    ("A bakery is near me.", [(6, 27), (31, 85)]),
+    ("I am at a tram stop.", [(11, 24), (11, 61)]),
+    ("I'm next to a café.", [(4, 40), (30, 61)]),
+]
+
+
+class Speaker:
+    """Somebody in a city who answers truthfully by what is there."""
+
+    def __init__(self, city, position, sight=35.0):
+        o = city.objects
+        self.seen = []
+        for row in range(len(o)):
+            east, north, d2 = nearest_on_parts(
+                o.part_starts, o.point_starts, o.points, o.kind[row], row, *map(float, position)
+            )
+            if d2 <= sight**2:
+                wind = "" if d2 < 1 else self.wind(east, north)
+                self.seen.append((o.label(row), o.name(row), wind, d2))
+
+    @staticmethod
+    def wind(east, north):
+        if abs(east) > abs(north):
+            return "east" if east > 0 else "west"
+        return "north" if north > 0 else "south"
+
+    def answer(self, question):
+        if question.options == (YES, NO):
+            thing = question.things[0]
+            there = any(
+                label == thing.label and thing.wind in ("", wind) for label, _, wind, _ in self.seen
+            )
+            return question.answer(YES if there else NO)
+        named = sorted((d2, name) for _, name, _, d2 in self.seen if name in question.options)
+        return question.answer(named[0][1] if named else NONE)
+
+
+def truth(city, town, cell):
+    return city.plane.to_plane(town.lonlat(cell[0] + 0.5, cell[1] + 0.5))
+
+
+def probability(estimate, city, position):
+    """Probability of the place lying within 50 m of a position [m]."""
+    at = city.plane.to_plane(estimate.support[:, :2])
+    return float(estimate.support[np.hypot(*(at - position).T) <= 50.0, 2].sum())
+
+
+# --- information ---
+
+
+def entropy(p):
+    return -sum(x * np.log(x) for x in p if x > 0)
+
+
+@st.composite
+def tables(draw):
+    """P(place) and P(answer | place)."""
+    places, options = draw(st.integers(1, 5)), draw(st.integers(2, 4))
+    numbers = st.floats(0.01, 1.0)
+    weights = np.array(draw(st.lists(numbers, min_size=places, max_size=places)))
+    rows = [draw(st.lists(numbers, min_size=places, max_size=places)) for _ in range(options)]
+    answers = np.array(rows)
+    return weights / weights.sum(), answers / answers.sum(axis=0)
+
+
+@given(tables())
+def test_gain_is_mutual_information(table):
+    weights, answers = table
+    gain = _gain(weights, answers)
+    joint = answers * weights
+    brute = sum(
+        joint[a, k] * np.log(joint[a, k] / (joint[a].sum() * weights[k]))
+        for a in range(len(answers))
+        for k in range(len(weights))
+    )
+    assert gain == pytest.approx(brute, abs=1e-9)
+    assert -1e-9 <= gain <= min(entropy(weights), np.log(len(answers))) + 1e-9
+
+
+def test_gain_of_knowing_and_of_nothing():
+    weights = np.array([0.25, 0.75])
+    assert _gain(weights, np.eye(2)) == pytest.approx(entropy(weights))
+    assert _gain(weights, np.array([[0.3, 0.3], [0.7, 0.7]])) == pytest.approx(0.0)
+    assert _gain(np.ones(1), np.array([[0.3], [0.7]])) == pytest.approx(0.0)
+
+
+# --- questions ---
+
+
+def test_the_best_question_is_asked(harbour):
+    estimate = harbour.locate(SQUARES)
+    question = estimate.next_question(harbour)
+    everything = possible_questions(estimate, harbour)
+    assert question.gain == max(q.gain for q in everything) > 0.02
+    assert (
+        question
+        == next_question(estimate, harbour)
+        == harbour.locate(SQUARES).next_question(harbour)
+    )
+    for q in everything:
+        assert q.text.endswith("?")
+        assert q.gain >= -1e-9
+        assert len(q.options) >= 2
+        assert len(set(q.options)) == len(q.options)
+        assert len(q.things) == (1 if q.options == (YES, NO) else len(q.options) - 1)
+
+
+def test_questions_are_about_what_is_on_the_map(real_city):
+    estimate = real_city.locate("I am next to a bench.")
+    known = set(real_city.objects.labels) | set(real_city.objects.names)
+    for question in possible_questions(estimate, real_city):
+        for thing in question.things:
+            assert (thing.label or thing.words) in known
+
+
+def test_nothing_to_ask(harbour):
+    for text in ("A lighthouse is north of me.", "asdf qwer"):
+        estimate = harbour.locate(text)
+        assert estimate.status == Status.LOST
+        assert estimate.next_question(harbour) is None
+    clear = harbour.locate("I am on Speicherweg. The bank is north of me, the hairdresser west.")
+    assert clear.best.probability > 0.95
+    assert clear.next_question(harbour) is None
+    assert CityEstimate(Status.LOST, (), "Nothing.").next_question(harbour) is None
+
+
+# --- answers ---
+
+CHOICE = Question("Which?", ("Kern", "Brot", NONE), (Thing("Kern"), Thing("Brot")), 0.5)
+BENCH = Question("Is there a bench?", (YES, NO), (Thing("bench", "amenity=bench", "north"),), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("question", "given_", "expected"),
+    [
+        (BENCH, "yes", YES), (BENCH, " YES ", YES), (BENCH, "y", YES), (BENCH, "Y", YES),
+        (BENCH, "no", NO), (BENCH, "n", NO), (BENCH, "don't know", UNKNOWN),
+        (BENCH, "Don't Know", UNKNOWN), (CHOICE, "kern", "Kern"), (CHOICE, "Brot\n", "Brot"),
+        (CHOICE, "none of these", NONE), (CHOICE, "DON'T KNOW", UNKNOWN),
+    ],
+)  # fmt: skip
+def test_answers_that_count(question, given_, expected):
+    assert question.answer(given_) == Answer(question, expected)
+
+
+@pytest.mark.parametrize(
+    ("question", "given_"),
+    [
+        (BENCH, ""), (BENCH, " "), (BENCH, "maybe"), (BENCH, "yess"), (BENCH, "Kern"),
+        (CHOICE, "yes"), (CHOICE, "y"), (CHOICE, "k"), (CHOICE, "Kern, Brot"), (CHOICE, ""),
+        (BENCH, None), (BENCH, 1), (BENCH, True), (CHOICE, ["Kern"]),
+    ],
+)  # fmt: skip
+def test_answers_that_do_not(question, given_):
+    with pytest.raises(OptionError, match=r"is no answer; say one of: .*don't know"):
+        question.answer(given_)
+
+
+def test_answers_become_statements():
+    empty = Description("")
+    yes = BENCH.answer("yes").added_to(empty)
+    [statement] = yes.statements
+    assert (statement.relation, statement.target) == (Relation.DIRECTION, SPEAKER)
+    assert (statement.bearing, statement.negated) == (0.0, False)
+    assert yes.mentions[statement.source].senses[0].label == "amenity=bench"
+    assert BENCH.answer("no").added_to(empty).statements[0].negated
+    kern = CHOICE.answer("Kern").added_to(empty)
+    assert [kern.mentions[s.source].name for s in kern.statements] == ["Kern"]
+    assert not kern.statements[0].negated
+    none = CHOICE.answer("none of these").added_to(empty)
+    assert [none.mentions[s.source].name for s in none.statements] == ["Kern", "Brot"]
+    assert all(s.negated for s in none.statements)
+
+
+def test_not_knowing_changes_nothing_but_the_question(harbour):
+    estimate = harbour.locate(SQUARES)
+    question = estimate.next_question(harbour)
+    again = harbour.locate(SQUARES, answers=[question.answer("don't know")])
+    assert [m.probability for m in again.modes] == [m.probability for m in estimate.modes]
+    np.testing.assert_array_equal(again.support, estimate.support)
+    following = again.next_question(harbour)
+    assert following is None or following.text != question.text
+
+
+@pytest.mark.parametrize("answer", ["yes", ("question", "yes"), None, 5])
+def test_what_is_no_answer(answer, harbour):
+    with pytest.raises(OptionError, match="answers"):
+        harbour.locate(SQUARES, answers=[answer])
+
+
+def test_no_question_comes_twice(harbour):
+    answers, texts = [], []
+    for given_ in ("no", "don't know", "no", "don't know", "no", "no"):
+        estimate = harbour.locate("I am next to a bench.", answers=answers)
+        question = estimate.next_question(harbour)
+        if question is None:
+            break
+        assert question.text not in texts
+        texts.append(question.text)
+        answers.append(question.answer(given_ if given_ in (*question.options, UNKNOWN) else NONE))
+    assert len(texts) >= 2
+
+
+def test_the_answers_stand_in_the_evidence(harbour):
+    estimate = harbour.locate(SQUARES)
+    question = estimate.next_question(harbour)
+    position = harbour.plane.to_plane((estimate.best.longitude, estimate.best.latitude))
+    answer = Speaker(harbour, position).answer(question)
+    told = harbour.locate(SQUARES, answers=[answer])
+    assert any(question.text in e.statement for e in told.evidence)
+
+
+# --- a dialogue ---
+
+PLACES = [(text, cell) for text, cells in VAGUE for cell in cells]
+
+
+def dialogue(text, city, position, most=8):
+    """Estimates after 0, 1, 2 ... true answers, until one is OK."""
+    speaker, answers = Speaker(city, position), []
+    estimates = [city.locate(text)]
+    while len(answers) < most and estimates[-1].status != Status.OK:
+        question = estimates[-1].next_question(city)
+        if question is None:
+            break
+        answers.append(speaker.answer(question))
+        estimates.append(city.locate(text, answers=answers))
+    return estimates
+
+
+def test_true_answers_lead_to_the_true_place(harbour, hafenstadt):
+    reached, gained, asked = 0, 0, 0
+    for text, cell in PLACES:
+        position = truth(harbour, hafenstadt, cell)
+        estimates = dialogue(text, harbour, position)
+        first, last = (probability(e, harbour, position) for e in (estimates[0], estimates[-1]))
+        gained += last > first
+        best = estimates[-1].best
+        off = np.hypot(*(harbour.plane.to_plane((best.longitude, best.latitude)) - position))
+        reached += bool(estimates[-1].status == Status.OK and off < 50)
+        asked += len(estimates) - 1
+    assert gained >= len(PLACES) - 1
+    assert reached >= 0.8 * len(PLACES)
+    assert asked <= 4 * len(PLACES)
+
+
+def test_one_true_answer_raises_the_truth_on_average(harbour, hafenstadt):
+    steps = []
+    for text, cell in PLACES:
+        position = truth(harbour, hafenstadt, cell)
+        estimates = dialogue(text, harbour, position, most=1)
+        if len(estimates) == 2:
+            before, after = (max(1e-6, probability(e, harbour, position)) for e in estimates)
+            steps.append(np.log(after / before))
+    assert len(steps) >= 8
+    assert np.mean(steps) > 0.3
+
+
+def test_false_answers_do_not_crash(harbour, rng):
+    for text, _ in PLACES[:4]:
+        answers = []
+        for _ in range(6):
+            estimate = harbour.locate(text, answers=answers)
+            question = estimate.next_question(harbour)
+            if question is None:
+                break
+            answers.append(question.answer(str(rng.choice([*question.options, UNKNOWN]))))
+            assert sum(m.probability for m in estimate.modes) <= 1 + 1e-6

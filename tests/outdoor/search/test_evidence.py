@@ -1,0 +1,122 @@
+"""Why a place: what served each statement, and what spoke against it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.search.evidence import evidence_at, reference, wind
+from placegraph.outdoor.search.evidence import said as in_words
+
+BAKERY, BENCH, FOUNTAIN, PARK = "shop=bakery", "amenity=bench", "amenity=fountain", "leisure=park"
+
+
+@pytest.fixture
+def world(build_world, at):
+    """Bakery north, bench west, park around; a town of other things far to the east."""
+    park = [(-40, -40, {}), (40, -40, {}), (40, 40, {}), (-40, 40, {})]
+    things = [(0, 15, {"shop": "bakery", "name": "Kern"}), (-12, 0, {"amenity": "bench"})]
+    town = [(500 + 30 * i, 30 * j, {"natural": "tree"}) for i in range(8) for j in range(8)]
+    town += [(900, 900, {"amenity": "fountain"}), (920, 900, {"shop": "bakery", "name": "Brot"})]
+    city = build_world([*park, *things, *town], [([0, 1, 2, 3, 0], {"leisure": "park"})])
+    return city, at(city, (0, 0))
+
+
+@pytest.fixture
+def told(world, said):
+    """Evidence of statements at the viewpoint."""
+    city, position = world
+    return lambda *statements: evidence_at(position, city, compile_query(said(*statements), city))
+
+
+def test_what_is_true_speaks_for(told):
+    north, west, inside = told(
+        (BAKERY, "north", "me"), (BENCH, "west", "me"), ("me", "inside", PARK)
+    )
+    for evidence, osm in ((north, "node/5"), (west, "node/6"), (inside, "way/1")):
+        assert evidence.verdict == "for"
+        assert evidence.weight > 1
+        assert [o.id for o in evidence.objects] == [osm]
+        assert evidence.note == ""
+    assert (north.objects[0].label, north.objects[0].name) == (BAKERY, "Kern")
+
+
+def test_what_lies_elsewhere_speaks_against(told):
+    south, between = told((BAKERY, "south", "me"), (BENCH, "north", BAKERY))
+    assert south.verdict == between.verdict == "against"
+    assert south.note == "there it lies to the north"
+    assert between.note == "there it lies to the southwest"
+    assert {o.id for o in between.objects} == {"node/5", "node/6"}
+
+
+def test_what_is_not_there_speaks_against(told):
+    [missing] = told((FOUNTAIN, "near", BENCH))
+    assert missing.verdict == "against"
+    assert missing.objects == ()
+    assert missing.note == "nothing in sight serves it"
+
+
+def test_what_is_denied(told):
+    false, true = told(
+        (BAKERY, "visible", "me", {"negated": True}), (FOUNTAIN, "visible", "me", {"negated": True})
+    )
+    assert false.verdict == "against"
+    assert false.note == "but it is there"
+    assert false.objects[0].id == "node/5"
+    assert true.verdict in ("for", "silent")
+
+
+def test_what_cannot_be_used_is_silent_and_comes_last(told):
+    zoo, bakery = told(("tourism=zoo", "north", "me"), (BAKERY, "north", "me"))[::-1]
+    assert bakery.verdict == "for" or zoo.verdict == "for"
+    *_, last = told(("tourism=zoo", "north", "me"), (BAKERY, "north", "me"))
+    assert (last.verdict, last.weight, last.objects) == ("silent", 0.0, ())
+    assert "knows no" in last.note
+
+
+def test_nothing_can_be_used(told):
+    [only] = told(("tourism=zoo", "north", "me"))
+    assert only.verdict == "silent"
+
+
+def test_a_place_where_nothing_is(world, said):
+    city, _ = world
+    query = compile_query(said((BAKERY, "north", "me"), (BENCH, "west", BAKERY)), city)
+    for evidence in evidence_at(np.array([-9000.0, 9000.0]), city, query):
+        assert evidence.verdict == "against"
+        assert evidence.objects == ()
+
+
+def test_statements_in_words(world, said):
+    city, _ = world
+    description = said(
+        (BAKERY, "north", "me"),
+        ("me", "near", BENCH, {"negated": True}),
+        (BENCH, "between", "Kern", {"target2": BAKERY}),
+        (BENCH, "southwest", "Kern", {"text": "The bench is south-west of Kern"}),
+    )
+    query = compile_query(description, city)
+    words = [in_words(s, query) for s in description.statements]
+    assert words[0] == "bakery is north of me"
+    assert "not" in words[1]
+    assert "bench" in words[1]
+    assert "between" in words[2]
+    assert "Kern" in words[2]
+    assert words[3] == "The bench is south-west of Kern"
+
+
+def test_references_are_those_of_the_map(harbour):
+    o = harbour.objects
+    for row in range(0, len(o), 9):
+        ref = reference(row, harbour)
+        assert (ref.id, ref.label, ref.name) == (o.osm(row), o.label(row), o.name(row))
+        at = harbour.plane.to_plane((ref.longitude, ref.latitude))
+        np.testing.assert_allclose(at, o.center[row], atol=0.01)
+
+
+@given(st.floats(-10, 10))
+def test_winds(angle):
+    names = ["north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest"]
+    off = [abs((angle - i * np.pi / 4 + np.pi) % (2 * np.pi) - np.pi) for i in range(8)]
+    assert off[names.index(wind(angle))] <= np.pi / 8 + 1e-9

@@ -1,0 +1,132 @@
+"""Motion moves probability: the mean goes where it should, and nothing is lost but over the border."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.outdoor.search.posterior import ELSEWHERE
+from placegraph.outdoor.track.grid import (
+    Belief,
+    TrackGrid,
+    _by_fourier,
+    laid,
+    moved,
+    reborn,
+    straight,
+    way,
+)
+
+SHORT = st.floats(-150.0, 150.0)
+
+
+@pytest.fixture(scope="module")
+def grid(harbour):
+    return TrackGrid.of(harbour.views)
+
+
+def lump(grid, at=(0.0, 0.0)):
+    """All probability at one place, in the grid's middle."""
+    mass = np.zeros((grid.rows, grid.columns), np.float32)
+    middle = grid.positions(np.array([grid.rows // 2 * grid.columns + grid.columns // 2]))
+    laid(mass, grid, middle + at, np.ones(1))
+    return Belief(mass, 0.0)
+
+
+def mean(belief, grid):
+    positions = grid.positions(np.arange(belief.mass.size))
+    mass = belief.mass.ravel().astype(np.float64)
+    return mass @ positions / mass.sum()
+
+
+def test_viewpoints_lie_in_the_middle_of_their_cells(grid, harbour):
+    np.testing.assert_allclose(grid.positions(grid.cells), harbour.views.positions, atol=0.01)
+    assert len(np.unique(grid.cells)) == len(grid.cells)
+
+
+def test_the_start_knows_nothing(grid):
+    start = Belief.start(grid)
+    assert start.elsewhere == pytest.approx(ELSEWHERE, abs=1e-6)
+    assert np.unique(start.mass.ravel()[grid.cells]).size == 1
+    off = Belief.start(grid, np.zeros(len(grid.cells)))
+    assert off.elsewhere == 1.0
+
+
+@given(SHORT, SHORT, st.floats(0.0, 40.0))
+def test_a_measured_motion_moves_the_mean(grid, east, north, sigma):
+    before = lump(grid)
+    kernel = straight(east, north, sigma)
+    after = moved(before, kernel)
+    assert kernel.weights.sum() == pytest.approx(1.0, abs=1e-5)
+    assert after.mass.sum() + after.elsewhere == pytest.approx(1.0, abs=1e-5)
+    np.testing.assert_allclose(mean(after, grid) - mean(before, grid), (east, north), atol=0.05)
+    np.testing.assert_allclose(kernel.mean, (east, north), atol=1e-6)
+
+
+@given(SHORT, SHORT, st.floats(0.0, 20.0))
+def test_forth_and_back_keeps_the_mean(grid, east, north, sigma):
+    before = lump(grid, (3.0, -7.0))
+    after = moved(moved(before, straight(east, north, sigma)), straight(-east, -north, sigma))
+    np.testing.assert_allclose(mean(after, grid), mean(before, grid), atol=0.1)
+
+
+@given(st.floats(0.0, 120.0), st.floats(0.0, 30.0), st.floats(0.0, 6.3), st.floats(0.0, 0.6))
+def test_a_loose_way_forth_and_back_keeps_the_mean(grid, distance, loose, bearing, sigma):
+    before = lump(grid)
+    forth = way(distance, loose, bearing, sigma)
+    back = way(distance, loose, bearing + np.pi, sigma)
+    np.testing.assert_allclose(
+        mean(moved(moved(before, forth), back), grid), mean(before, grid), atol=0.3
+    )
+    ahead = np.array([np.sin(bearing), np.cos(bearing)])
+    assert forth.mean @ ahead <= distance + 0.8 * loose + 1e-6
+
+
+def test_in_any_direction(grid):
+    after = moved(lump(grid), way(100.0, 5.0, None, 0.0))
+    positions = grid.positions(np.arange(after.mass.size)) - mean(lump(grid), grid)
+    off = np.hypot(*positions.T)
+    ring = after.mass.ravel()[(off > 70.0) & (off < 130.0)].sum()
+    assert ring > 0.97
+    np.testing.assert_allclose(mean(after, grid), mean(lump(grid), grid), atol=0.1)
+
+
+def test_a_looser_way_spreads_more():
+    spread = [np.trace(way(100.0, loose, 1.0, sigma).covariance)
+              for loose, sigma in ((2.0, 0.05), (25.0, 0.05), (25.0, 0.5))]  # fmt: skip
+    assert spread == sorted(spread)
+    assert spread[0] < 100.0 < spread[2]
+
+
+def test_large_kernels_give_the_same_through_fourier(grid):
+    belief = Belief.start(grid)
+    for kernel in (
+        way(120.0, 30.0, 0.7, 0.4),
+        straight(-333.0, 52.0, 10.0),
+        way(90.0, 9.0, None, 0),
+    ):
+        plain = np.zeros_like(belief.mass)
+        plain += moved(Belief(belief.mass * np.float32(1e3), 0.0), kernel).mass / np.float32(1e3)
+        fourier = _by_fourier(belief.mass, kernel)
+        np.testing.assert_allclose(fourier.sum(), plain.sum(), rtol=1e-3)
+        # cells lighter than the background are shifted whole: compare where there is something
+        lumped = lump(grid)
+        np.testing.assert_allclose(
+            _by_fourier(lumped.mass, kernel), moved(lumped, kernel).mass, atol=1e-5
+        )
+
+
+def test_over_the_border_and_far_away(grid):
+    gone = moved(lump(grid), straight(20_000.0, 0.0, 10.0))
+    assert gone.elsewhere == pytest.approx(1.0, abs=1e-6)
+    half = moved(Belief.start(grid), straight(0.5 * 20.0 * grid.columns, 0.0, 0.0))
+    assert 0.1 < half.elsewhere < 0.9
+
+
+def test_who_was_lost_may_be_anywhere_again(grid):
+    gone = Belief(np.zeros((grid.rows, grid.columns), np.float32), 1.0)
+    back = reborn(gone, grid)
+    assert back.elsewhere < 0.85
+    assert back.mass.sum() + back.elsewhere == pytest.approx(1.0, abs=1e-5)
+    start = Belief.start(grid)
+    np.testing.assert_allclose(reborn(start, grid).mass.sum(), start.mass.sum(), atol=0.02)
