@@ -364,8 +364,9 @@ class SceneMap:
     ) -> SceneDiff:
         """What changed since this map was made, as a later map or a capture with poses shows it.
 
-        Parameters, result and errors: `placegraph.indoor.mapping.change.diff.diff`, and of a capture, whose poses
-        (T, 4, 4) are what `localize` said of it, `placegraph.indoor.mapping.change.capture.diff_capture`.
+        Parameters, result and errors: `placegraph.indoor.mapping.change.diff.diff`, and of a
+        capture, whose poses (T, 4, 4) are what `localize` said of it,
+        `placegraph.indoor.mapping.change.capture.diff_capture`.
         """
         if isinstance(later, SceneMap):
             from placegraph.indoor.mapping.change.diff import diff

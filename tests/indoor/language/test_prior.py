@@ -8,7 +8,8 @@ import pytest
 from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import WRONG
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
-from placegraph.indoor.map.panoramas import AZIMUTHS, ELEVATIONS, STEP, range_of
+from placegraph.indoor.map.panoramas import range_of
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.options import FilterOptions
 
 
@@ -146,7 +147,7 @@ def test_a_pose_is_told_why(flat, table):
 def test_a_table_without_positions(flat, table):
     from dataclasses import replace
 
-    from placegraph.indoor.map.panoramas import Panoramas
+    from placegraph.indoor.map.panoramas_kernels import Panoramas
 
     none = replace(
         table, positions=table.positions[:0], panoramas=Panoramas(*(a[:0] for a in table.panoramas))

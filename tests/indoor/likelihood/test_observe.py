@@ -11,7 +11,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, level_from_camera
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.observe import Background, combine, noise, sight, views
-from placegraph.indoor.map.surface import opponent
+from placegraph.indoor.map.surface_kernels import opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
 
 CAMERA = Camera(160, 90, 115.0, 112.0, 78.0, 47.0)

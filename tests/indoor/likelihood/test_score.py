@@ -9,11 +9,13 @@ import pytest
 from placegraph.geometry import Camera, level_from_camera, rotation_z
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.likelihood.observe import noise, sight, views
-from placegraph.indoor.likelihood.score import COLOUR, DEPTH, SEMANTIC, View, score_poses
+from placegraph.indoor.likelihood.score import View
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, score_poses
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.surface import Surface, colour_at, opponent
+from placegraph.indoor.map.surface import Surface
+from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
-from placegraph.indoor.pose.evidence import look
+from placegraph.indoor.pose.evidence_kernels import look
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.embree import obstacle
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.surface import Surface, colour_at, opponent
+from placegraph.indoor.map.surface import Surface
+from placegraph.indoor.map.surface_kernels import colour_at, opponent
 
 
 def quad(texture, width=2.0, height=1.0, uv=1.0, colours=255):

@@ -16,7 +16,8 @@ from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.scorer import Scorer
 from placegraph.indoor.mapping.build import scene_of_model
 from placegraph.indoor.options import FilterOptions, Likelihood
-from placegraph.indoor.pose.evidence import Agreement, agreement, explain, look
+from placegraph.indoor.pose.evidence import Agreement, agreement, explain
+from placegraph.indoor.pose.evidence_kernels import look
 from placegraph.indoor.pose.motion import level_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -3,20 +3,9 @@
 import numpy as np
 import pytest
 
-from placegraph.outdoor.map.index import (
-    EMPTY_BOX,
-    FADE,
-    REACH,
-    SECOND_LABEL,
-    SIGHT,
-    STRIDE,
-    ViewIndex,
-    fade,
-    join_boxes,
-    pack_box,
-    unpack_box,
-)
-from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph.outdoor.map.index import FADE, REACH, SECOND_LABEL, SIGHT, STRIDE, ViewIndex, fade
+from placegraph.outdoor.map.index_kernels import EMPTY_BOX, join_boxes, pack_box, unpack_box
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 
 def nearest(o, row, position):

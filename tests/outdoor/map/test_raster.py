@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.map.raster import Grid, nearest_on_parts, sightings
+from placegraph.outdoor.map.raster import Grid, sightings
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 POINT, LINE, AREA = 0, 1, 2
 

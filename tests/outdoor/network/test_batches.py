@@ -12,7 +12,7 @@ from placegraph.outdoor.network.batches import (
 )
 from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.network_kernels import CHANCE, CROWD, LITERAL, LONELY, NOISE
-from placegraph.outdoor.network.relations import CHANNELS
+from placegraph.outdoor.network.relations_kernels import CHANNELS
 
 
 def test_entries_of_graphs_and_where_they_stand():

@@ -10,13 +10,12 @@ from placegraph.outdoor.language.description import Description, Mention, Relati
 from placegraph.outdoor.network.graphs import (
     MOST_MENTIONS,
     MOST_STATEMENTS,
-    MOST_THINGS,
-    REACH,
     PlaceGraphs,
     TextGraphs,
     words_of,
 )
-from placegraph.outdoor.network.relations import (
+from placegraph.outdoor.network.graphs_kernels import MOST_THINGS, REACH
+from placegraph.outdoor.network.relations_kernels import (
     ALONG,
     CHANNELS,
     CONTAINS,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
-from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.outdoor.search.ask import (
     NO,
     NONE,

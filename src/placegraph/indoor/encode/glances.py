@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.map.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST, NOTHING, STEP
+from placegraph.indoor.map.panoramas import HIGHEST
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,7 +19,7 @@ import numpy as np
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.indoor.language.sight import Sight
 from placegraph.indoor.language.things import Things
-from placegraph.indoor.map.panoramas import AZIMUTHS, STEP
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 from placegraph.language.check import Ignored
 
 if TYPE_CHECKING:

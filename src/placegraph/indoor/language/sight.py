@@ -11,7 +11,8 @@ from placegraph.indoor.language.kin import EXACT
 from placegraph.indoor.language.kinds import kinds_of, table
 from placegraph.indoor.language.sentence import Kind
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
-from placegraph.indoor.map.panoramas import ELEVATIONS, HIGHEST, STEP, range_of
+from placegraph.indoor.map.panoramas import HIGHEST, range_of
+from placegraph.indoor.map.panoramas_kernels import ELEVATIONS, STEP
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

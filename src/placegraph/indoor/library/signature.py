@@ -14,7 +14,8 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import vectors_of
-from placegraph.indoor.map.panoramas import AZIMUTHS, ELEVATIONS, HIGHEST
+from placegraph.indoor.map.panoramas import HIGHEST
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
 from placegraph.indoor.map.visibility import build_table
 from placegraph.indoor.options import FilterOptions
 

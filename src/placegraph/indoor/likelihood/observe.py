@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.geometry import level_from_camera
-from placegraph.indoor.likelihood.score import COLOUR, DEPTH, Noise, View
+from placegraph.indoor.likelihood.score import Noise, View
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.observe import combine, noise
-from placegraph.indoor.likelihood.score import score_few, score_poses
+from placegraph.indoor.likelihood.score_kernels import score_few, score_poses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

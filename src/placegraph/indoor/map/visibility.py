@@ -16,20 +16,17 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import Background, reading_ratio
-from placegraph.indoor.likelihood.score import COLOUR, DEPTH, SEMANTIC
-from placegraph.indoor.map.panoramas import (
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
+from placegraph.indoor.map.panoramas import DIRECTIONS, HIGHEST, as_bytes, range_of
+from placegraph.indoor.map.panoramas_kernels import (
     AZIMUTHS,
-    DIRECTIONS,
     ELEVATIONS,
     FARTHEST,
-    HIGHEST,
     NOTHING,
     STEP,
     Panoramas,
     add_moved,
-    as_bytes,
     look_around,
-    range_of,
     scan_headings,
 )
 from placegraph.indoor.rays.packets import LANES

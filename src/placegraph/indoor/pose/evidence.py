@@ -6,19 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.observe import reading_ratio
-from placegraph.indoor.likelihood.score import COLOUR, DEPTH, SEMANTIC, aim
-from placegraph.indoor.rays.packets import (
-    FAR,
-    LANES,
-    TRIANGLE,
-    new_packet,
-    trace16,
-)
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
+from placegraph.indoor.pose.evidence_kernels import look
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,10 +20,12 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.likelihood.score import View
     from placegraph.indoor.likelihood.scorer import Scorer
-    from placegraph.indoor.rays.packets import Tracer
     from placegraph.indoor.scene_map import SceneMap
 
+
 _MOST = 12  # objects named
+
+
 _TELLING = 1.0  # log-likelihood ratio below which an object says nothing [nat]
 
 
@@ -165,21 +160,3 @@ def _of_object(scene: SceneMap, n: int, weight: float) -> Evidence:
         objects=(ObjectRef(graph.ids[n], graph.labels[n], name),),
         note="" if verdict != "against" else "not where the map has it",
     )
-
-
-@njit(cache=True, nogil=True)
-def look(
-    tracer: Tracer, pose: NDArray[np.float64], directions: NDArray[np.float32]
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Triangles (R,) int32, -1: none, and depths (R,) float32 [m] from one pose (4,)."""
-    n = len(directions)
-    triangles = np.empty(n, np.int32)
-    distances = np.empty(n, np.float32)
-    packet, ints, valid = new_packet()
-    for tile in range(n // LANES):
-        aim(packet, pose, directions, tile * LANES)
-        trace16(tracer, packet, ints, valid)
-        for lane in range(LANES):
-            triangles[tile * LANES + lane] = ints[TRIANGLE, lane]
-            distances[tile * LANES + lane] = packet[FAR, lane]
-    return triangles, distances

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.map.panoramas import AZIMUTHS, STEP
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.geometry import between
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.map.panoramas import AZIMUTHS, STEP
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 from placegraph.indoor.pose.particles import distinct
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.indoor.rays import bvh, embree
 from placegraph.indoor.rays.layout import LANES, NONE
-from placegraph.indoor.rays.packets import Tracer, cast_rays
+from placegraph.indoor.rays.packets_kernels import Tracer, cast_rays
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

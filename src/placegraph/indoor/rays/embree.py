@@ -31,7 +31,7 @@ from placegraph.indoor.rays.layout import (
     U,
     V,
 )
-from placegraph.indoor.rays.packets import Tracer
+from placegraph.indoor.rays.packets_kernels import Tracer
 
 if TYPE_CHECKING:
     from pathlib import Path

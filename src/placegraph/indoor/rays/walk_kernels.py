@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from placegraph.indoor.rays.bvh import STACK
+from placegraph.indoor.rays.bvh_kernels import STACK
 from placegraph.indoor.rays.layout import DIRECTION, FAR, GEOMETRY, LANES, NEAR, ORIGIN, TRIANGLE
 from placegraph.indoor.rays.layout import U as HIT_U
 from placegraph.indoor.rays.layout import V as HIT_V

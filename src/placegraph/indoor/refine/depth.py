@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.rays.packets import Tracer
+    from placegraph.indoor.rays.packets_kernels import Tracer
     from placegraph.indoor.scene_map import SceneMap
 
 _TILE = 4

@@ -10,15 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from placegraph.indoor.rays.packets import (
-    DIRECTION,
-    FAR,
-    LANES,
-    ORIGIN,
-    TRIANGLE,
-    new_packet,
-    trace16,
-)
+from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE
+from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

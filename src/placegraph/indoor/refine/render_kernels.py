@@ -14,18 +14,8 @@ import numpy as np
 from numba import njit
 
 from placegraph.indoor.map.surface import Surface  # noqa: TC001  # mypy reads the fields
-from placegraph.indoor.rays.packets import (
-    DIRECTION,
-    FAR,
-    LANES,
-    ORIGIN,
-    TRIANGLE,
-    Tracer,
-    U,
-    V,
-    new_packet,
-    trace16,
-)
+from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
+from placegraph.indoor.rays.packets_kernels import Tracer, new_packet, trace16
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

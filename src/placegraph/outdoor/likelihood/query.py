@@ -17,7 +17,8 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.likelihood.fit_kernels import TABLE, direction_table
-from placegraph.outdoor.likelihood.match import ME, Statements
+from placegraph.outdoor.likelihood.match import Statements
+from placegraph.outdoor.likelihood.match_kernels import ME
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

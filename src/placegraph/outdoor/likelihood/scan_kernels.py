@@ -14,9 +14,10 @@ from placegraph.outdoor.likelihood.fit_kernels import (
     direction_fit,
     distance_fit,
 )
-from placegraph.outdoor.likelihood.match import HOPELESS, ME, SLACK, in_sight, likelihoods
-from placegraph.outdoor.map.index import SIGHT, join_boxes, pack_box, unpack_box
-from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph.outdoor.likelihood.match_kernels import HOPELESS, ME, SLACK, in_sight, likelihoods
+from placegraph.outdoor.map.index import SIGHT
+from placegraph.outdoor.map.index_kernels import join_boxes, pack_box, unpack_box
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 COARSE, FINE = 20.0, 5.0
 """Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""

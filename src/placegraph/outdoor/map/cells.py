@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.map.raster import Grid, Sightings, nearest_on_parts, sightings
+from placegraph.outdoor.map.raster import Grid, Sightings, sightings
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

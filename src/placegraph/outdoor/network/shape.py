@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from placegraph.outdoor.network.labels import BUCKETS
+from placegraph.outdoor.network.labels_kernels import BUCKETS
 from placegraph.outdoor.network.network_kernels import LITERAL
-from placegraph.outdoor.network.relations import CHANNELS
+from placegraph.outdoor.network.relations_kernels import CHANNELS
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, MapError
-from placegraph.outdoor.network.graphs import MOST_THINGS, REACH
-from placegraph.outdoor.network.labels import BUCKETS, LONGEST, SHORTEST
-from placegraph.outdoor.network.relations import CHANNELS
+from placegraph.outdoor.network.graphs_kernels import MOST_THINGS, REACH
+from placegraph.outdoor.network.labels_kernels import BUCKETS, LONGEST, SHORTEST
+from placegraph.outdoor.network.relations_kernels import CHANNELS
 from placegraph.outdoor.network.shape import Shape
 from placegraph.store import read_header, read_map, write_map
 from placegraph.weights import arrays_of, digest, halves, rounded

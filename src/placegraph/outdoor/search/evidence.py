@@ -12,7 +12,7 @@ from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation,
 from placegraph.outdoor.likelihood import scan_kernels as scan
 from placegraph.outdoor.likelihood.query import ends
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor.likelihood import scan_kernels as scan
-from placegraph.outdoor.likelihood.match import HOPELESS
+from placegraph.outdoor.likelihood.match_kernels import HOPELESS
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.search.posterior import Posterior, posterior
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.outdoor.likelihood import scan_kernels as scan
-from placegraph.outdoor.likelihood.match import HOPELESS
+from placegraph.outdoor.likelihood.match_kernels import HOPELESS
 from placegraph.outdoor.search.viewpoints import (
     CLOSER,
     FAR_CANDIDATES,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.view.city.items import common_name
 from placegraph.view.draw.canvas import Bounds, Disc, Glow, Mark, Stroke
 from placegraph.view.draw.clip import clip_line, clip_ring

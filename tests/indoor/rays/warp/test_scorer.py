@@ -8,7 +8,8 @@ import pytest
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.likelihood.observe import noise
-from placegraph.indoor.likelihood.score import View, score_poses
+from placegraph.indoor.likelihood.score import View
+from placegraph.indoor.likelihood.score_kernels import score_poses
 from placegraph.indoor.options import Likelihood
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.warp import device as warp_device

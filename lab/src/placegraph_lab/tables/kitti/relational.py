@@ -16,7 +16,7 @@ import numpy as np
 
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.likelihood.fit_kernels import DIRECTION, INSIDE, direction_table
-from placegraph_lab.tables.kitti.kernels import between, from_speaker, nearest_owner, sighted
+from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

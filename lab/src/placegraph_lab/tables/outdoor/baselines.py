@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS, SHORTEST, Triples, encode, relations
+from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, encode, relations
+from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

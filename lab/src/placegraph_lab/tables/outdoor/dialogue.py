@@ -20,7 +20,7 @@ from placegraph.outdoor.search.ask import (
     next_question,
     possible_questions,
 )
-from placegraph_lab.tables.outdoor.nearby import holds
+from placegraph_lab.tables.outdoor.nearby_kernels import holds
 from placegraph_lab.tables.outdoor.raw import AREA, KEYS, RawCity
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, relations
 

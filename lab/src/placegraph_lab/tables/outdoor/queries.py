@@ -16,7 +16,8 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.nearby import Bins, Position
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS, SHORTEST, Triples, relations
+from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, relations
+from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
 from placegraph_lab.tables.outdoor.words import everyday, with_article
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import (
@@ -24,7 +23,7 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.map.cells import compass
 from placegraph.outdoor.map.objects import AREA, LINE
-from placegraph.outdoor.map.raster import nearest_on_parts
+from placegraph_lab.train.city.sample_kernels import _nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -324,14 +323,3 @@ def _look(city: CityMap, nearby: NDArray[np.int32], position: NDArray[np.float64
     at[around] = o.center[nearby[around]]
     close = np.where(around, np.hypot(*(at - position).T), close)
     return _Seen(nearby.astype(np.int64), at, around, close)
-
-
-@njit(cache=True, nogil=True)
-def _nearest(kind, part_starts, point_starts, points, nearby, east, north):
-    """Nearest points (n, 2) of objects, seen from a position [m]."""
-    out = np.empty((len(nearby), 2))
-    for i in range(len(nearby)):
-        o = nearby[i]
-        x, y, _ = nearest_on_parts(part_starts, point_starts, points, kind[o], o, east, north)
-        out[i] = x, y
-    return out

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from placegraph.indoor.map.surface import colour_at
+from placegraph.indoor.map.surface_kernels import colour_at
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from placegraph.indoor.map.surface import colour_at
+from placegraph.indoor.mapping.change.looks_kernels import _paint
 from placegraph.indoor.refine.render import camera_rays
 
 if TYPE_CHECKING:
@@ -22,9 +21,14 @@ if TYPE_CHECKING:
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.scene_map import SceneMap
 
+
 WIDTH = 320
 """Pictures are compared at most this wide [px]."""
+
+
 _LAYERS = 12  # surfaces of one object behind each other that are looked through
+
+
 _STEP = 1e-4  # beyond a hit the next ray starts this far on [m]
 
 
@@ -137,16 +141,6 @@ def _layer(
     return Layer(
         distance.reshape(shape), objects.astype(np.int32).reshape(shape), colour.reshape(*shape, 3)
     )
-
-
-@njit(cache=True, nogil=True)
-def _paint(surface, triangle, u, v, footprint, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Write colours of hits (N, 3)."""
-    for i in range(len(triangle)):
-        if triangle[i] >= 0:
-            out[i, 0], out[i, 1], out[i, 2] = colour_at(
-                surface, triangle[i], u[i], v[i], footprint[i]
-            )
 
 
 def _picked(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numba import njit
+
+from placegraph.indoor.mapping.simplify.groups_kernels import _grouped
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
-def groups(keys):
+def groups(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Group (N,) int32 of equal rows of keys (N, K) int64, and the first row (G,) of each.
 
     Groups are numbered in the order in which they are met.
@@ -16,32 +22,3 @@ def groups(keys):
     first = np.empty(len(keys), np.int64)
     count = _grouped(np.ascontiguousarray(keys), np.full(1 << bits, -1, np.int32), group, first)
     return group, first[:count].copy()
-
-
-@njit(cache=True, nogil=True)
-def _grouped(keys, table, group, first):
-    """Fill `group` and `first` by open addressing in `table`, whose length is a power of two."""
-    mask = np.uint64(len(table) - 1)
-    count = 0
-    for i in range(len(keys)):
-        h = np.uint64(0)
-        for k in range(keys.shape[1]):
-            h = (h ^ np.uint64(keys[i, k])) * np.uint64(0x9E3779B97F4A7C15)
-            h ^= h >> np.uint64(32)
-        at = h & mask
-        while True:
-            g = table[at]
-            if g < 0:
-                table[at] = count
-                first[count] = i
-                group[i] = count
-                count += 1
-                break
-            same = True
-            for k in range(keys.shape[1]):
-                same &= keys[first[g], k] == keys[i, k]
-            if same:
-                group[i] = g
-                break
-            at = (at + np.uint64(1)) & mask
-    return count

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """How the nodes of graphs stand to each other: soft versions of Eq. 6, for texts and for places.
 
 The four winds are Eq. 6 with a blurred diagonal: a thing that lies north-east is half north of
@@ -11,13 +12,23 @@ from numba import njit
 
 CHANNELS = ("north", "south", "east", "west", "near", "inside", "contains", "along", "present")
 """Relations of two nodes: the first is ... (of) the second. `present`: both are there."""
+
+
 NORTH, SOUTH, EAST, WEST, NEAR, INSIDE, CONTAINS, ALONG, PRESENT = range(len(CHANNELS))
+
+
 OPPOSITE = np.array([SOUTH, NORTH, WEST, EAST, NEAR, CONTAINS, INSIDE, ALONG, PRESENT])
 """Channel seen from the other end."""
+
+
 CLOSE = 12.0
 """Distance at which "near" is half true [m]."""
+
+
 BESIDE = 15.0
 """Distance to a line that counts as along it [m]."""
+
+
 POINT, LINE, AREA = 0, 1, 2
 
 

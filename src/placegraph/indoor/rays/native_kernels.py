@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Calling a C function from compiled code, by an address known at run time.
 
 An address passed as a value, not as a global, lets numba cache what calls it.

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Statements against objects with positions, for `kitti360pose_relational`: compiled."""
 
 from __future__ import annotations

@@ -1,0 +1,206 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled parts of `score`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from placegraph.indoor.map.surface_kernels import colour_at, opponent
+from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
+from placegraph.indoor.rays.packets_kernels import new_packet, trace16
+
+SEMANTIC, DEPTH, COLOUR = range(3)
+"""Columns of scores."""
+
+
+_CHUNKS = 64
+
+
+_STILL = np.float32(1e-4)  # variance below which there is no colour to compare
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
+def score_poses(tracer, surface, poses, view, noise):
+    """Scores (N, 3) float32 of poses (N, 4) float64 x, y, z [m], yaw [rad] against one view.
+
+    Columns: semantic, depth, colour; log-likelihood ratios against a place the map does not know
+    or, under ``gaussian``, the paper's scores in [0, 2] (Sec. 3.3, 3.4).
+    """
+    n = len(poses)
+    scores = np.zeros((n, 3), np.float32)
+    chunks = min(n, _CHUNKS)
+    for chunk in prange(chunks):
+        first, last = chunk * n // chunks, (chunk + 1) * n // chunks
+        _score(tracer, surface, poses, view, noise, scores, first, last)
+    return scores
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def score_few(tracer, surface, poses, view, noise):
+    """`score_poses` on one core: for a handful of poses, waking the others takes longer."""
+    scores = np.zeros((len(poses), 3), np.float32)
+    _score(tracer, surface, poses, view, noise, scores, 0, len(poses))
+    return scores
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _score(tracer, surface, poses, view, noise, scores, first, last):
+    """Fill rows `first` to `last` of scores (N, 3)."""
+    patches = len(view.weight)
+    packet, ints, valid = new_packet()
+    seen = np.zeros(patches, np.float32)
+    count = np.zeros(patches, np.float32)
+    moments = np.zeros((3, 5), np.float64)
+    for k in range(first, last):
+        seen[:] = 0.0
+        count[:] = 0.0
+        moments[:] = 0.0
+        far = np.float32(0.0)
+        readings = 0
+        coloured = 0
+        ssim = np.float32(0.0)
+        tiles = len(view.directions) // LANES
+        for tile in range(tiles):
+            aim(packet, poses[k], view.directions, tile * LANES)
+            trace16(tracer, packet, ints, valid)
+            for lane in range(LANES):
+                r = tile * LANES + lane
+                patch = view.patch[r]
+                if patch < 0:
+                    continue
+                triangle = ints[TRIANGLE, lane]
+                seen_object = view.semantic.shape[1] - 1
+                if triangle >= 0:
+                    seen_object = surface.object_of[triangle]
+                seen[patch] += view.semantic[patch, seen_object]
+                count[patch] += np.float32(1.0)
+                if view.terms[DEPTH] and view.depth[r] > 0:
+                    readings += 1
+                    if triangle >= 0 or noise.gaussian:
+                        far += _depth(packet[FAR, lane], view.depth[r], noise)
+                        far -= view.usual_depth[r]
+            if view.terms[COLOUR]:
+                hits, likeness = _colour(tile, packet, ints, surface, view, moments)
+                coloured += hits
+                ssim += likeness * hits
+        if view.terms[SEMANTIC]:
+            scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
+        samples = np.float32(0.0)
+        for patch in range(patches):
+            samples += count[patch]
+        if noise.gaussian:
+            if readings:
+                scores[k, DEPTH] = np.float32(2.0) * (np.float32(1.0) - far / readings)
+            if samples:
+                # SSIM lies in [-1, 1]; what the map does not show agrees with nothing
+                scores[k, COLOUR] = max(np.float32(0.0), np.float32(2.0) * ssim / samples)
+        else:
+            scores[k, DEPTH] = np.float32(noise.depth_weight) * far / samples
+            share = np.float32(coloured) / samples
+            scores[k, COLOUR] = (
+                np.float32(noise.colour_weight) * share * _correlation(moments, coloured)
+            )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def aim(packet, pose, directions, first):
+    """Fill a packet with the rays of one tile from one pose."""
+    c, s = np.float32(np.cos(pose[3])), np.float32(np.sin(pose[3]))
+    for lane in range(LANES):
+        x, y, z = directions[first + lane]
+        packet[ORIGIN, lane] = pose[0]
+        packet[ORIGIN + 1, lane] = pose[1]
+        packet[ORIGIN + 2, lane] = pose[2]
+        packet[DIRECTION, lane] = c * x - s * y
+        packet[DIRECTION + 1, lane] = s * x + c * y
+        packet[DIRECTION + 2, lane] = z
+        packet[FAR, lane] = np.inf
+
+
+@njit(cache=True, nogil=True, inline="always", fastmath=True)
+def _semantic(seen, count, weight, gaussian):
+    """Sum over patches of the log of their mean ratio: a patch sees its objects by their shares."""
+    total = np.float32(0.0)
+    patches = np.float32(0.0)
+    for patch in range(len(seen)):
+        if count[patch] > 0 and weight[patch] > 0:
+            patches += np.float32(1.0)
+            mean = seen[patch] / count[patch]
+            total += mean if gaussian else weight[patch] * np.log(mean)
+    if gaussian:
+        total = total / patches if patches else np.float32(0.0)
+    return total
+
+
+@njit(cache=True, nogil=True, inline="always", fastmath=True)
+def _depth(expected, measured, noise):
+    """One reading: the paper's clipped error, or a log-likelihood with Cauchy's tails."""
+    if noise.gaussian:
+        error = abs(expected - measured) / np.float32(noise.depth_clip)
+        return min(error, np.float32(1.0))
+    error = (expected - measured) / (
+        np.float32(noise.depth_floor) + np.float32(noise.depth_slope) * measured
+    )
+    cost = np.float32(noise.near_cost) if error > 0 else np.float32(noise.far_cost)
+    good = np.float32(1.0) / (np.float32(1.0) + error * error)
+    return good * np.float32(noise.depth_gain) - (np.float32(1.0) - good) * cost
+
+
+@njit(cache=True, nogil=True, inline="always", fastmath=True)
+def _colour(tile, packet, ints, surface, view, moments):
+    """Add a tile to the frame's colour moments; its hits and the SSIM of its lightness."""
+    hits = 0
+    q1 = q2 = r1 = r2 = qr = np.float32(0.0)
+    for lane in range(LANES):
+        triangle = ints[TRIANGLE, lane]
+        sample = tile * LANES + lane
+        if triangle < 0 or view.patch[sample] < 0:
+            continue
+        hits += 1
+        red, green, blue = colour_at(
+            surface,
+            triangle,
+            packet[U, lane],
+            packet[V, lane],
+            packet[FAR, lane] * np.float32(view.footprint),
+        )
+        rendered = opponent(red, green, blue)
+        for channel in range(3):
+            q, r = view.colour[sample, channel], rendered[channel]
+            moments[channel, 0] += q
+            moments[channel, 1] += r
+            moments[channel, 2] += q * q
+            moments[channel, 3] += r * r
+            moments[channel, 4] += q * r
+        q, r = view.colour[sample, 0], rendered[0]
+        q1, r1, q2, r2, qr = q1 + q, r1 + r, q2 + q * q, r2 + r * r, qr + q * r
+    if hits < 2:
+        return hits, np.float32(0.0)
+    n = np.float32(hits)
+    # Wang et al. 2004 with K1 = .01, K2 = .03; lightness runs from 0 to 3
+    c1, c2 = np.float32(9e-4), np.float32(81e-4)
+    mq, mr = q1 / n, r1 / n
+    vq, vr, cov = q2 / n - mq * mq, r2 / n - mr * mr, qr / n - mq * mr
+    ssim = (2 * mq * mr + c1) * (2 * cov + c2) / ((mq * mq + mr * mr + c1) * (vq + vr + c2))
+    return hits, ssim
+
+
+@njit(cache=True, nogil=True, inline="always", fastmath=True)
+def _correlation(moments, hits):
+    """Mean over channels of -log(1 - rho^2) / 2: what correlated colours tell, per sample [nat].
+
+    Correlation, not difference: exposure and the colour of the light are not known.
+    """
+    if hits < LANES:
+        return np.float32(0.0)
+    n = np.float32(hits)
+    total = np.float32(0.0)
+    for channel in range(3):
+        q1, r1, q2, r2, qr = moments[channel] / n
+        vq, vr = q2 - q1 * q1, r2 - r1 * r1
+        if vq > _STILL and vr > _STILL:
+            rho = (qr - q1 * r1) / np.sqrt(vq * vr)
+            rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
+            total -= np.log(np.float32(1.0) - rho * rho)
+    return total / np.float32(6.0)

@@ -1,0 +1,39 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled parts of `clumps`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+_BITS = 20  # of a cell's number along one axis
+
+
+@njit(cache=True, nogil=True)
+def _connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Root of each of ascending cells: those that touch share one."""
+    parent = np.arange(len(cells))
+    for i in range(len(cells)):
+        for dx in range(-1, 1):
+            for dy in range(-1, 2):
+                first = cells[i] + (dx << 2 * _BITS) + (dy << _BITS) - 1
+                row = np.searchsorted(cells, first)
+                while row < len(cells) and cells[row] <= first + 2:
+                    a, b = i, row
+                    while parent[a] != a:
+                        parent[a] = parent[parent[a]]
+                        a = parent[a]
+                    while parent[b] != b:
+                        parent[b] = parent[parent[b]]
+                        b = parent[b]
+                    parent[max(a, b)] = min(a, b)
+                    row += 1
+    for i in range(len(cells)):
+        parent[i] = parent[parent[i]]  # ascending: what it points to points to its root already
+    return parent

@@ -1,0 +1,350 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled parts of `match`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from placegraph.outdoor.likelihood.fit_kernels import AREA, BETWEEN, DIRECTION, me_fit, pair_fit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+ME = -1
+"""Stands for the viewpoint itself where a mention could stand."""
+
+
+HOPELESS = -1e9
+"""Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""
+
+
+SLACK = 1.5
+"""What coherence may add to a sum that looked hopeless [nat]."""
+
+
+MOST = 96
+"""At most this many objects in sight are weighed for one mention."""
+
+
+SMALL = 25.0
+"""An area one stands in still lies in the direction of its centre, if that is this near [m]."""
+
+
+LONELY = 0.5
+"""Added to what is in sight, as `crowd` is to pairs."""
+
+
+class InSight(NamedTuple):
+    """What is in sight of a viewpoint, one row a thing."""
+
+    objects: NDArray[np.int32]
+    """(n,) rows of the map's objects."""
+    at: NDArray[np.float32]
+    """(n, 2) nearest point seen from the viewpoint, east and north [m]."""
+    stands: NDArray[np.float32]
+    """(n, 2) where it stands for directions: `at`, or the centre of what one stands in [m]."""
+    lies: NDArray[np.bool_]
+    """(n,) whether it lies in any direction; what one stands in mostly does not."""
+    sight: NDArray[np.float32]
+    """(n,) how readily it is spoken of."""
+    total: float
+    """Sum of `sight`."""
+    pairs: float
+    """Sum of `sight` products over ordered pairs of things that one does not stand in."""
+    blur: float
+    """Square of how uncertain the viewpoint itself is [m^2]."""
+
+
+class Fits(NamedTuple):
+    """Which things in sight each mention may stand for."""
+
+    many: NDArray[np.int64]
+    """(M,) number of them."""
+    who: NDArray[np.int32]
+    """(M, MOST) rows of `InSight`."""
+    fit: NDArray[np.float32]
+    """(M, MOST) how well the words fit, times sight."""
+    mass: NDArray[np.float32]
+    """(M,) sum of `fit`."""
+    given: NDArray[np.float32]
+    """(S, 2, MOST) mass of a statement if its source, or its target, is this thing."""
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def in_sight(scene, objects, at, sight, total, pairs, blur, view):
+    """`InSight` of the viewpoint `view` (2,) [m]."""
+    stands = np.empty((len(objects), 2), np.float32)
+    lies = np.ones(len(objects), np.bool_)
+    for e in range(len(objects)):
+        stands[e] = at[e]
+        if scene.kind[objects[e]] == AREA and at[e, 0] == 0.0 and at[e, 1] == 0.0:
+            stands[e] = scene.center[objects[e]] - view
+            lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL * SMALL
+    return InSight(objects, at, stands, lies, sight, total, pairs, blur)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _recognise(scene, words, seen, n_statements):
+    """`Fits` of all mentions; `words` (T, M) is how well a token fits a mention."""
+    n_mentions = words.shape[1]
+    many = np.zeros(n_mentions, np.int64)
+    who = np.empty((n_mentions, MOST), np.int32)
+    fit = np.empty((n_mentions, MOST), np.float32)
+    mass = np.zeros(n_mentions, np.float32)
+    best = np.empty(n_mentions, np.float32)
+    for e in range(len(seen.objects)):
+        o = seen.objects[e]
+        best[:] = 0.0
+        for t in range(scene.token_starts[o], scene.token_starts[o + 1]):
+            token, weight = scene.token_values[t], scene.token_weights[t]
+            for m in range(n_mentions):
+                best[m] = max(best[m], words[token, m] * weight)
+        for m in range(n_mentions):
+            if best[m] > 0.0 and many[m] < MOST:
+                who[m, many[m]], fit[m, many[m]] = e, best[m] * seen.sight[e]
+                mass[m] += fit[m, many[m]]
+                many[m] += 1
+    return Fits(many, who, fit, mass, np.zeros((n_statements, 2, MOST), np.float32))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def likelihoods(statements, scene, words, seen, far, together, least, out, served):
+    """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
+
+    The sum also rewards that one object serves all statements about a mention. `seen` is what is
+    `InSight`, `far` (S,) what distant objects add, `together` the prior probability that a mention
+    means one and the same object throughout. Gives up, with `HOPELESS`, once the sum cannot reach `least`.
+    `served` (S, 2) gets the best source and target, -1 for none; leave it empty to skip that.
+    """
+    fits = _recognise(scene, words, seen, len(statements.op))
+    hope = 0.0
+    for s in range(len(statements.op)):
+        out[s] = _ceiling(statements, s, seen, fits, far[s])
+        hope += out[s]
+    for s in range(len(statements.op)):
+        if hope + SLACK < least:
+            return HOPELESS
+        hope -= out[s]
+        out[s] = _ratio(statements, s, scene, seen, fits, far[s])
+        hope += out[s]
+    hope += _coherence(statements, fits, together)
+    if len(served):
+        _assign(statements, scene, seen, fits, served)
+    return hope
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _ceiling(statements, s, seen, fits, far):
+    """Log-likelihood ratio that a statement has if geometry is on its side."""
+    a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
+    if statements.negated[s]:
+        return 0.0
+    if statements.op[s] == BETWEEN:
+        return np.log((1.0 - noise) / statements.background[s] + noise)
+    if a == ME or b == ME:
+        m = b if a == ME else a
+        p = 0.0 if m == ME else fits.mass[m] / (seen.total + LONELY)
+    else:
+        p = fits.mass[a] * fits.mass[b] / (seen.pairs + statements.crowd)
+    p = min(1.0, p + far) * (1.5 if statements.number[s] > 0.0 else 1.0)
+    return np.log((1.0 - noise) * p / statements.background[s] + noise)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _ratio(statements, s, scene, seen, fits, far):
+    """Log-likelihood ratio of one statement."""
+    op, a, b = statements.op[s], statements.source[s], statements.target[s]
+    expected = 0.0
+    if op == BETWEEN:
+        p = _between(statements, s, seen, fits) / (seen.pairs * seen.total + statements.crowd)
+    elif a == ME or b == ME:
+        expected = _of_me(statements, s, scene, seen, fits)
+        p = expected / (seen.total + LONELY)
+    else:
+        expected = _of_pair(statements, s, scene, seen, fits)
+        p = expected / (seen.pairs + statements.crowd)
+    p = min(1.0, p + far)
+    noise = statements.noise[s]
+    if statements.negated[s]:
+        absent = 1.0 - p if op == BETWEEN else np.exp(-2.0 * expected)
+        return np.log((1.0 - noise) * absent + noise)
+    if statements.number[s] > 0.0 and expected > 0.0:
+        k = statements.number[s]
+        z = (expected - k) / (0.4 * k + 0.6)
+        p *= 0.3 + 1.2 * np.exp(-0.5 * z * z)
+    return np.log((1.0 - noise) * p / statements.background[s] + noise)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _of_me(statements, s, scene, seen, fits):
+    """Mass of a statement about a thing and the speaker: how many such things are expected."""
+    op, forward = statements.op[s], statements.target[s] == ME
+    m = statements.source[s] if forward else statements.target[s]
+    ux, uy = statements.bearing[s]
+    where = seen.stands if op == DIRECTION else seen.at
+    mass = 0.0
+    for i in range(fits.many[m] if m != ME else 0):
+        e = fits.who[m, i]
+        if op == DIRECTION and not seen.lies[e]:
+            continue
+        p = me_fit(
+            op, statements.table[s], ux, uy, statements.distance[s],
+            where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward, seen.blur,
+        )  # fmt: skip
+        fits.given[s, 0, i] = p
+        mass += fits.fit[m, i] * p
+    return mass
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _of_pair(statements, s, scene, seen, fits):
+    """Mass of a statement about two things."""
+    op, a, b = statements.op[s], statements.source[s], statements.target[s]
+    ux, uy = statements.bearing[s]
+    table, said = statements.table[s], statements.distance[s]
+    where = seen.stands if op == DIRECTION else seen.at
+    mass = 0.0
+    for i in range(fits.many[a]):
+        ea = fits.who[a, i]
+        if op == DIRECTION and not seen.lies[ea]:
+            continue
+        for j in range(fits.many[b]):
+            eb = fits.who[b, j]
+            if ea == eb or (op == DIRECTION and not seen.lies[eb]):
+                continue
+            kind = scene.kind[seen.objects[eb]]
+            p = pair_fit(
+                op,
+                table,
+                ux,
+                uy,
+                said,
+                where[ea, 0],
+                where[ea, 1],
+                where[eb, 0],
+                where[eb, 1],
+                kind,
+            )
+            fits.given[s, 0, i] += fits.fit[b, j] * p
+            fits.given[s, 1, j] += fits.fit[a, i] * p
+            mass += fits.fit[a, i] * fits.fit[b, j] * p
+    return mass
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _between(statements, s, seen, fits):
+    """Mass of "the source lies between two targets"; the source may be the viewpoint."""
+    a, b, c = statements.source[s], statements.target[s], statements.target2[s]
+    mass = 0.0
+    if b == ME or c == ME:
+        return mass
+    for k in range(1 if a == ME else fits.many[a]):
+        ax = ay = np.float32(0.0)
+        wa = np.float32(1.0)
+        if a != ME:
+            ax, ay = seen.at[fits.who[a, k], 0], seen.at[fits.who[a, k], 1]
+            wa = fits.fit[a, k]
+        for i in range(fits.many[b]):
+            bx, by = seen.at[fits.who[b, i], 0] - ax, seen.at[fits.who[b, i], 1] - ay
+            for j in range(fits.many[c]):
+                if fits.who[b, i] == fits.who[c, j]:
+                    continue
+                cx, cy = seen.at[fits.who[c, j], 0] - ax, seen.at[fits.who[c, j], 1] - ay
+                lengths = np.sqrt((bx * bx + by * by) * (cx * cx + cy * cy)) + np.float32(1.0)
+                opposite = 0.5 - 0.5 * (bx * cx + by * cy) / lengths
+                mass += wa * fits.fit[b, i] * fits.fit[c, j] * opposite**4
+    return mass
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _posterior(statements, m, fits, posterior):
+    """P(thing | all statements about mention m), unnormalised, into `posterior`; returns the gain.
+
+    The gain is how much more likely the statements are if one object serves them all than if each
+    has its own: sum over objects of P(object) prod P(s | object) / P(s).
+    """
+    many, fit, given = fits.many[m], fits.fit[m], fits.given
+    for i in range(many):
+        posterior[i] = fit[i] / fits.mass[m]
+    n_about = 0
+    for s in range(len(statements.op)):
+        if statements.negated[s] or statements.op[s] == BETWEEN:
+            continue
+        for side in range(2):
+            end = statements.source[s] if side == 0 else statements.target[s]
+            other = statements.target[s] if side == 0 else statements.source[s]
+            if end != m:
+                continue
+            row = 0 if other == ME else side
+            mean = np.float32(0.0)
+            for i in range(many):
+                mean += fit[i] / fits.mass[m] * given[s, row, i]
+            if mean < 1e-3:
+                continue
+            n_about += 1
+            for i in range(many):
+                posterior[i] *= (given[s, row, i] + np.float32(0.1) * mean) / (
+                    np.float32(1.1) * mean
+                )
+    gain = np.float32(0.0)
+    for i in range(many):
+        gain += posterior[i]
+    return gain if n_about > 1 else np.float32(1.0)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _coherence(statements, fits, together):
+    """Log of the gain that mentions mean one object throughout, with prior probability `together`."""
+    posterior = np.empty(MOST, np.float32)
+    log_gain = 0.0
+    for m in range(len(fits.many)):
+        if fits.many[m] > 1:
+            gain = _posterior(statements, m, fits, posterior)
+            log_gain += np.log(1.0 - together + together * gain)
+    return log_gain
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _assign(statements, scene, seen, fits, served):
+    """One assignment for all statements: each mention its most probable object, then the best pairs."""
+    weight = np.ones((len(fits.many), MOST), np.float32)
+    for m in range(len(fits.many)):
+        if fits.many[m]:
+            _posterior(statements, m, fits, weight[m])
+    for s in range(len(statements.op)):
+        op, a, b = statements.op[s], statements.source[s], statements.target[s]
+        served[s] = -1
+        if op == BETWEEN:
+            a, b = statements.target[s], statements.target2[s]
+        if a == ME or b == ME:
+            m = b if a == ME else a
+            best = np.float32(0.0)
+            for i in range(fits.many[m] if m != ME else 0):
+                p = weight[m, i] * (fits.given[s, 0, i] + np.float32(1e-6))
+                if p > best:
+                    best = p
+                    served[s, 0] = seen.objects[fits.who[m, i]]
+            continue
+        where = seen.stands if op == DIRECTION else seen.at
+        ux, uy = statements.bearing[s]
+        best = np.float32(0.0)
+        for i in range(fits.many[a]):
+            ea = fits.who[a, i]
+            for j in range(fits.many[b]):
+                eb = fits.who[b, j]
+                if ea == eb or (op == DIRECTION and not (seen.lies[ea] and seen.lies[eb])):
+                    continue
+                p = weight[a, i] * weight[b, j]
+                if op != BETWEEN:
+                    p *= pair_fit(
+                        op, statements.table[s], ux, uy, statements.distance[s],
+                        where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1],
+                        scene.kind[seen.objects[eb]],
+                    )  # fmt: skip
+                if p > best:
+                    best = p
+                    served[s, 0], served[s, 1] = seen.objects[ea], seen.objects[eb]

@@ -1,0 +1,131 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled parts of `raster`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+AREA = 2
+
+
+@njit(cache=True, nogil=True)
+def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
+    """Vector from (east, north) to the nearest point of object `row`, and its square [m^2]."""
+    best = np.inf
+    best_e = best_n = 0.0
+    inside = False
+    for part in range(part_starts[row], part_starts[row + 1]):
+        a, b = point_starts[part], point_starts[part + 1]
+        x0, y0 = points[a, 0] - east, points[a, 1] - north
+        if b - a == 1:
+            d = x0 * x0 + y0 * y0
+            if d < best:
+                best, best_e, best_n = d, x0, y0
+        for i in range(a + 1, b):
+            x1, y1 = points[i, 0] - east, points[i, 1] - north
+            dx, dy = x1 - x0, y1 - y0
+            length2 = dx * dx + dy * dy
+            t = 0.0 if length2 == 0.0 else -(x0 * dx + y0 * dy) / length2
+            t = min(1.0, max(0.0, t))
+            px, py = x0 + t * dx, y0 + t * dy
+            d = px * px + py * py
+            if d < best:
+                best, best_e, best_n = d, px, py
+            if kind == AREA and (y0 > 0.0) != (y1 > 0.0) and x0 + (0.0 - y0) / (y1 - y0) * dx > 0.0:
+                inside = not inside
+            x0, y0 = x1, y1
+    if inside:
+        return 0.0, 0.0, 0.0
+    return best_e, best_n, best
+
+
+@njit(cache=True, nogil=True)
+def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity):
+    east0, north0, stride, columns, n_rows = grid
+    at = np.empty(capacity, np.int64)
+    who = np.empty(capacity, np.int32)
+    where = np.empty((capacity, 2), np.float32)
+    used = 0
+    best = np.empty(64, np.float64)
+    near = np.empty((64, 2), np.float32)
+    crossings = np.empty(64, np.float64)
+    r2 = radius * radius
+    for row in rows:
+        a, b = point_starts[part_starts[row]], point_starts[part_starts[row + 1]]
+        if b == a:
+            continue
+        w = e = points[a, 0]
+        s = n = points[a, 1]
+        for i in range(a + 1, b):
+            w, e = min(w, points[i, 0]), max(e, points[i, 0])
+            s, n = min(s, points[i, 1]), max(n, points[i, 1])
+        c0 = max(0, int(np.ceil((w - radius - east0) / stride)))
+        c1 = min(columns - 1, int(np.floor((e + radius - east0) / stride)))
+        r0 = max(0, int(np.ceil((s - radius - north0) / stride)))
+        r1 = min(n_rows - 1, int(np.floor((n + radius - north0) / stride)))
+        if c1 < c0 or r1 < r0:
+            continue
+        width, height = c1 - c0 + 1, r1 - r0 + 1
+        if width * height > len(best):
+            best = np.empty(2 * width * height, np.float64)
+            near = np.empty((2 * width * height, 2), np.float32)
+        best[: width * height] = np.inf
+        # segments reach the grid points around them
+        for part in range(part_starts[row], part_starts[row + 1]):
+            i0, i1 = point_starts[part], point_starts[part + 1]
+            for i in range(i0, max(i0 + 1, i1 - 1)):
+                j = min(i + 1, i1 - 1)
+                x0, y0, x1, y1 = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
+                dx, dy = x1 - x0, y1 - y0
+                length2 = dx * dx + dy * dy
+                ca = max(c0, int(np.ceil((min(x0, x1) - radius - east0) / stride)))
+                cb = min(c1, int(np.floor((max(x0, x1) + radius - east0) / stride)))
+                ra = max(r0, int(np.ceil((min(y0, y1) - radius - north0) / stride)))
+                rb = min(r1, int(np.floor((max(y0, y1) + radius - north0) / stride)))
+                for r in range(ra, rb + 1):
+                    gy = north0 + r * stride
+                    for c in range(ca, cb + 1):
+                        gx = east0 + c * stride
+                        t = 0.0 if length2 == 0.0 else ((gx - x0) * dx + (gy - y0) * dy) / length2
+                        t = min(1.0, max(0.0, t))
+                        px, py = x0 + t * dx - gx, y0 + t * dy - gy
+                        d = px * px + py * py
+                        k = (r - r0) * width + c - c0
+                        if d < best[k]:
+                            best[k] = d
+                            near[k, 0], near[k, 1] = px, py
+        # scan lines fill areas
+        if kind[row] == AREA:
+            for r in range(
+                max(r0, int(np.ceil((s - north0) / stride))),
+                min(r1, int(np.floor((n - north0) / stride))) + 1,
+            ):
+                gy = north0 + r * stride
+                count = 0
+                for part in range(part_starts[row], part_starts[row + 1]):
+                    for i in range(point_starts[part], point_starts[part + 1] - 1):
+                        y0, y1 = points[i, 1], points[i + 1, 1]
+                        if (y0 > gy) != (y1 > gy):
+                            if count == len(crossings):
+                                crossings = np.concatenate((crossings, crossings))
+                            crossings[count] = points[i, 0] + (gy - y0) / (y1 - y0) * (
+                                points[i + 1, 0] - points[i, 0]
+                            )
+                            count += 1
+                crossings[:count].sort()
+                for k in range(0, count - 1, 2):
+                    ca = max(c0, int(np.ceil((crossings[k] - east0) / stride)))
+                    cb = min(c1, int(np.floor((crossings[k + 1] - east0) / stride)))
+                    for c in range(ca, cb + 1):
+                        best[(r - r0) * width + c - c0] = 0.0
+                        near[(r - r0) * width + c - c0] = 0.0
+        for r in range(height):
+            for c in range(width):
+                if best[r * width + c] <= r2:
+                    if used < capacity:
+                        at[used] = (r + r0) * columns + c + c0
+                        who[used] = row
+                        where[used] = near[r * width + c]
+                    used += 1
+    return at, who, where, used
