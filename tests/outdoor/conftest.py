@@ -1,6 +1,5 @@
 """Cities to be lost in: drawn in ASCII, given in metres, and real ones."""
 
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -16,18 +15,6 @@ from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.viewpoints import TOGETHER
 
 PLANE = LocalPlane(10.0, 50.0)
-
-
-def _forget_stale_kernels():
-    """Drop compiled code older than any kernel: numba looks only at the file of the caller."""
-    folder = Path(scan.__file__).parent
-    newest = max(p.stat().st_mtime for p in folder.glob("*.py") if "njit" in p.read_text("utf-8"))
-    for cached in (folder / "__pycache__").glob("*.nb[ic]"):
-        if cached.stat().st_mtime < newest:
-            cached.unlink(missing_ok=True)
-
-
-_forget_stale_kernels()
 
 
 def _xml(kind, i, attributes, inner, tags):

@@ -8,12 +8,13 @@ multiplied by the steps. Everything is numpy arrays; shapes: C rows, D numbers, 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 _FAST = {"reassoc", "contract", "nsz"}  # sums in any order; infinity keeps its meaning
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _dot(row, query):
     total = np.float32(0.0)
     for d in range(len(query)):
@@ -21,7 +22,7 @@ def _dot(row, query):
     return total
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _inside(position, box):
     """Whether longitude and latitude lie in west, south, east, north, edges included."""
     west, south, east, north = box
@@ -32,7 +33,7 @@ def _inside(position, box):
     return west <= position[0] <= east
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _scan(rows, ids, positions, box, query, found, similarity, filled):
     """Put rows into the `filled` best so far, best first, equal ones by id; how many there are."""
     n = len(found)
@@ -56,7 +57,7 @@ def _scan(rows, ids, positions, box, query, found, similarity, filled):
     return filled
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_all(rows, ids, positions, box, queries, found, similarity):
     """Exact neighbours: every row with every query.
 
@@ -67,7 +68,7 @@ def search_all(rows, ids, positions, box, queries, found, similarity):
         _scan(rows, ids, positions, box, queries[q], found[q], similarity[q], 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_lists(rows, ids, starts, centers, center_queries, probes, queries, found, similarity):
     """Neighbours among the rows of the `probes` lists whose centres are nearest to the query.
 

@@ -1,28 +1,13 @@
 """Networks of random weights, texts and places to read."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.network import network_kernels as kernels
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.shape import Shape
 from placegraph_lab.train.city.sample import Speaker
-
-
-def _forget_stale_kernels():
-    """Drop compiled code older than any kernel: numba looks only at the file of the caller."""
-    folder = Path(kernels.__file__).parent
-    newest = max(p.stat().st_mtime for p in folder.glob("*.py") if "njit" in p.read_text("utf-8"))
-    for cached in (folder / "__pycache__").glob("*.nb[ic]"):
-        if cached.stat().st_mtime < newest:
-            cached.unlink(missing_ok=True)
-
-
-_forget_stale_kernels()
 
 SMALL = Shape(width=16, dimension=12, heads=2, layers=2, crossings=2, evidence=8)
 

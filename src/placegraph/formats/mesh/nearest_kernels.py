@@ -6,19 +6,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _key(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number of a cell; cells that share it cost time, not truth."""
     return (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search(
     points: NDArray[np.float64],
     among: NDArray[np.float64],

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def look_for(objects, ranges, slot, level, slots):
     """Where things are seen from each position.
 
@@ -34,7 +36,7 @@ def look_for(objects, ranges, slot, level, slots):
     return near, at, cut
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def look_around_for(objects, ranges, weight, fit):
     """How well (K, A) what is seen in each direction is the thing: the best of `weight` x `fit`.
 
@@ -51,7 +53,7 @@ def look_around_for(objects, ranges, weight, fit):
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def turned(profile, shift, window):
     """Best of a profile (K, A) around each heading (K, A), turned by `shift` bins.
 
@@ -71,7 +73,7 @@ def turned(profile, shift, window):
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def vote_rooms(objects, ranges, room, weight, rooms):
     """Share (K, rooms) of what is seen that is of each room; `weight`: (256,) by range."""
     count, bands, azimuths = objects.shape

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from placegraph.compiled import kernel
 
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another
@@ -17,7 +19,7 @@ SLIP = 1.0
 """What being at the next place, or turned by one bin more, costs [nat]."""
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def best_cosines(cosines, code, starts, weight):
     """Sum over words of weight (W,) times the best of cosines (W, U) over each scene's objects.
 
@@ -36,7 +38,7 @@ def best_cosines(cosines, code, starts, weight):
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def held(ratio, code, share, starts, weight, wrong):
     """Log-likelihood (S,) of words with weights (W,) in each scene, a mixture of its objects.
 
@@ -53,7 +55,7 @@ def held(ratio, code, share, starts, weight, wrong):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def mixtures(ratio, code, share, starts, chosen):
     """How much likelier words are in chosen units (C,) than anywhere (C, W); as of `held`."""
     out = np.empty((len(chosen), ratio.shape[1]), np.float32)
@@ -62,7 +64,7 @@ def mixtures(ratio, code, share, starts, chosen):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _mixture(ratio, code, share, first, last):
     words = ratio.shape[1]
     mean = np.zeros(words, np.float32)
@@ -73,7 +75,7 @@ def _mixture(ratio, code, share, first, last):
     return mean
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def add_told(told, bin_of, word, weight, logs):
     """Add weight (P,) times what the words (P,) of patches tell, rows of logs (W, O), to their bins."""
     for i in range(len(word)):
@@ -82,7 +84,7 @@ def add_told(told, bin_of, word, weight, logs):
             row[o] += share * said[o]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def along_ways(
     told, bin_turn, bin_band, frame_starts, chosen, object_starts, code, panoramas, place_starts,
     places, steps, unknown,
@@ -160,7 +162,7 @@ def along_ways(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _neighbours(places):
     """Rows (P, NEIGHBOURS) of the places nearest to each, itself first; -1 where there are fewer."""
     count = len(places)
@@ -178,7 +180,7 @@ def _neighbours(places):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _blurred(score, near):
     """Best of scores (P, turns) at each place and heading, or one place or bin beside it."""
     count, turns = score.shape

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
@@ -20,7 +21,7 @@ _CHUNKS = 64
 _STILL = np.float32(1e-4)  # variance below which there is no colour to compare
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def score_poses(tracer, surface, poses, view, noise):
     """Scores (N, 3) float32 of poses (N, 4) float64 x, y, z [m], yaw [rad] against one view.
 
@@ -36,7 +37,7 @@ def score_poses(tracer, surface, poses, view, noise):
     return scores
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def score_few(tracer, surface, poses, view, noise):
     """`score_poses` on one core: for a handful of poses, waking the others takes longer."""
     scores = np.zeros((len(poses), 3), np.float32)
@@ -44,7 +45,7 @@ def score_few(tracer, surface, poses, view, noise):
     return scores
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _score(tracer, surface, poses, view, noise, scores, first, last):
     """Fill rows `first` to `last` of scores (N, 3)."""
     patches = len(view.weight)
@@ -103,7 +104,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
             )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def aim(packet, pose, directions, first):
     """Fill a packet with the rays of one tile from one pose."""
     c, s = np.float32(np.cos(pose[3])), np.float32(np.sin(pose[3]))
@@ -118,7 +119,7 @@ def aim(packet, pose, directions, first):
         packet[FAR, lane] = np.inf
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _semantic(seen, count, weight, gaussian):
     """Sum over patches of the log of their mean ratio: a patch sees its objects by their shares."""
     total = np.float32(0.0)
@@ -133,7 +134,7 @@ def _semantic(seen, count, weight, gaussian):
     return total
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _depth(expected, measured, noise):
     """One reading: the paper's clipped error, or a log-likelihood with Cauchy's tails."""
     if noise.gaussian:
@@ -147,7 +148,7 @@ def _depth(expected, measured, noise):
     return good * np.float32(noise.depth_gain) - (np.float32(1.0) - good) * cost
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _colour(tile, packet, ints, surface, view, moments):
     """Add a tile to the frame's colour moments; its hits and the SSIM of its lightness."""
     hits = 0
@@ -186,7 +187,7 @@ def _colour(tile, packet, ints, surface, view, moments):
     return hits, ssim
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _correlation(moments, hits):
     """Mean over channels of -log(1 - rho^2) / 2: what correlated colours tell, per sample [nat].
 

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 _LOOK = 64  # vertices of more triangles than this are walked around as the triangles lie
 
 
-@njit(cache=True)
+@kernel
 def code(rows, codes):
     """Write how far each row (N,) is below the number of those met in order so far."""
     high = 0
@@ -18,7 +19,7 @@ def code(rows, codes):
         high += rows[i] == high
 
 
-@njit(cache=True)
+@kernel
 def fan_order(corners, vertices):
     """Order (T,) of triangles (T, 3), new number (V,) of each vertex or -1, and how many are used.
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
@@ -52,7 +53,7 @@ _SCALE = np.array([85.0, 127.0, 63.0], np.float32)
 _SHIFT = np.array([0.0, 127.0, 127.0], np.float32)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def look_around(tracer, surface, points, directions, objects):
     """Panoramas from points (K, 3)."""
     n = len(points)
@@ -95,7 +96,7 @@ def look_around(tracer, surface, points, directions, objects):
     return Panoramas(seen, ranges, colours)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def scan_headings(panoramas, mapped, patch, band, azimuth, semantic, depth, colour, colour_weight):
     """Log-likelihood (K, A): for each sample, its bin's column turned through all headings."""
     n = len(panoramas.objects)
@@ -161,7 +162,7 @@ def scan_headings(panoramas, mapped, patch, band, azimuth, semantic, depth, colo
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _add_correlation(total, hits, m, weight):
     """Add what the colours tell (`score._correlation`) to all headings of one position."""
     for a in range(AZIMUTHS):
@@ -179,7 +180,7 @@ def _add_correlation(total, hits, m, weight):
         total[a] += weight * n * told / np.float32(6.0)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def add_moved(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
     """Add to each pose of the reference frame what `scan` says of it moved by `step`."""
     _, nx, ny = index.shape

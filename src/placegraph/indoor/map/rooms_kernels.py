@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 _MOST_SAMPLES = 512  # along an edge of a triangle
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cut(corners, kinds, heights, origin, cell, found):
     """Draw where triangles (T, 3 corners, 3) meet level planes (K,).
 
@@ -39,7 +40,7 @@ def cut(corners, kinds, heights, origin, cell, found):
                 _line(ends, np.uint32(1 << k), plane)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _line(ends, bit, plane):
     """Set a bit in every cell on the way from one end to the other, in steps of half a cell."""
     dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
@@ -50,7 +51,7 @@ def _line(ends, bit, plane):
             plane[x, y] |= bit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cover(corners, chosen, origin, cell, covered):
     """Mark the cells whose centre lies under or over one of the chosen triangles (T, 3, 3)."""
     nx, ny = covered.shape
@@ -74,7 +75,7 @@ def cover(corners, chosen, origin, cell, covered):
                     covered[x, y] = True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest(mask, reach):
     """Squared distance [cells2] of every cell to the nearest one of a mask, and its number x ny + y.
 
@@ -118,7 +119,7 @@ def nearest(mask, reach):
     return squared, number
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -126,7 +127,7 @@ def _root(parent, i):
     return i
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def flood(width, order, least, narrow, door, narrow_door):
     """Basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
 
@@ -196,7 +197,7 @@ _X = np.array([1, -1, 0, 0, 1, 1, -1, -1])
 _Y = np.array([0, 0, 1, -1, 1, -1, 1, -1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pieces(mask):
     """Number the 8-connected parts of a mask (nx, ny) from 0 on; -1 outside of it."""
     nx, ny = mask.shape
@@ -223,7 +224,7 @@ def pieces(mask):
     return part, count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def areas_within(corners, areas, object_of, origin, cell, rooms, votes):
     """Add the area [m2] of triangles (T, 3, 3) that lies in each room to `votes` (N, R + 1).
 

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def chart_of(triangles, vertices):
     """Lowest vertex (V,) of the connected part, joined by triangles (T, 3), of each vertex."""
     root = np.arange(vertices)
@@ -26,7 +27,7 @@ def chart_of(triangles, vertices):
     return root
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def colour_at(surface, triangle, u, v, footprint):
     """Colour in sRGB (3 floats, 0 to 1) at barycentrics u, v of a triangle.
 
@@ -60,7 +61,7 @@ def colour_at(surface, triangle, u, v, footprint):
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def opponent(red, green, blue):
     """Lightness and two chromaticities (3 floats) that a lamp's brightness leaves alone."""
     total = red + green + blue

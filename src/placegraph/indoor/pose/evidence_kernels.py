@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.likelihood.score_kernels import aim
 from placegraph.indoor.rays.packets import FAR, LANES, TRIANGLE
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.rays.packets_kernels import Tracer
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def look(
     tracer: Tracer, pose: NDArray[np.float64], directions: NDArray[np.float32]
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

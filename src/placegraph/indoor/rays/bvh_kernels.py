@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 BINS = 16
 """Bins an axis, at most, when a split is sought."""
@@ -25,7 +26,7 @@ DEEP = 40
 STACK = 72
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _boxes(vertices, triangles):
     """(T, 6) low x y z, high x y z."""
     boxes = np.empty((len(triangles), 6), np.float32)
@@ -38,7 +39,7 @@ def _boxes(vertices, triangles):
     return boxes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _fill(vertices, triangles, order, corners, rows):
     for slot in range(len(order)):
         row = order[slot]
@@ -48,7 +49,7 @@ def _fill(vertices, triangles, order, corners, rows):
         rows[12 * slot + 9] = row
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _half_area(box):
     x = np.float64(box[3] - box[0])
     y = np.float64(box[4] - box[1])
@@ -56,27 +57,27 @@ def _half_area(box):
     return x * y + y * z + z * x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _clear(box):
     for k in range(3):
         box[k] = np.inf
         box[k + 3] = -np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _grow(box, other):
     for k in range(3):
         box[k] = min(box[k], other[k])
         box[k + 3] = max(box[k + 3], other[k + 3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _bin(box, axis, low, scale, n_bins):
     """Bin of a box by (twice) its centre."""
     return min(n_bins - 1, int((box[axis] + box[axis + 3] - low[axis]) * scale[axis]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _best_split(boxes, start, stop, low, scale, n_bins, bins, counts, right):
     """Cost (areas times numbers), axis (-1: none) and first right bin of the best split."""
     for axis in range(3):
@@ -113,7 +114,7 @@ def _best_split(boxes, start, stop, low, scale, n_bins, bins, counts, right):
     return best, best_axis, best_bin
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _partition(boxes, order, start, stop, axis, at, low, scale, n_bins):
     """Bring triangles of bins before `at` to the front; returns where the others start."""
     i, j = start, stop - 1
@@ -128,7 +129,7 @@ def _partition(boxes, order, start, stop, axis, at, low, scale, n_bins):
     return i
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _split_all(boxes, order, nodes, links):
     """Split [0, T) into leaves, sorting `boxes` and `order`; returns the number of nodes."""
     bins = np.empty((3, BINS, 6), np.float32)

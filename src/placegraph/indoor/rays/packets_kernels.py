@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.rays.layout import (
     DIRECTION,
     FAR,
@@ -47,7 +47,7 @@ class Tracer(NamedTuple):
     """The tree (`bvh.Bvh`); of one element each where Embree traces."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def new_packet() -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
     """Aligned packet (21, 16) float32, the same memory as int32, and the valid mask (16,) int32."""
     floats = np.zeros((ROWS + 1) * LANES + LANES, np.float32)
@@ -61,7 +61,7 @@ def new_packet() -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int
     return packet, ints, valid
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def trace16(
     tracer: Tracer,
     packet: NDArray[np.float32],
@@ -95,7 +95,7 @@ def trace16(
         walk16(tracer.nodes, tracer.links, tracer.corners, tracer.rows, packet, ints, valid)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def cast_rays(
     tracer: Tracer,
     origins: NDArray[np.float32],

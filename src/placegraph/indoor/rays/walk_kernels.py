@@ -10,8 +10,8 @@ edge on which the ray passes is decided exactly. So no ray slips between two tri
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.rays.bvh_kernels import STACK
 from placegraph.indoor.rays.layout import DIRECTION, FAR, GEOMETRY, LANES, NEAR, ORIGIN, TRIANGLE
 from placegraph.indoor.rays.layout import U as HIT_U
@@ -30,7 +30,7 @@ BX, BY, BZ, DX, DY, DZ, START, BEST = range(9 * LANES, 17 * LANES, LANES)  # acr
 T, U, V, LEFT, RIGHT, STACKED = range(17 * LANES, 23 * LANES, LANES)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def walk16(nodes, links, corners, rows, packet, ints, valid):
     """Closest hits of a packet (see `packets`) with the triangles of a `Bvh`."""
     s = np.empty(STACKED + STACK * LANES, np.float32)
@@ -97,14 +97,14 @@ def walk16(nodes, links, corners, rows, packet, ints, valid):
             ints[GEOMETRY, i] = 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _reciprocal(part):
     if abs(part) < TINY:
         part = TINY if part >= 0 else -TINY
     return np.float32(1.0) / part
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _shear(s, i, x, y, z):
     """Rows A and B: a point's place across the ray, sheared along its longest part; D: its depth.
 
@@ -127,7 +127,7 @@ def _shear(s, i, x, y, z):
     s[DZ + i] = depth if along_z else zero
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _enter(s, nodes, at, row):
     """Into `row`, where each lane enters the box at `at`, or NEVER; returns how many do."""
     lx, ly, lz = nodes[at], nodes[at + 1], nodes[at + 2]
@@ -160,7 +160,7 @@ def _enter(s, nodes, at, row):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _left_first(s):
     votes = 0
     for i in range(LANES):
@@ -169,13 +169,13 @@ def _left_first(s):
     return votes >= 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _side(px, py, qx, qy):
     """On which side of the edge p q the ray passes: products of four bytes are exact in eight."""
     return np.float64(px) * np.float64(qy) - np.float64(py) * np.float64(qx)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _meet(s, corners, at):
     """Into T, U, V, where each lane meets the triangle at `at`; returns how many do nearer than BEST."""
     px, py, pz = corners[at], corners[at + 1], corners[at + 2]

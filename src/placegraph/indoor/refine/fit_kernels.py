@@ -8,13 +8,13 @@ contiguous; derivatives are by a shift [m] and a turn [rad] in map axes.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def depth_system(surfaces, shares, rotation, position, directions, depth, seen, kernel):
     """Normal equations of the depth readings of one frame at one pose.
 
@@ -77,7 +77,7 @@ def depth_system(surfaces, shares, rotation, position, directions, depth, seen, 
     return h, g, told, sums
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def add_row(h, g, j, e, w):
     """Add one residual with its derivatives (6,) to the upper half of normal equations."""
     for a in range(6):
@@ -86,7 +86,7 @@ def add_row(h, g, j, e, w):
             h[a, b] += w * j[a] * j[b]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def aim_rotated(packet, rotation, position, directions, first):
     """Fill a packet with the rays of one tile from one pose of six degrees of freedom."""
     for lane in range(LANES):
@@ -99,7 +99,7 @@ def aim_rotated(packet, rotation, position, directions, first):
         packet[FAR, lane] = np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def pixel_system(rotation, position, points, rays, sigma, focal, width):
     """Normal equations of matched points of one frame at one pose.
 
@@ -145,7 +145,7 @@ def pixel_system(rotation, position, points, rays, sigma, focal, width):
     return h, g, total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def plane_distances(surfaces, rotation, position, directions, depth):
     """Distances (R,) [m] of readings from the plane of what their rays hit, along its normal.
 
@@ -173,7 +173,7 @@ def plane_distances(surfaces, rotation, position, directions, depth):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def correlations(query, drawn, seen, at, half):
     """Zero-mean normalised correlations (N,) of windows, not below 0; NaN where the query is flat."""
     side = 2 * half + 1

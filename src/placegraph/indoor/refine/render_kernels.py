@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.map.surface import Surface  # noqa: TC001  # mypy reads the fields
 from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import Tracer, new_packet, trace16
@@ -72,7 +72,7 @@ class Picture(NamedTuple):
     points: NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def draw(world, eye, picture, first, last):
     """Fill rows 4 `first` to before 4 `last` of a picture, one ray a pixel."""
     colour, depth, points = picture.colour, picture.depth, picture.points
@@ -108,7 +108,7 @@ def draw(world, eye, picture, first, last):
                     colour[row, column, k] = np.uint8(colours[lane, k] + HALF)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def smooth(world, eye, picture, colour, offsets, first, last):
     """Draw the edges of rows `first` to before `last` anew into `colour`, as means of several rays.
 
@@ -148,7 +148,7 @@ def smooth(world, eye, picture, colour, offsets, first, last):
         mix(ints, places, colours, samples, lane, colour)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def mix(ints, places, colours, samples, lanes, colour):
     """Write the mean colour of every `samples` lanes; rays that hit nothing do not count."""
     for start in range(0, lanes, samples):
@@ -166,7 +166,7 @@ def mix(ints, places, colours, samples, lanes, colour):
             colour[row, column, 2] = np.uint8(blue / hits + HALF)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def aim(turn, origin, packet, lane, x, y):
     """Fill a lane with the ray (x, y, 1) of the camera: distances along it are depths."""
     for k in range(3):
@@ -175,7 +175,7 @@ def aim(turn, origin, packet, lane, x, y):
     packet[FAR, lane] = np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def steps(rays, row, column):
     """How a ray's x and y change from one pixel to the next: along the row, and down the column."""
     right, down = min(column + 1, rays.shape[1] - 1), min(row + 1, rays.shape[0] - 1)
@@ -191,7 +191,7 @@ def steps(rays, row, column):
 # ----------------------------------------------------------------------------------- colours
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def shade(world, eye, packet, ints, places, width, colours):
     """Colours (16, 3) float32, 0 to 255, of what the lanes of a packet hit.
 
@@ -252,13 +252,13 @@ def shade(world, eye, packet, ints, places, width, colours):
         colours[lane, 2] *= blue
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def cross(ax, ay, az, bx, by, bz):
     """Product of two vectors."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def across(turn, x, y, z):
     """Parts of a vector along the camera's x and y axes."""
     return (
@@ -267,7 +267,7 @@ def across(turn, x, y, z):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def looks(longer, shorter, deepest):
     """How to look at a texture of which a pixel covers about an ellipse of these axes [texels^2].
 
@@ -288,7 +288,7 @@ def looks(longer, shorter, deepest):
     return taps, level, part
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def filtered(levels, texels, texture, s, t, sx, tx, taps, level, part):
     """Mean colour (3 floats) of a texture around (s, t), seen by `looks` along (sx, tx).
 
@@ -324,7 +324,7 @@ def filtered(levels, texels, texture, s, t, sx, tx, taps, level, part):
 # ------------------------------------------------------------------------------------- edges
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def edges(world, picture, row, edge):
     """Mark the pixels (W,) of a row at edges whose stairs can be seen."""
     triangles, objects, colour = picture.triangles, picture.objects, picture.colour
@@ -357,7 +357,7 @@ def edges(world, picture, row, edge):
             break
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def contrast(colour, row, column, i, j):
     """Whether two pixels differ enough for stairs to be seen."""
     red = abs(int(colour[row, column, 0]) - int(colour[i, j, 0]))
@@ -366,7 +366,7 @@ def contrast(colour, row, column, i, j):
     return max(red, green, blue) >= CONTRAST
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def normal(triangles, at, triangle):
     """Unit normal (3 floats) of a triangle; zero where it has no area."""
     a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]

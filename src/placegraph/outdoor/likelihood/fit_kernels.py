@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,7 +36,7 @@ def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
     return ((1.0 - slip) * inside + slip * 0.25).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def direction_fit(table, ux, uy, dx, dy, blurred):
     """P(direction said) for a vector; one not longer than its ends are uncertain has no direction."""
     d2 = dx * dx + dy * dy
@@ -47,7 +48,7 @@ def direction_fit(table, ux, uy, dx, dy, blurred):
     return blur * table[min(TABLE - 1, max(0, index))] + (1.0 - blur) * np.float32(0.25)
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def distance_fit(said, d):
     """How well a distance d fits what was said [m]; 1 where nothing was said.
 
@@ -61,7 +62,7 @@ def distance_fit(said, d):
     return np.exp(-0.5 * z * z)
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def _close(said, d):
     """How well "near" fits a distance d [m]."""
     if said > 0.0:
@@ -69,7 +70,7 @@ def _close(said, d):
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     """P(geometry | source at a, target at b), seen from the viewpoint [m]."""
     dx, dy = ax - bx, ay - by
@@ -87,7 +88,7 @@ def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     return _close(0.0, d)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def me_fit(op, table, ux, uy, said, x, y, kind, forward, blurred):
     """P(geometry | the thing at (x, y) seen from v); `forward`: it is the source, v the target."""
     d = np.sqrt(x * x + y * y)

@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.outdoor.likelihood.fit_kernels import AREA, BETWEEN, DIRECTION, me_fit, pair_fit
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Fits(NamedTuple):
     """(S, 2, MOST) mass of a statement if its source, or its target, is this thing."""
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def in_sight(scene, objects, at, sight, total, pairs, blur, view):
     """`InSight` of the viewpoint `view` (2,) [m]."""
     stands = np.empty((len(objects), 2), np.float32)
@@ -87,7 +87,7 @@ def in_sight(scene, objects, at, sight, total, pairs, blur, view):
     return InSight(objects, at, stands, lies, sight, total, pairs, blur)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _recognise(scene, words, seen, n_statements):
     """`Fits` of all mentions; `words` (T, M) is how well a token fits a mention."""
     n_mentions = words.shape[1]
@@ -111,7 +111,7 @@ def _recognise(scene, words, seen, n_statements):
     return Fits(many, who, fit, mass, np.zeros((n_statements, 2, MOST), np.float32))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def likelihoods(statements, scene, words, seen, far, together, least, out, served):
     """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
 
@@ -137,7 +137,7 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
     return hope
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _ceiling(statements, s, seen, fits, far):
     """Log-likelihood ratio that a statement has if geometry is on its side."""
     a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
@@ -154,7 +154,7 @@ def _ceiling(statements, s, seen, fits, far):
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _ratio(statements, s, scene, seen, fits, far):
     """Log-likelihood ratio of one statement."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
@@ -179,7 +179,7 @@ def _ratio(statements, s, scene, seen, fits, far):
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _of_me(statements, s, scene, seen, fits):
     """Mass of a statement about a thing and the speaker: how many such things are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
@@ -200,7 +200,7 @@ def _of_me(statements, s, scene, seen, fits):
     return mass
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _of_pair(statements, s, scene, seen, fits):
     """Mass of a statement about two things."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
@@ -235,7 +235,7 @@ def _of_pair(statements, s, scene, seen, fits):
     return mass
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _between(statements, s, seen, fits):
     """Mass of "the source lies between two targets"; the source may be the viewpoint."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]
@@ -260,7 +260,7 @@ def _between(statements, s, seen, fits):
     return mass
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _posterior(statements, m, fits, posterior):
     """P(thing | all statements about mention m), unnormalised, into `posterior`; returns the gain.
 
@@ -296,7 +296,7 @@ def _posterior(statements, m, fits, posterior):
     return gain if n_about > 1 else np.float32(1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _coherence(statements, fits, together):
     """Log of the gain that mentions mean one object throughout, with prior probability `together`."""
     posterior = np.empty(MOST, np.float32)
@@ -308,7 +308,7 @@ def _coherence(statements, fits, together):
     return log_gain
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _assign(statements, scene, seen, fits, served):
     """One assignment for all statements: each mention its most probable object, then the best pairs."""
     weight = np.ones((len(fits.many), MOST), np.float32)

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.outdoor.likelihood.fit_kernels import (
     AREA,
     BETWEEN,
@@ -29,7 +29,7 @@ SHARP = 2.0
 """Width of the fall around `SIGHT` where positions are exact [m]."""
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def candidates(statements, mentions, views, weights, most):
     """Viewpoints (K,) worth scoring, the most promising first, their bounds, and what is left out.
 
@@ -75,7 +75,7 @@ def candidates(statements, mentions, views, weights, most):
     return chosen, bound[chosen], max(0.0, total - bound[chosen].sum())
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _scan(statements, s, a, b, mentions, views, mass, boxes, bound, touched, n_touched):
     """Multiply the bounds of all viewpoints that see the things of one statement; a is scanned."""
     gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
@@ -107,7 +107,7 @@ def _scan(statements, s, a, b, mentions, views, mass, boxes, bound, touched, n_t
     return n_touched
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _scanned(statements, s, length):
     """Mention whose viewpoints are scanned for a statement (the rarer one), and the one looked up."""
     a, b = statements.source[s], statements.target[s]
@@ -118,7 +118,7 @@ def _scanned(statements, s, length):
     return a, b
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _deny(statements, s, mentions, views, bound):
     """Lower the bounds of viewpoints that see what is said to be absent."""
     m, noise = statements.source[s], statements.noise[s]
@@ -132,7 +132,7 @@ def _deny(statements, s, mentions, views, bound):
                 bound[views.posting_views[p]] *= (1.0 - noise) * absent + noise
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def _must_lie(ux, uy, box):
     """Whether all of a box lies near the direction u from the viewpoint."""
     west, south, east, north = unpack_box(box)
@@ -142,7 +142,7 @@ def _must_lie(ux, uy, box):
     return ahead > 8.0 and max(-left, right) < 0.7 * ahead
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _fill(mass, boxes, mentions, views, m):
     """How much of a mention every viewpoint has in sight, and the box it lies in."""
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
@@ -154,7 +154,7 @@ def _fill(mass, boxes, mentions, views, m):
             mass[view] += weight * views.posting_mass[p]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _clear(mass, mentions, views, m):
     """Undo `_fill`."""
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
@@ -163,7 +163,7 @@ def _clear(mass, mentions, views, m):
             mass[views.posting_views[p]] = 0.0
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def _may_lie(ux, uy, box_a, box_b):
     """Whether anything in one box may lie, seen from something in the other, near the direction u."""
     west_a, south_a, east_a, north_a = unpack_box(box_a)
@@ -177,7 +177,7 @@ def _may_lie(ux, uy, box_a, box_b):
     return ahead > 0.0 and aside < np.float32(1.4) * ahead + np.float32(2.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _heaviest(bound, touched, most):
     """The `most` touched views of largest bound, largest first (buckets by the exponent's bits)."""
     bits = bound.view(np.int64)
@@ -206,7 +206,7 @@ def _heaviest(bound, touched, most):
     return chosen[:n][np.argsort(-bound[chosen[:n]])]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
     """Log-likelihood ratios (K,) of candidates, best bounds first.
 
@@ -246,7 +246,7 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
     return scores
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def look_again(statements, scene, words, at, nearby, far, together, assign):
     """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
 
@@ -287,7 +287,7 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
     return scores, each, served
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def distant(statements, scene, far, positions):
     """What things out of sight add to P(statement | position), (K, S) float32.
 

@@ -4,27 +4,28 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 EMPTY_BOX = 0x7F7F8181 - (1 << 32) if 0x7F7F8181 >= 1 << 31 else 0x7F7F8181
 """Packed box that contains nothing: west and south 127, east and north -127."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def pack_box(west, south, east, north):
     """Four numbers from -127 to 127 in one int32."""
     low = ((west & 255) << 24) | ((south & 255) << 16) | ((east & 255) << 8) | (north & 255)
     return np.int32(low if low < 1 << 31 else low - (1 << 32))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def unpack_box(box):
     """West, south, east and north of a packed box."""
     box = np.int64(box)
     return box >> 24, (box << 40) >> 56, (box << 48) >> 56, (box << 56) >> 56
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def join_boxes(a, b):
     """Smallest packed box around two."""
     aw, as_, ae, an = unpack_box(a)
@@ -32,7 +33,7 @@ def join_boxes(a, b):
     return pack_box(min(aw, bw), min(as_, bs), max(ae, be), max(an, bn))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _postings(starts, objects, offsets, sight, token_starts, token_values, token_weights, n_tokens):
     sizes = np.zeros(n_tokens + 1, np.int64)
     last = np.full(n_tokens, -1, np.int64)

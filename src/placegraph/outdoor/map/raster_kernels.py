@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 AREA = 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
     """Vector from (east, north) to the nearest point of object `row`, and its square [m^2]."""
     best = np.inf
@@ -40,7 +41,7 @@ def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
     return best_e, best_n, best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity):
     east0, north0, stride, columns, n_rows = grid
     at = np.empty(capacity, np.int64)

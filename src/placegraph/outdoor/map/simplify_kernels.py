@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def _keep(points, starts, tolerance):
     keep = np.zeros(len(points), np.bool_)
     stack = np.empty((len(points) + 2, 2), np.int64)
@@ -39,7 +40,7 @@ def _keep(points, starts, tolerance):
     return keep
 
 
-@njit(cache=True)
+@kernel
 def _centers(kind, part_starts, point_starts, points):
     n = len(kind)
     out = np.zeros((n, 2), np.float32)

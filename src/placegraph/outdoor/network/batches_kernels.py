@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.outdoor.network.relations_kernels import place_relations
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _agreement(
     text_starts, texts, fit_starts, fit_tokens, fit_weights,
     place_starts, places, word_starts, words, weights, n, m, n_words,
@@ -41,7 +41,7 @@ def _agreement(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _holds(edge_starts, channels, texts, starts, offsets, kinds, places, s, m):
     """How far things i and j of a place stand as a statement says, (P, S, m, m)."""
     out = np.zeros((len(texts), s, m, m), np.float32)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 REACH = 34.0
 """Things nearer than this to its centre belong to a place: who stands 10 m aside sees them [m]."""
@@ -14,7 +15,7 @@ MOST_THINGS = 36
 """At most this many things of a place are read, the nearest ones."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest_things(starts, offsets, rows):
     """Entries of each row within reach, the nearest `MOST_THINGS`; starts (K + 1,), entries."""
     chosen = np.zeros(len(rows) + 1, np.int64)
@@ -39,7 +40,7 @@ def _nearest_things(starts, offsets, rows):
     return chosen, kept[:n]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather(rows, starts, values, weights):
     """CSR entries of some rows, as CSR."""
     out = np.zeros(len(rows) + 1, np.int64)

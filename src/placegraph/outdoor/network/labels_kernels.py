@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 BUCKETS = 8192
 """Rows of the table of vectors that parts are hashed into."""
@@ -21,7 +22,7 @@ WHOLE, KEY, SUBWORD = range(3)
 EQUALS, SPACE, UNDERSCORE, TILDE, BEGIN, END = (ord(c) for c in "= _~<>")
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _parts(letters, bounds, subwords):
     """Parts of words that follow each other in `letters`, as CSR: starts, buckets, weights."""
     starts = np.zeros(len(bounds), np.int64)
@@ -59,7 +60,7 @@ def _parts(letters, bounds, subwords):
     return starts, buckets[:n], weights[:n]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bucket(letters, kind):
     """Row of the table of vectors (FNV-1a over the letters' code points)."""
     code = np.uint64(14695981039346656037) ^ np.uint64(kind)

@@ -8,10 +8,11 @@ Relations and agreement come padded, and are read only where there are nodes.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def messages(x, starts, relations):
     """Sum over neighbours j of relation r, (N, R * c), of x (N, c); rows are scaled by their degree."""
     c, n_relations = x.shape[1], relations.shape[1]
@@ -35,7 +36,7 @@ def messages(x, starts, relations):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def self_attention(qkv, starts, heads):
     """Attention of every node to its graph, (N, d), from queries, keys and values (N, 3 d)."""
     d = qkv.shape[1] // 3
@@ -58,7 +59,7 @@ def self_attention(qkv, starts, heads):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _turned(x, first, n, column, out):
     """Columns from `column` of n rows of x, turned so that loops over rows run over neighbours."""
     for j in range(n):
@@ -66,7 +67,7 @@ def _turned(x, first, n, column, out):
             out[c, j] = x[first + j, column + c]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _products(q, first, n, column, keys, m, scale, out):
     """Scaled products (n, m) of n queries and m turned keys, into `out`."""
     for i in range(n):
@@ -78,7 +79,7 @@ def _products(q, first, n, column, keys, m, scale, out):
                 out[i, j] += a * keys[c, j]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _mixed(weights, n, values, first, m, column, size, out, at, to):
     """Add values of m rows, mixed by weights (n, m), to n rows of `out`."""
     for i in range(n):
@@ -88,7 +89,7 @@ def _mixed(weights, n, values, first, m, column, size, out, at, to):
                 out[at + i, to + c] += w * values[first + j, column + c]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _softmax(weights, i, n, nothing):
     """Softmax of n weights of row i in place, with one more entry `nothing` that takes its share."""
     top = nothing
@@ -103,7 +104,7 @@ def _softmax(weights, i, n, nothing):
         weights[i, j] *= scale
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, heads):
     """Attention of texts to places and back.
 
@@ -155,7 +156,7 @@ CROWD, LONELY = np.float32(30.0), np.float32(0.5)
 """Added to the pairs, and to the things, that could have been spoken of."""
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def literal(agreement, holds, rarity, ends, said, counts, sizes):
     """What statements say of places if words alone decide, (P, S, LITERAL).
 
@@ -178,7 +179,7 @@ def literal(agreement, holds, rarity, ends, said, counts, sizes):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _background(said, rare_source, rare_target):
     """P(statement | anywhere)."""
     chance = np.float32(0.0)
@@ -188,7 +189,7 @@ def _background(said, rare_source, rare_target):
     return max(chance * share, np.float32(1e-7))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _literal(source, target, as_said, m, background, of_me, negated, out):
     held = of_source = of_target = np.float32(0.0)
     for i in range(m):
@@ -209,7 +210,7 @@ def _literal(source, target, as_said, m, background, of_me, negated, out):
     out[4] = np.log((1 - NOISE) * min(p, np.float32(1.0)) / background + NOISE)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
     """What every statement of every pair finds, (E, 3 H + LITERAL).
 
@@ -255,7 +256,7 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds
     return features
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_to_ends(told, ends, bounds, t_starts):
     """Sum what statements tell (E, 2 d) their sources and targets, (N, d)."""
     d = told.shape[1] // 2
@@ -269,7 +270,7 @@ def add_to_ends(told, ends, bounds, t_starts):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def literally(agreement, t_starts, m_starts, relations, ends, known, bounds):
     """Sum over the statements of each pair (P,) of the last number of `literal`."""
     nothing = np.zeros((t_starts[-1], 0, np.max(m_starts[1:] - m_starts[:-1])), np.float32)

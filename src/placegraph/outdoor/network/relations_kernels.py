@@ -8,7 +8,8 @@ here and half east.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 CHANNELS = ("north", "south", "east", "west", "near", "inside", "contains", "along", "present")
 """Relations of two nodes: the first is ... (of) the second. `present`: both are there."""
@@ -32,7 +33,7 @@ BESIDE = 15.0
 POINT, LINE, AREA = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def winds(x, y):
     """How far a vector (x, y) points north, south, east and west; they sum to 1."""
     out = np.zeros(4, np.float32)
@@ -44,7 +45,7 @@ def winds(x, y):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place_relations(starts, offsets, kinds, rows, size):
     """How node i stands to node j of places `rows` (K,): (K, R, size, size) float32.
 
@@ -82,7 +83,7 @@ def place_relations(starts, offsets, kinds, rows, size):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def text_relations(edge_starts, ends, channels, negated, rows, size):
     """What texts `rows` (Q,) say of their nodes: (Q, R, size, size) float32."""
     out = np.zeros((len(rows), len(OPPOSITE), size, size), np.float32)

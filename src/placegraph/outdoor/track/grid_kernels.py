@@ -6,13 +6,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def background(mass: NDArray[np.float32], share: float, most: int) -> float:
     """Mass below which cells (n,) are background: `share` of the total at most, or all but `most`.
 
@@ -37,7 +38,7 @@ def background(mass: NDArray[np.float32], share: float, most: int) -> float:
     return 0.0
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def scatter(
     mass: NDArray[np.float32],
     weights: NDArray[np.float32],

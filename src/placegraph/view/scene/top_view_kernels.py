@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,7 +17,7 @@ STEEP = 0.02
 """Triangles whose footprint is narrower than this share of their length are drawn as lines."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw(
     corners: NDArray[np.float32],
     triangles: NDArray[np.int32],
@@ -55,7 +56,7 @@ def _draw(
                     level[y, x], triangle[y, x] = z, t
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _line(
     a: NDArray[np.float32],
     b: NDArray[np.float32],

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.outdoor.likelihood.fit_kernels import BLUR, DIRECTION, me_fit, pair_fit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_owner(points, centers, half):
     """Row of the nearest centre (K, 2) to each point (V, 2); -1 where its square does not reach."""
     owner = np.full(len(points), -1, np.int64)
@@ -24,7 +24,7 @@ def nearest_owner(points, centers, half):
     return owner
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sighted(points, owner, object_starts, footprint_starts, footprints, reach):
     """What is seen from points (V, 2) of cells `owner` (V,): starts (V + 1,), objects, offsets.
 
@@ -52,7 +52,7 @@ def sighted(points, owner, object_starts, footprint_starts, footprints, reach):
     return starts, objects[:n].copy(), offsets[:n].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def from_speaker(starts, objects, offsets, fits, op, table, bearing, noise, background, crowd):
     """Log-likelihood (V,) float64 of S statements about the speaker at each viewpoint.
 
@@ -74,7 +74,7 @@ def from_speaker(starts, objects, offsets, fits, op, table, bearing, noise, back
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def between(object_starts, centers, source, target, table, bearing, noise, background, crowd):
     """Log-likelihood (K,) float64 of S statements about two things in each cell.
 

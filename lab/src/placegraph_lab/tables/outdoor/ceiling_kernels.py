@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +20,7 @@ UNSAID = 5e-5
 """Probability of a statement that the generator would not make at a viewpoint."""
 
 
-@njit(cache=True)
+@kernel
 def _same_place(a: Floats, b: Floats, apart: float, by_cell: bool) -> bool:
     """Whether two viewpoints (2,), in steps of the grid, are one place."""
     if by_cell:  # squares are numbered by their centres: cells begin half a step earlier
@@ -28,7 +29,7 @@ def _same_place(a: Floats, b: Floats, apart: float, by_cell: bool) -> bool:
     return bool((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 <= apart * apart)
 
 
-@njit(cache=True)
+@kernel
 def _rank(
     statements: tuple[Ints, Ints],
     postings: tuple[Ints, NDArray[np.int32]],
@@ -64,7 +65,7 @@ def _rank(
     return counts
 
 
-@njit(cache=True)
+@kernel
 def _take_places(
     rivals: list[int],
     level: int,
@@ -90,7 +91,7 @@ def _take_places(
     return places
 
 
-@njit(cache=True)
+@kernel
 def _likeliest(
     statements: tuple[Ints, Ints],
     postings: tuple[Ints, NDArray[np.int32]],
@@ -124,7 +125,7 @@ def _likeliest(
     return distance
 
 
-@njit(cache=True)
+@kernel
 def _hear(
     words: Ints,
     postings: tuple[Ints, NDArray[np.int32]],
@@ -145,7 +146,7 @@ def _hear(
             once[v] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _mass(
     v: np.int64,
     weight: Floats,

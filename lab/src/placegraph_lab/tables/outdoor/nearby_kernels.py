@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +20,7 @@ BIN = 50.0
 """Edge of the bins that segments are looked up by [m]."""
 
 
-@njit(cache=True)
+@kernel
 def _rasterize(segments: Floats, low: Floats, nx: int, ny: int) -> tuple[Ints, Ints]:
     """Bins that every segment passes: walk it in steps shorter than a bin, take their boxes."""
     bins, passing = [], []
@@ -38,7 +39,7 @@ def _rasterize(segments: Floats, low: Floats, nx: int, ny: int) -> tuple[Ints, I
     return np.array(bins, np.int64), np.array(passing, np.int64)
 
 
-@njit(cache=True)
+@kernel
 def holds(x: float, y: float, segments: Floats) -> bool:
     """Whether (x, y) lies within rings given by their segments (even-odd rule)."""
     odd = False
@@ -49,7 +50,7 @@ def holds(x: float, y: float, segments: Floats) -> bool:
     return odd
 
 
-@njit(cache=True)
+@kernel
 def _nearest_on(x: float, y: float, segments: Floats) -> tuple[float, float, float]:
     """Nearest point to (x, y) on any of the segments, and its squared distance."""
     best, px, py = np.inf, 0.0, 0.0
@@ -67,7 +68,7 @@ def _nearest_on(x: float, y: float, segments: Floats) -> tuple[float, float, flo
     return px, py, best
 
 
-@njit(cache=True)
+@kernel
 def _candidates(
     x: float,
     y: float,
@@ -87,7 +88,7 @@ def _candidates(
     return np.unique(np.array(found, np.int32))
 
 
-@njit(cache=True)
+@kernel
 def _nearest_around(
     viewpoints: Floats,
     radius: float,
@@ -121,7 +122,7 @@ def _nearest_around(
     return counted, np.array(objects, np.int32), points
 
 
-@njit(cache=True)
+@kernel
 def _centers_around(
     viewpoints: Floats,
     radius: float,

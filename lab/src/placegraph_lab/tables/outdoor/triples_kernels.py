@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,14 +23,14 @@ SHORTEST, LONGEST = 1.0, 25.0
 """Two objects are related where they stand this far apart [m]."""
 
 
-@njit(cache=True)
+@kernel
 def _relation(dx: float, dy: float) -> int:
     if abs(dx) <= abs(dy):
         return NORTH if dy > 0.0 else SOUTH
     return EAST if dx > 0.0 else WEST
 
 
-@njit(cache=True)
+@kernel
 def _pairs(
     starts: Ints, points: Floats, longest: float
 ) -> tuple[Ints, NDArray[np.int32], NDArray[np.int32], NDArray[np.int8]]:

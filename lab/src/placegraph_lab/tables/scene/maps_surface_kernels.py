@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class Grid(NamedTuple):
     """Triangles."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distances(points: Floats, grid: Grid, rings: int, out: Floats) -> None:
     """Fill distances (N,): cells are looked at from the point's own outwards, ring by ring."""
     for i in range(len(points)):
@@ -52,7 +53,7 @@ def _distances(points: Floats, grid: Grid, rings: int, out: Floats) -> None:
         out[i] = np.sqrt(best)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _squared_in(point: Floats, grid: Grid, x: int, y: int, z: int) -> float:
     """Squared distance of a point from what a cell holds; infinite if nothing."""
     best = np.inf
@@ -66,7 +67,7 @@ def _squared_in(point: Floats, grid: Grid, x: int, y: int, z: int) -> float:
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _squared(point: Floats, corners: Floats) -> float:
     """Squared distance of a point from a triangle: from its plane if above it, else its edges."""
     ax, ay, az = corners[1] - corners[0]

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(kind, part_starts, point_starts, points, nearby, east, north):
     """Nearest points (n, 2) of objects, seen from a position [m]."""
     out = np.empty((len(nearby), 2))

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def mixed(x, weight, bias, gain, shift):
     """Neighbours of each cell mixed, each channel for itself, and its channels normalized.
 
@@ -34,7 +34,7 @@ def mixed(x, weight, bias, gain, shift):
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def normalize(values, gain, shift):
     """Bring values (C,) to mean 0 and deviation 1, in place, times gain, plus shift."""
     count = np.float32(len(values))
@@ -51,7 +51,7 @@ def normalize(values, gain, shift):
         values[k] = values[k] * scale * gain[k] + shift[k]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def normalized(x, gain, shift):
     """Rows of x (N, C) float32 normalized, as a new array."""
     out = x.copy()
@@ -60,7 +60,7 @@ def normalized(x, gain, shift):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def colours_at(surface, triangle, u, v, footprint):
     """Colours (M, 3) float32, sRGB 0 to 1, of points: triangles and barycentrics (M,).
 

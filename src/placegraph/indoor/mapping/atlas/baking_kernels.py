@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 REACH = 1.5
 """Texels this far from a chart are coloured like its nearest point: bilinear looks touch them."""
@@ -17,7 +18,7 @@ FLAT, DARK = -1, -2
 """Instead of a level: a chart of one colour, and one of which nothing is known."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def cover(corners, rows, starts, sizes, extents, firsts, margin, owner, shares, begin, end):
     """Find the triangle and the place in it that each texel of charts `begin` to `end` shows.
 
@@ -63,7 +64,7 @@ def cover(corners, rows, starts, sizes, extents, firsts, margin, owner, shares, 
                         shares[first + at, 0], shares[first + at, 1] = u, v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _nearest(corner, x, y):
     """Weights of corners 1 and 2 of the point of a triangle (3, 2) nearest to (x, y); distance^2."""
     ax, ay = corner[0, 0], corner[0, 1]
@@ -94,7 +95,7 @@ def _nearest(corner, x, y):
     return u, v, best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, means, begin, end):
     """Coarsest level (C,) int32 of each chart that keeps its content, and mean colours (C, 3).
 
@@ -132,13 +133,13 @@ def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, me
         levels[chart] = level
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def grid(extent, margin, level):
     """Texels along a chart of this extent [texels of level 0], margins included."""
     return max(int(np.ceil(extent / (1 << level) - 1e-6)), 1) + 2 * margin
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _frame(wide, high, extent, margin, level):
     """x0, y0, scale: texel (j, i) of level 0 has its centre at x0 + scale j, y0 + scale i."""
     scale = 1.0 / (1 << level)
@@ -149,7 +150,7 @@ def _frame(wide, high, extent, margin, level):
     return x + (0.5 - left) * scale, y + (0.5 - top) * scale, scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def shrunk(colours, state, wide, high, extent, margin, level):
     """Image (h, w, 3) of a chart at a level, and how many samples each texel is the mean of (h, w)."""
     columns, rows = grid(extent[0], margin, level), grid(extent[1], margin, level)
@@ -173,7 +174,7 @@ def shrunk(colours, state, wide, high, extent, margin, level):
     return image, weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _error(colours, state, wide, high, image, weight, x, y, scale):
     """Largest error of a block: of an image, between its texels, against the samples."""
     rows, columns = weight.shape
@@ -213,7 +214,7 @@ def _error(colours, state, wide, high, image, weight, x, y, scale):
     return np.sqrt(worst)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def draw(
     colours, state, sizes, extents, firsts, margin, levels, targets, texels, known, begin, end
 ):
@@ -249,7 +250,7 @@ def draw(
                     texels[at, k] = np.uint8(image[row, column, k] + 0.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _fill(image, weight):
     """Give texels of weight 0 the mean of their neighbours that have a colour, ring by ring."""
     rows, columns = weight.shape

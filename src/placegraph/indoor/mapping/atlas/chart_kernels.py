@@ -6,13 +6,14 @@ from __future__ import annotations
 from heapq import heappop, heappush
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 STRICT = 1e-3
 """Share of each corner that a texel's centre needs to lie inside a triangle beyond doubt."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def grow(normals, areas, neighbours, order, chart_of, first, least):
     """Give every triangle without a chart (-1) one, from number `first` on; returns the next number.
 
@@ -46,7 +47,7 @@ def grow(normals, areas, neighbours, order, chart_of, first, least):
     return chart
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def absorb(normals, neighbours, chart_of, planes, small, least):
     """Let the triangles of small charts (C,) join a larger neighbour whose plane suits them best."""
     changed = True
@@ -73,7 +74,7 @@ def absorb(normals, neighbours, chart_of, planes, small, least):
                 changed = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def turns(corners, rows, starts, angles, gain):
     """Angle (C,) that makes each chart's rectangle small; 0 unless another saves the share `gain`.
 
@@ -98,7 +99,7 @@ def turns(corners, rows, starts, angles, gain):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def overlapping(corners, rows, starts, sizes, twice, first, last):
     """Mark in `twice` (T,) what lies over another triangle of its chart, at the texels' centres.
 
@@ -116,7 +117,7 @@ def overlapping(corners, rows, starts, sizes, twice, first, last):
                 _covers(corners[row], taken, True)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _covers(corner, taken, take):
     """Whether a triangle (3, 2) covers a texel's centre that is taken; or take those it covers."""
     ax, ay = corner[0]
@@ -141,7 +142,7 @@ def _covers(corner, taken, take):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def spread(neighbours, colours, known):
     """Colour triangles (T, 3) that are not known like the neighbours that are, ring by ring."""
     queue = np.empty(len(known), np.int64)
@@ -163,7 +164,7 @@ def spread(neighbours, colours, known):
                 last += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _mean_of(neighbours, colours, known, row):
     count = 0
     colours[row] = 0.0

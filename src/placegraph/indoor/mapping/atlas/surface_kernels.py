@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def colours_of(surface, triangle, u, v, footprint, out, first, last):
     """Fill colours (N, 3) uint8 at barycentrics of triangles (N,), where that is not -1.
 
@@ -23,13 +23,13 @@ def colours_of(surface, triangle, u, v, footprint, out, first, last):
             out[i, 2] = np.uint8(min(max(255.0 * blue + 0.5, 0.0), 255.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _cell(x, y, z):
     """Number of a cell of a grid without bounds; two cells in 2^21 apart an axis may share one."""
     return ((x & 0x1FFFFF) << 42) | ((y & 0x1FFFFF) << 21) | (z & 0x1FFFFF)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _cells_of(points, low, size):
     cells = np.empty(len(points), np.int64)
     for i in range(len(points)):
@@ -48,7 +48,7 @@ def sorted_cells(points, low, size):
     return order, cells, np.append(starts, len(points)).astype(np.int64)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def nearest(asked, points, grid, low, reach, out, first, last):
     """Fill rows (N,) of the points nearest to those asked for (N, 3), -1: none within `reach` [m].
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class Views(NamedTuple):
     """(K, 3) what the colours are multiplied by."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _seen(views, k, point, normal):
     """x, y [px], depth [m] and worth (0: not seen) of a point in view k."""
     dx = views.centres[k, 0] - point[0]
@@ -80,7 +81,7 @@ def _seen(views, k, point, normal):
     return x, y, z, worth
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _look(views, k, level, x, y):
     """Colour (3 floats, 0 to 255) of view k at (x, y) [px of level 0], between its pixels."""
     image = views.levels[level]
@@ -102,7 +103,7 @@ def _look(views, k, level, x, y):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _level(views, k, z, texel):
     """Level of the images whose pixels are about as wide as a texel at depth z."""
     pixels = texel * views.pinholes[k, 0] / z
@@ -113,7 +114,7 @@ def _level(views, k, z, texel):
     return level
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _near(views, points, first, last, candidates):
     """Fill `candidates` with the views that may see any of the points `first` to `last`; how many."""
     middle, spread = np.zeros(3), 0.0
@@ -144,7 +145,7 @@ def _near(views, points, first, last, candidates):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _best(views, candidates, point, normal, rows, places):
     """Fill rows (M,) and places (M, 4: x, y, z, worth) with the best views; returns how many."""
     most, count = len(rows), 0
@@ -164,7 +165,7 @@ def _best(views, candidates, point, normal, rows, places):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def observe(views, points, normals, texel, rows, colours, first, last):
     """Fill what the best views of points (N,) show: rows (N, M), -1: none; colours (N, M, 3)."""
     every = np.arange(len(views.centres))
@@ -178,7 +179,7 @@ def observe(views, points, normals, texel, rows, colours, first, last):
             colours[i, m, 0], colours[i, m, 1], colours[i, m, 2] = red, green, blue
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mixed(views, points, normals, texel, out, known, first, last):
     """Fill colours (N, 3) of points (N, 3) with normals (N, 3), and whether any view shows them."""
     candidates, number = np.empty(len(views.centres), np.int64), 0
@@ -215,7 +216,7 @@ def mixed(views, points, normals, texel, out, known, first, last):
             out[i, c] = np.uint8(mean[c] / total + 0.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def balance(rows, logs, weights, matrix, right):
     """Add the normal equations of the views' exposures to matrix (K, K) and right (K,).
 
@@ -241,7 +242,7 @@ def balance(rows, logs, weights, matrix, right):
                     matrix[k, rows[i, n]] -= weights[i, m] * weights[i, n] / total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def around(depth):
     """Least and greatest depth (2, h, w) of each pixel's 3 x 3 neighbours; `depth` (h, w), inf: none."""
     rows, columns = depth.shape
@@ -256,7 +257,7 @@ def around(depth):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def resampled(image, uv, out):
     """Fill `out` (h, w, 3) uint8 with an image (H, W, 3) between its pixels at places (h, w, 2) [px]."""
     rows, columns = image.shape[:2]

@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 _BITS = 20  # of a cell's number along one axis
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Root of each of ascending cells: those that touch share one."""
     parent = np.arange(len(cells))

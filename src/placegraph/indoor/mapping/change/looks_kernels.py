@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _paint(surface, triangle, u, v, footprint, out):  # type: ignore[no-untyped-def]
     """Write colours of hits (N, 3)."""
     for i in range(len(triangle)):

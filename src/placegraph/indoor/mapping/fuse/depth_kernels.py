@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from placegraph.compiled import kernel
 from placegraph.indoor.mapping.fuse.volume_kernels import NEAR
 
 FLAT = 0.1
 """Least cosine of the angle at which a reading's surface is looked at."""
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def facets_of(depth, eye, reach, edges):
     """Plane, reading and weight of every pixel (h, w, 6) float32.
 
@@ -84,7 +85,7 @@ def facets_of(depth, eye, reach, edges):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def between(depth, v, u):
     """Reading between two that agree, left and right or above and below, up to 4 pixels apart; or 0.
 
@@ -109,7 +110,7 @@ def between(depth, v, u):
     return best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def torn(depth, v, u, here, allowed):
     """Whether a reading stands at a depth edge, where it may be a mean of both sides."""
     h, w = depth.shape

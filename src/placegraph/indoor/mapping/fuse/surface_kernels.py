@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from placegraph.compiled import kernel
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE, row_of
 
 _WIDE = SIDE + 1
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def neighbours(keys, rows, places, count):
     """Rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
     out = np.empty((count, 27), np.int32)
@@ -24,14 +25,14 @@ def neighbours(keys, rows, places, count):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def corner_of(around, row, i, j, k):
     """Block and voxel of the voxel at i, j, k (-1 to SIDE) of a block; block -1: not there."""
     side = (i + SIDE) // SIDE * 9 + (j + SIDE) // SIDE * 3 + (k + SIDE) // SIDE
     return around[row, side], (i % SIDE * SIDE + j % SIDE) * SIDE + k % SIDE
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def cells_of(around, distance, weight, least, steepest, loops):
     """Where the surface is: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
@@ -82,7 +83,7 @@ def cells_of(around, distance, weight, least, steepest, loops):
     return cases, crossed, sizes
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def vertices_of(
     around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel
 ):
@@ -150,7 +151,7 @@ def vertices_of(
     return points, paints, first
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def low_corner(edge):
     """Corner at which an edge (4 axis + 0 to 3) of a cell begins."""
     axis, rest = edge >> 2, edge & 3
@@ -158,7 +159,7 @@ def low_corner(edge):
     return (rest & 1) << one | (rest >> 1) << two
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def quads_of(around, distance, cases, crossed, first, loop_of, starts, quads):
     """Vertices around every edge that the surface crosses: count by block (B,), or fill `quads`.
 
@@ -198,7 +199,7 @@ def quads_of(around, distance, cases, crossed, first, loop_of, starts, quads):
     return sizes
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def split(points, quads):
     """Two triangles (2 Q, 3) int64 for each quad (Q, 4), along its shorter diagonal."""
     out = np.empty((2 * len(quads), 3), np.int64)
@@ -217,7 +218,7 @@ def split(points, quads):
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def areas_of(points, triangles):
     """Areas (T,) of triangles [m^2]."""
     out = np.empty(len(triangles))
@@ -233,7 +234,7 @@ def areas_of(points, triangles):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def roots_of(count, triangles):
     """Lowest vertex (V,) of the connected part that every vertex belongs to."""
     root = np.arange(count)
@@ -246,7 +247,7 @@ def roots_of(count, triangles):
     return root
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find(root, vertex):
     """Root of a vertex; the way there is cut short."""
     while root[vertex] != vertex:

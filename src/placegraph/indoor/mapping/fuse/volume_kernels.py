@@ -8,7 +8,9 @@ over `keys` (K,) int64, -1 where free, and `rows` (K,) int32; K is a power of tw
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from placegraph.compiled import kernel
 
 SIDE = 8
 """Voxels along the edge of a block."""
@@ -19,13 +21,13 @@ NEAR = 0.15
 """Readings and voxels nearer than this are none [m]."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def key_of(x, y, z):
     """Key of the block at whole coordinates."""
     return ((x + RANGE) << 42) | ((y + RANGE) << 21) | (z + RANGE)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def slot_of(keys, key):
     """Where a key stands, or would."""
     mask = np.int64(len(keys) - 1)
@@ -36,7 +38,7 @@ def slot_of(keys, key):
     return at
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def row_of(keys, rows, x, y, z):
     """Row of the block at whole coordinates, -1: there is none."""
     if abs(x) >= RANGE or abs(y) >= RANGE or abs(z) >= RANGE:
@@ -45,7 +47,7 @@ def row_of(keys, rows, x, y, z):
     return rows[at] if keys[at] != -1 else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rehash(keys, rows, places, count):
     """Fill an empty hash with the first `count` of the blocks at `places` (B, 3)."""
     for row in range(count):
@@ -54,7 +56,7 @@ def rehash(keys, rows, places, count):
         keys[at], rows[at] = key, row
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def touch(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
     """Give a block to every place within `band` [m] of a reading; count of blocks afterwards.
 
@@ -108,7 +110,7 @@ def touch(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def farthest(facets, tile):
     """Greatest reading of every tile (h / tile, w / tile) of `tile`^2 pixels, 0: none."""
     h, w = facets.shape[:2]
@@ -119,7 +121,7 @@ def farthest(facets, tile):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def visible(places, count, edge, far, tile, eye, shape, pose, band):
     """Rows of the blocks that a view may see, ascending.
 
@@ -160,7 +162,7 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
     return found[:n]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def integrate(
     distance,
     weight,
@@ -237,7 +239,7 @@ def integrate(
                     colour[row, at, c] += share * (gain * pixel[c] - colour[row, at, c])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def gaps_at(keys, rows, distance, weight, voxel, truncation, points):
     """Distances (N,) [m] of points (N, 3) [m] from the surface; the truncation where none is near."""
     out = np.empty(len(points), np.float32)
@@ -260,7 +262,7 @@ def gaps_at(keys, rows, distance, weight, voxel, truncation, points):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pose, step, least):
     """Model's brightness over the image's, where both say something (N,) float32.
 

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def find(root, i):
     """Root of i in a forest `root` (N,), whose paths are halved on the way."""
     while root[i] != i:
@@ -16,7 +17,7 @@ def find(root, i):
     return i
 
 
-@njit(cache=True)
+@kernel
 def smooth(normals, lab, areas, pairs, turned, rounds):
     """Normals and colours (F, 3), each the mean of its own and of neighbours that bend < 45 deg.
 
@@ -53,7 +54,7 @@ def smooth(normals, lab, areas, pairs, turned, rounds):
     return n, c
 
 
-@njit(cache=True)
+@kernel
 def join(pairs, weights, order, areas, scale, least):
     """Patch (F,) of every face: Felzenszwalb and Huttenlocher's joining over ascending weights.
 
@@ -89,7 +90,7 @@ def join(pairs, weights, order, areas, scale, least):
     return root
 
 
-@njit(cache=True)
+@kernel
 def connect(count, pairs):
     """Lowest member (N,) of the connected part of each of `count` nodes."""
     root = np.arange(count)
@@ -102,7 +103,7 @@ def connect(count, pairs):
     return root
 
 
-@njit(cache=True)
+@kernel
 def sample_counts(points, corners, step):
     """Parts (F,) into which each side of a face is cut so that none is longer than `step`."""
     parts = np.empty(len(corners), np.int64)
@@ -118,7 +119,7 @@ def sample_counts(points, corners, step):
     return parts
 
 
-@njit(cache=True)
+@kernel
 def samples(points, corners, parts):
     """Points (S, 3) spread over faces, and the face (S,) of each: n^2 where a side has n parts."""
     total = 0
@@ -146,7 +147,7 @@ def samples(points, corners, parts):
     return spots, face
 
 
-@njit(cache=True)
+@kernel
 def cell_keys(spots, low, cell, shape):
     """Key (S,) of the cube of side `cell` that holds each point."""
     keys = np.empty(len(spots), np.int64)
@@ -158,7 +159,7 @@ def cell_keys(spots, low, cell, shape):
     return keys
 
 
-@njit(cache=True)
+@kernel
 def touching(spots, group, order, keys, shape, reach):
     """Rows (K, 2) of samples of different groups within `reach`.
 
@@ -198,7 +199,7 @@ def touching(spots, group, order, keys, shape, reach):
     return rows
 
 
-@njit(cache=True)
+@kernel
 def nearest(asked, spots):
     """Row (N,) of the point of `spots` (S, 3) that is nearest to each point asked for (N, 3)."""
     out = np.zeros(len(asked), np.int64)
@@ -213,7 +214,7 @@ def nearest(asked, spots):
     return out
 
 
-@njit(cache=True)
+@kernel
 def elect(starts, labels, shares, patch, table, pairs, links, before, of_patch, of_neighbours):
     """Label (F,) with the highest score of each face; `before` (F,) are the neighbours', -1: none.
 

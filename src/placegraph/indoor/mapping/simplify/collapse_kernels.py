@@ -12,8 +12,8 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from numba import njit
 
+from placegraph.compiled import kernel
 from placegraph.indoor.mapping.simplify.quadric_kernels import (
     face_normal,
     meeting_values,
@@ -31,7 +31,7 @@ RING = 250
 """Vertices of more faces than this stay where they are."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_plane(quadric, n0, n1, n2, offset, weight):
     """Add weight * (normal . x + offset)^2 to a quadric (10,): upper triangle of a 4 x 4 matrix."""
     quadric[0] += weight * n0 * n0
@@ -46,7 +46,7 @@ def add_plane(quadric, n0, n1, n2, offset, weight):
     quadric[9] += weight * offset * offset
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def error(q, x, y, z):
     """Value of a quadric (10,) at a point."""
     return (
@@ -55,7 +55,7 @@ def error(q, x, y, z):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def meeting_point(quadrics, points, a, b, q):
     """Where vertices a and b meet with least error, and that error; `q` (10,) gets their quadric."""
     for k in range(10):
@@ -88,7 +88,7 @@ def meeting_point(quadrics, points, a, b, q):
     return x, y, z, max(best, 0.0), STUBBY * length * length
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def prune(v, faces, head, tail, after):
     """Drop the dead faces from the list of a vertex."""
     last, corner = -1, head[v]
@@ -104,7 +104,7 @@ def prune(v, faces, head, tail, after):
     tail[v] = last
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def join(a, b, head, tail, after):
     """Append the list of vertex b to that of vertex a."""
     if head[b] < 0:
@@ -116,7 +116,7 @@ def join(a, b, head, tail, after):
     tail[a] = tail[b]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def neighbours(v, other, faces, head, after, out):
     """Write vertices that share a face with v, but for `other`, into `out`; how many they are."""
     n = 0
@@ -136,7 +136,7 @@ def neighbours(v, other, faces, head, after, out):
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def folds(v, other, x, y, z, points, faces, head, after):
     """Whether a face of v, but not of both, would turn over or vanish if v moved to x, y, z."""
     x0, y0, z0 = points[v, 0], points[v, 1], points[v, 2]
@@ -155,7 +155,7 @@ def folds(v, other, x, y, z, points, faces, head, after):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def planes_of(points, faces, ends, side):
     """Planes (F + B, 4) of the faces, and of the borders: upright on their face, or zeros."""
     planes = np.zeros((len(faces) + len(ends), 4))
@@ -181,14 +181,14 @@ def planes_of(points, faces, ends, side):
     return planes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def put_plane(plane, n0, n1, n2, points, v):
     """Write the plane (4,) with a unit normal through a vertex."""
     plane[0], plane[1], plane[2] = n0, n1, n2
     plane[3] = -(n0 * points[v, 0] + n1 * points[v, 1] + n2 * points[v, 2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def quadrics_of(points, faces, ends, planes):
     """Quadrics (V, 10) of the planes of the faces and of the borders, weighted by area."""
     quadrics = np.zeros((len(points), 10))
@@ -208,7 +208,7 @@ def quadrics_of(points, faces, ends, planes):
     return quadrics
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def beyond(v, x, y, z, limit, planes, head, after, corners):
     """Whether a point is farther than the limit from an original plane that a vertex stands for."""
     node = head[v]
@@ -221,7 +221,7 @@ def beyond(v, x, y, z, limit, planes, head, after, corners):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linked(count, faces, ends):
     """Lists by vertex of the corners of faces, and then of the ends (B, 2) of borders.
 
@@ -243,7 +243,7 @@ def linked(count, faces, ends):
     return head, tail, after
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pinches(a, b, faces, head, after, ring, other):
     """Whether the surface would be pinched, or a closed part vanish, if a and b became one."""
     na = neighbours(a, b, faces, head, after, ring)
@@ -260,14 +260,14 @@ def pinches(a, b, faces, head, after, ring, other):
     return shared != joined or na + nb - shared < 3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def judged(values, limits):
     """Whether attributes can speak against a collapse: a texture that is more than one texel."""
     textured = (values[:, 0] != values[0, 0]) | (values[:, 1] != values[0, 1])
     return limits[2] < np.inf or textured.any()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def collapse(points, faces, edges, border, wedges, values, locked, target, limits):
     """Collapse edges, cheapest first, until `target` faces live or the limits stop it; in place.
 

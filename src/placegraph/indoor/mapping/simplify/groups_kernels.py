@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grouped(keys, table, group, first):
     """Fill `group` and `first` by open addressing in `table`, whose length is a power of two."""
     mask = np.uint64(len(table) - 1)

@@ -8,10 +8,11 @@ seam, a vertex has several. Lists of corners: `placegraph.indoor.mapping.simplif
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def face_normal(points, faces, f):
     """Normal of a face as three numbers, its length twice the area."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -21,7 +22,7 @@ def face_normal(points, faces, f):
     return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shares_at(f, x, y, z, points, faces):
     """Weights of corners 1 and 2 of a face, continued linearly to a point; NaN without area."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -41,7 +42,7 @@ def shares_at(f, x, y, z, points, faces):
     return (vv * wu - uv * wv) / det, (uu * wv - uv * wu) / det
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def metres_per_uv(f, points, faces, wedges, values):
     """Length on the surface of one unit of texture coordinates of face f [m]; 0 where it has none."""
     n0, n1, n2 = face_normal(points, faces, f)
@@ -52,7 +53,7 @@ def metres_per_uv(f, points, faces, wedges, values):
     return np.sqrt(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / twice) if twice > 1e-12 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def wedges_meeting(a, b, faces, wedges, head, after, own, group):
     """Write the wedges of vertices a and b, and which become one as their edge vanishes.
 
@@ -92,7 +93,7 @@ def wedges_meeting(a, b, faces, wedges, head, after, own, group):
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def meeting_values(
     a, b, x, y, z, points, faces, wedges, values, head, after, own, group, n, new, total, checked
 ):
@@ -137,14 +138,14 @@ def meeting_values(
     return shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def value_at(f, s, t, wedges, values, k):
     """Attribute k of face f where its corners 1 and 2 weigh s and t."""
     first = values[wedges[f, 0], k]
     return first + s * (values[wedges[f, 1], k] - first) + t * (values[wedges[f, 2], k] - first)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new):
     """How far the texture of faces that stay would slide [m], and other attributes change."""
     slide, change = 0.0, 0.0

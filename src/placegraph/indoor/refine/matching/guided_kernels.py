@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from placegraph.compiled import kernel
 
 _TENSOR = 2  # half the side of the window of the structure tensor [px]
 _FLAT = np.float32(1e-5)  # variance per pixel below which a window shows nothing
 _LEAST = 1e-4  # least eigenvalue of the structure tensor of a corner
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def corners(image, seen, margin, cell):
     """Best corner (K, 2) row, column of each cell of an image (H, W) float32 in [0, 1].
 
@@ -52,7 +53,7 @@ def corners(image, seen, margin, cell):
     return out[:count]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def search(view, seen, query, at, half, radius, peak):
     """Places in a query (H, W) of patches of a view (H, W) around `at` (K, 2) row, column.
 
@@ -93,7 +94,7 @@ def search(view, seen, query, at, half, radius, peak):
     return out
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _slide(query, top, left, patch, shown, area, rows, width):
     """Sums, sums of squares and products with a patch (3, width) at `width` places in a row.
 
@@ -113,7 +114,7 @@ def _slide(query, top, left, patch, shown, area, rows, width):
                     rows[2, i] += q * p
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _peaks(scores, peak):
     """Best score, the best farther than `peak` from it, and the row and column of the first."""
     best, rival, row, column = np.float32(-1.0), np.float32(-1.0), 0, 0
@@ -128,7 +129,7 @@ def _peaks(scores, peak):
     return best, rival, row, column
 
 
-@njit(cache=True, nogil=True, inline="always", fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _template(view, seen, row, column, half, patch, shown):
     """Copy a patch less its mean, and which of it is seen; its number of pixels, and its energy."""
     side = 2 * half + 1
@@ -148,7 +149,7 @@ def _template(view, seen, row, column, half, patch, shown):
     return area, energy
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _vertex(before, at, after):
     """Place of a parabola's top through three scores, from the middle one [-0.5 to 0.5]."""
     bend = before - np.float32(2.0) * at + after
