@@ -34,6 +34,7 @@ import llvmlite
 import numba
 from numba.core import caching, config, sigutils
 from numba.core.compiler import CompileResult
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
@@ -89,10 +90,10 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:  # noqa: ANN401  # numba's
         """Load or compile the code for a signature; see `numba.core.dispatcher`."""
-        try:
-            return super().compile(sig)
-        finally:
-            if isinstance(self._cache, _Cache):  # numba's empty one where caching is off
+        with global_compiler_lock:
+            try:
+                return super().compile(sig)
+            finally:
                 self._cache.give_up_lock()
 
 
