@@ -4,7 +4,11 @@ import importlib.util
 import io
 import json
 import os
+import signal
+import subprocess
 import sys
+import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +66,34 @@ def run(monkeypatch, capsys):
             code = end.code or 0
         captured = capsys.readouterr()
         return Run(code, captured.out, captured.err)
+
+    return placegraph
+
+
+@pytest.fixture
+def interrupted():
+    """Run the command line in a process of its own, and press Ctrl-C `once` something is so."""
+    # SIGINT is ignored by what a shell has started in the background, and by its children
+    start = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    start += "from placegraph.cli import main; main()"
+
+    def placegraph(*arguments, once, patience=120.0):
+        command = [sys.executable, "-c", start, *map(str, arguments)]
+        piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = subprocess.Popen(command, text=True, **piped)  # noqa: S603  # our own command
+        end = time.monotonic() + patience
+        try:
+            while not once() and process.poll() is None and time.monotonic() < end:
+                time.sleep(0.02)
+            while process.poll() is None and time.monotonic() < end:
+                process.send_signal(signal.SIGINT)  # again until it is seen
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(1.0)
+            said = process.communicate(timeout=1.0)
+            return Run(process.returncode, *said)
+        finally:
+            process.kill()
+            process.wait()
 
     return placegraph
 

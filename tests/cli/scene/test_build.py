@@ -2,10 +2,6 @@
 
 import os
 import resource
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -97,23 +93,12 @@ def test_a_disk_that_is_full(run, mesh, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.scene", "room.ply"]
 
 
-def test_ctrl_c_leaves_the_old_map_and_no_lock(tmp_path):
-    source, out = tmp_path / "room.ply", tmp_path / "a.scene"
+def test_ctrl_c_leaves_the_old_map_and_no_lock(tmp_path, interrupted):
+    source, out, lock = (tmp_path / n for n in ("room.ply", "a.scene", ".a.scene.lock"))
     os.mkfifo(source)  # reading waits for who writes: nobody
     out.write_bytes(b"old")
-    process = subprocess.Popen(  # noqa: S603  # our own command
-        [sys.executable, "-m", "placegraph.cli", "scene", "build", str(source), "-o", str(out)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    lock = tmp_path / ".a.scene.lock"
-    end = time.monotonic() + 60
-    while not lock.exists() and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
-    time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    said, _ = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert said == ""
+    ended = interrupted("scene", "build", source, "-o", out, once=lock.exists)
+    assert (ended.code, ended.out, ended.err) == (130, "", "")
     assert out.read_bytes() == b"old"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.scene", "room.ply"]
 

@@ -72,46 +72,55 @@ class Format(NamedTuple):
 
 FORMATS = (
     Format(
-        "TUM RGB-D", "rgb.txt, depth.txt and groundtruth.txt", "tum_rgbd", "tum_rgbd", ("poses",)
+        "TUM RGB-D",
+        "rgb.txt, depth.txt and groundtruth.txt",
+        "dataset.tum_rgbd",
+        "tum_rgbd",
+        ("poses",),
     ),
-    Format("Stray Scanner", "rgb.mp4, odometry.csv and camera_matrix.csv", "stray", "stray"),
-    Format("Polycam", "keyframes/ with images/, cameras/ and depth/", "polycam", "polycam"),
+    Format("Stray Scanner", "rgb.mp4, odometry.csv and camera_matrix.csv", "phone.stray", "stray"),
+    Format("Polycam", "keyframes/ with images/, cameras/ and depth/", "phone.polycam", "polycam"),
     Format(
-        "Record3D", "metadata.json and rgbd/ or rgb/ and depth/, or .r3d", "record3d", "record3d"
+        "Record3D",
+        "metadata.json and rgbd/ or rgb/ and depth/, or .r3d",
+        "phone.record3d",
+        "record3d",
     ),
-    Format("3D Scanner App", "frame_00000.json and .jpg", "arkit_app", "arkit_app"),
-    Format("ARKitScenes", "lowres_wide.traj and lowres_wide/", "arkit_scenes", "arkit_scenes"),
+    Format("3D Scanner App", "frame_00000.json and .jpg", "phone.arkit_app", "arkit_app"),
+    Format(
+        "ARKitScenes", "lowres_wide.traj and lowres_wide/", "phone.arkit_scenes", "arkit_scenes"
+    ),
     Format(
         "3RScan",
         "sequence/ with _info.txt, or sequence.zip",
-        "scan3r_sequence",
+        "dataset.scan3r_sequence",
         "scan3r_sequence",
     ),
     Format(
         "ScanNet",
         "a .sens file, or a folder with one",
-        "sens",
+        "dataset.sens",
         "sens",
         ("labels", "label_column", "partial"),
     ),
     Format(
         "ScanNet's exporter",
         "color/, pose/ and intrinsic_color.txt",
-        "sens",
+        "dataset.sens",
         "scannet_export",
         ("labels", "label_column"),
     ),
     Format(
         "COLMAP",
         "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
-        "colmap",
+        "dataset.colmap",
         "colmap",
         ("scale", "up"),
     ),
     Format(
         "capture folder",
         "rgb/, camera.json and odometry.tum",
-        "capture_folder",
+        "capture.capture_folder",
         "capture_folder",
         ("labels",),
     ),

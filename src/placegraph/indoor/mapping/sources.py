@@ -102,24 +102,29 @@ class Kind(NamedTuple):
 
 
 KINDS = (
-    Kind(".glb", "glb", "glb", ".glb", ("up",)),
-    Kind(".gltf", "glb", "glb", ".gltf", ("up",)),
-    Kind(".obj", "obj", "obj", ".obj", ("up", "table"), own=("groups",)),
+    Kind(".glb", "mesh.glb", "glb", ".glb", ("up",)),
+    Kind(".gltf", "mesh.glb", "glb", ".gltf", ("up",)),
+    Kind(".obj", "mesh.obj", "obj", ".obj", ("up", "table"), own=("groups",)),
     Kind(
         "a 3RScan scan's folder",
-        "scan3r",
+        "dataset.scan3r",
         "scan3r",
         own=("reference_frame", "undo_moves", "rooms", "annotations"),
     ),
     Kind(
         "a ScanNet scan's folder",
-        "scannet",
+        "dataset.scannet",
         "scannet",
         own=("label_table", "label_column", "align"),
     ),
-    Kind("what SceneGraphFusion predicted", "scenegraphfusion", "scenegraphfusion", own=("mesh",)),
-    Kind("Spark-DSG's .json", "spark_dsg", "spark_dsg"),
-    Kind(".ply", "ply", "ply", ".ply", ("up", "table", "object_property")),
+    Kind(
+        "what SceneGraphFusion predicted",
+        "dataset.scenegraphfusion",
+        "scenegraphfusion",
+        own=("mesh",),
+    ),
+    Kind("Spark-DSG's .json", "mesh.spark_dsg", "spark_dsg"),
+    Kind(".ply", "mesh.ply", "ply", ".ply", ("up", "table", "object_property")),
 )
 """In the order in which they are asked: what is told by little comes last."""
 
