@@ -19,6 +19,7 @@ none was chosen the package's own (``__pycache__/kernels``), then the user's cac
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import pickle
 import stat
@@ -55,7 +56,8 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
         return lambda given: kernel(given, **options)
     if config.DISABLE_JIT:
         return function
-    options = {"nopython": True, "nogil": True, "boundscheck": None, **options}
+    always = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
+    options = always | {"nogil": True} | options
     made = Kernel(function, locals={}, targetoptions=options)
     made.enable_caching()
     return made
@@ -81,8 +83,8 @@ def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
         _LISTENERS.remove(listener)
 
 
-class Kernel(CPUDispatcher):
-    """Numba's dispatcher, with our cache."""
+class _Part(CPUDispatcher):
+    """Numba's dispatcher, with our cache; of the function as other kernels have it within."""
 
     def enable_caching(self) -> None:
         """Look for code in our folders, and keep it there."""
@@ -90,11 +92,38 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:  # noqa: ANN401  # numba's
         """Load or compile the code for a signature; see `numba.core.dispatcher`."""
-        with global_compiler_lock:
+        with global_compiler_lock, _collecting_no_garbage():
             try:
                 return super().compile(sig)
             finally:
                 self._cache.give_up_lock()
+
+
+class Kernel(_Part):
+    """A function that Python calls.
+
+    Its arguments are unpacked from Python objects by a wrapper that can be larger than the function;
+    what other kernels call is therefore another object, without one.
+    """
+
+    def __init__(self, py_func: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
+        super().__init__(py_func, **options)
+        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        self.part = _Part(py_func, locals={}, targetoptions=self.targetoptions | bare)
+        self.part.enable_caching()
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:  # noqa: ANN401  # numba's
+        """How a call from another kernel is typed."""
+        return self.part.get_call_template(args, kws)
+
+    def get_overload(self, sig: Any) -> Any:  # noqa: ANN401  # numba's
+        """Code for a call from another kernel."""
+        return self.part.get_overload(sig)
+
+    @property
+    def is_compiling(self) -> Any:  # noqa: ANN401  # numba's
+        """Whether a call is a call of itself."""
+        return self._compiling_counter or self.part.is_compiling
 
 
 class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
@@ -103,7 +132,7 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
     Numba calls it under its own lock, so that one thread at a time is here.
     """
 
-    def __init__(self, of: Kernel) -> None:
+    def __init__(self, of: _Part) -> None:
         self._of = of
         self._lock: int | None = None
         self._enabled = True
@@ -229,6 +258,18 @@ class _Folders:
 
 _FOLDERS = _Folders()
 _LISTENERS: list[Callable[[str, bool], None]] = []
+
+
+@contextmanager
+def _collecting_no_garbage() -> Iterator[None]:
+    """Keep Python from looking through what the compiler holds, an eighth of the time."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 def _tell(name: str, *, done: bool) -> None:
