@@ -2,47 +2,57 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+CORE := $(VENV)/.core
+TOOLS := $(VENV)/.tools
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-all lint bench clean
+.PHONY: help venv demo test test-all lint docs bench clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
-venv: $(STAMP) ## create .venv and install placegraph with its tools
-
-demo: $(STAMP) ## locate three sentences in a small town and a film in a flat; see demo-out/
+demo: $(CORE) ## locate three sentences in a small town and a film in a flat; see demo-out/
 	$(BIN)/placegraph demo --out demo-out
 
-test: $(STAMP) ## run the tests
-	$(BIN)/python -m pytest
+venv: $(TOOLS) ## create .venv and install placegraph, placegraph-lab and the tools
 
-test-all: $(STAMP) ## run the tests, long ones too (needs ../shared)
-	$(BIN)/python -m pytest -m ""
+test: $(TOOLS) ## run the tests on every core, in minutes
+	$(PYTEST)
 
-lint: $(STAMP) ## check rules, layout and types
+test-all: $(TOOLS) ## run every test, the long ones too, with more examples of each property
+	$(PYTEST) -m "all or not all" --hypothesis-profile thorough
+
+lint: $(TOOLS) ## check rules, layout, who imports whom, and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-bench: $(STAMP) ## print the benchmark tables (needs ../shared; long)
-	set -e; for table in $$(ls benchmarks/*.py | grep -v kitti360pose); do $(BIN)/python $$table; done
+docs: $(TOOLS) ## build the documentation into site/
+	$(BIN)/mkdocs build --strict
+
+bench: $(TOOLS) ## print the benchmark tables (needs ../shared; long)
+	set -e; for table in $$($(BIN)/placegraph-lab table --list --plain); do $(BIN)/placegraph-lab table $$table; done
 
 clean: ## remove what the targets above left behind, .venv included
-	rm -rf $(VENV) demo-out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmark-cache
-	find src lab tests benchmarks scripts -name __pycache__ -type d -prune -exec rm -rf {} +
+	rm -rf $(VENV) demo-out dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmark-cache
+	find src lab tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(CORE): pyproject.toml $(BIN)/python
+	$(PIP) --editable .
+	@touch $@
 
 # PyTorch is pinned here and nowhere else; kornia and timm, which would bring another one, come with
 # it. Without them, training, the matcher XFeat and timm's backbones are left out, and their tests.
-$(STAMP): pyproject.toml $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 'kornia>=0.9' \
+$(TOOLS): pyproject.toml lab/pyproject.toml $(BIN)/python
+	$(PIP) torch==2.13.0 'kornia>=0.9' \
 	  || echo "PyTorch 2.13.0 cannot be had: tests of training and of XFeat will be skipped" >&2
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 \
-	  torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
+	$(PIP) torch==2.13.0 torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
 	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --editable ./lab
-	@touch $@
+	$(PIP) --editable '.[dev]' --editable ./lab
+	@touch $(CORE) $@
 
 # Debian ships venv apart from Python: fall back on virtualenv, or say what to install.
 $(BIN)/python:

@@ -3,7 +3,6 @@
 import importlib.util
 import io
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -19,11 +18,12 @@ from hypothesis import HealthCheck, settings
 from placegraph import cli
 from placegraph_lab.worlds.flat.flat import Flat
 
-settings.register_profile("local", deadline=None)
+_SLOW = [HealthCheck.too_slow]  # beside other load
 settings.register_profile(
-    "ci", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    "quick", deadline=None, derandomize=True, max_examples=30, suppress_health_check=_SLOW
 )
-settings.load_profile("ci" if os.environ.get("CI") else "local")
+settings.register_profile("thorough", deadline=None, suppress_health_check=_SLOW)
+settings.load_profile("quick")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
