@@ -7,7 +7,7 @@ from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.viewpoints import FINE
 from placegraph.outdoor.track.score import MOST_SCORED, score
 
-from .test_search import QUERIES
+from ..search.test_viewpoints import QUERIES
 
 
 @pytest.mark.parametrize("name", QUERIES)

@@ -13,7 +13,7 @@ from placegraph.estimate import Status
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.track.tracker import CityTracker
 
-from .test_locate import HARBOUR, metres, sound
+from ..test_locate import HARBOUR, metres, sound
 
 BENCH, FOUNTAIN = {"amenity": "bench"}, {"amenity": "fountain"}
 TEXT = "A fountain is north of me, and a bench is south of me."
