@@ -205,7 +205,7 @@ def test_a_contradiction_is_lost(harbour):
 
 @pytest.mark.parametrize("text", ["", " ", "\n\t\r ", "\0", "bench\0", "\ud800", "x" * 100_000,
                                   "A bench is north of me. " * 5000, None, 5, 1.5, b"bench",
-                                  ["bench"], object()])  # fmt: skip
+                                  ["bench"], object])  # fmt: skip
 def test_no_description_at_all(text, harbour):
     with pytest.raises(DescriptionError):
         harbour.locate(text)
@@ -298,7 +298,7 @@ def test_near_somewhere_else_is_lost(harbour):
 
 BAD_PLACES = [
     (200, 10), (10, 95), (-181, 0), (float("nan"), 1), (float("inf"), 1), (1,), (), [], 5, "abc",
-    "9.99,53.55", (None, None), ("a", "b"), (1, 2, 3, 4), {"lon": 9, "lat": 53}, object(),
+    "9.99,53.55", (None, None), ("a", "b"), (1, 2, 3, 4), {"lon": 9, "lat": 53}, object,
 ]  # fmt: skip
 
 
@@ -325,7 +325,7 @@ def test_bad_radius(radius, harbour, hafenstadt):
             harbour.locate(TEXT, near=(*hafenstadt.center, radius))
 
 
-@pytest.mark.parametrize("heading", [float("nan"), float("inf"), "north", (1, 2), object()])
+@pytest.mark.parametrize("heading", [float("nan"), float("inf"), "north", (1, 2), object])
 def test_bad_heading(heading, harbour):
     with pytest.raises(OptionError, match="heading"):
         harbour.locate(TEXT, heading=heading)
