@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.indoor.metrics import dumps
 from placegraph_lab.tables.journal import Journal, fingerprint
 from placegraph_lab.tables.machine import machine

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.indoor import spoken_poses
 from placegraph_lab.tables.indoor.metrics import dumps
 from placegraph_lab.tables.indoor.windows import house_windows

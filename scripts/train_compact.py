@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph_lab.train.compact import worlds
 from placegraph_lab.train.training import torch_or_what_installs_it
 from placegraph_lab.worlds.flat.flat import Flat

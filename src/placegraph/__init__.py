@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from placegraph.estimate import Estimate, Refinement, Status
     from placegraph.formats.capture.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
+    from placegraph.indoor.build import build_scene
     from placegraph.indoor.encode import encoder
     from placegraph.indoor.library import SceneLibrary, SearchOptions
-    from placegraph.indoor.mapping.build import build_scene
     from placegraph.indoor.mapping.merge import merge_scenes
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import matcher
@@ -41,7 +41,7 @@ _HOME = {
     "SearchOptions": "placegraph.indoor.library",
     "Status": "placegraph.estimate",
     "build_city": "placegraph.outdoor.map.build",
-    "build_scene": "placegraph.indoor.mapping.build",
+    "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.language",
     "encoder": "placegraph.indoor.encode",
     "matcher": "placegraph.indoor.refine.matching",

@@ -94,7 +94,7 @@ def _way(city: CityMap, say: Callable[[str], None]) -> None:
 def _flat(out: Path, say: Callable[[str], None]) -> None:
     """Build the flat, film a walk through it after something changed, and localize the film."""
     from placegraph.formats.capture.capture import open_capture
-    from placegraph.indoor.mapping.build import build_scene
+    from placegraph.indoor.build import build_scene
     from placegraph.indoor.options import FilterOptions
     from placegraph.view import draw_scene, write_overlay, write_plan, write_plan_animation
     from placegraph.view.scene.diff_plan import write_diff

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat
 

@@ -7,11 +7,12 @@ import numpy as np
 
 def private() -> SimpleNamespace:
     """Options without public names, and drawn worlds: a town's OpenStreetMap file, a home's scene map."""
-    from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.search import Prior
     from placegraph.indoor.sources import FromCapture
     from placegraph.synthetic.homes import home, scene_of
     from placegraph.synthetic.towns import Town
+
+    from placegraph.indoor.options import FilterOptions
 
     def home_scene(seed):
         rng = np.random.default_rng(seed)

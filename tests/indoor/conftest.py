@@ -12,7 +12,7 @@ from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.capture.tum import read_tum
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.geometry import Camera
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

@@ -19,10 +19,10 @@ from placegraph.geometry import (
     split_pose,
     vector_from_rotation,
 )
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.instances import ClassesOfInstances
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.search import Prior

@@ -12,9 +12,9 @@ from PIL import Image
 
 import placegraph as pg
 from placegraph.errors import MapError, OptionError, PlacegraphError
+from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene_file import columns
-from placegraph.indoor.mapping.build import scene_of_model
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.store import read_header, write_map
 

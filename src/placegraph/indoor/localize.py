@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.language import Sentence
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.pose.search import Prior
     from placegraph.indoor.refine.matching import Matcher
-    from placegraph.indoor.scene_map import SceneMap
 
     Progress = Callable[[str, int, int], None]
 
@@ -37,7 +37,7 @@ WINDOW = 30
 
 
 def localize(
-    scene: SceneMap,
+    scene: Scene,
     capture: Capture | Sequence[Frame],
     *,
     frames: slice | Sequence[int] | None = None,

@@ -15,7 +15,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Refinement, Status
 from placegraph.formats.capture.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
 from placegraph.view import write_plan
 from placegraph_lab.worlds.flat.walks import stroll, write_walk

@@ -12,7 +12,7 @@ from placegraph.cli.scene.pose import map_from_camera_of
 from placegraph.errors import OptionError
 from placegraph.formats.capture.tum import write_tum
 from placegraph.geometry import Camera, split_pose
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.refine.render import render
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk

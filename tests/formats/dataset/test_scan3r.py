@@ -225,7 +225,7 @@ def test_labels_texture_attributes_relations(scan):
 
 
 def test_it_makes_a_map(scan):
-    from placegraph.indoor.mapping.build import scene_of_model
+    from placegraph.indoor.build import scene_of_model
 
     scene = scene_of_model(read_scan3r(scan.path))
     assert scene.floors.tolist() == pytest.approx([0.0], abs=1e-3)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.scannet import is_scannet, patches, read_scannet
 from placegraph.formats.dataset.scannet_files import axis_alignment, read_label_map
-from placegraph.indoor.mapping.build import scene_of_model
+from placegraph.indoor.build import scene_of_model
 
 SEGMENTS = "_vh_clean_2.0.010000.segs.json"
 

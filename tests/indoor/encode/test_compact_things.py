@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode.compact import things
 from placegraph.indoor.encode.compact.things import (
     COLOUR,
@@ -17,7 +18,6 @@ from placegraph.indoor.encode.compact.things import (
     features,
 )
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.build import scene_of_model
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 

@@ -6,10 +6,10 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
+from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import MapEncoder, Patches
 from placegraph.indoor.encode.grid import GRID
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
-from placegraph.indoor.mapping.build import scene_of_model
 from placegraph.indoor.mapping.merge import merge_scenes
 
 CAMERA = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)

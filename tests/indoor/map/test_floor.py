@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map.floor import floor_height, is_floor, label_words
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.build import scene_of_model
 
 ROOM = {
     "slab": ((0, 0, -0.2), (5, 4, 0.1)),

@@ -5,7 +5,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import OptionError
-from placegraph.indoor.mapping.build import scene_of_model
+from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.mapping.merge import GAP, merge_scenes
 
 FLAT = {"floor": ((2, 3, 0.9), (6, 6, 1.0)), "table": ((3, 4, 1.0), (4, 5, 1.7))}

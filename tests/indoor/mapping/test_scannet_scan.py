@@ -6,7 +6,7 @@ import pytest
 from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.dataset.scannet import read_scannet
 from placegraph.formats.dataset.scannet_files import axis_alignment
-from placegraph.indoor.mapping.build import scene_of_model
+from placegraph.indoor.build import scene_of_model
 
 
 @pytest.fixture(scope="module")

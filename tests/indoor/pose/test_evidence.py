@@ -9,12 +9,12 @@ import pytest
 
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, between, compose, split_pose
+from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bound
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.scorer import Scorer
-from placegraph.indoor.mapping.build import scene_of_model
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.evidence_kernels import look

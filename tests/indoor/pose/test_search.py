@@ -9,7 +9,7 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.observe import combine, sight, views
 from placegraph.indoor.likelihood.scorer import Scorer
-from placegraph.indoor.map.visibility import floor_under
+from placegraph.indoor.likelihood.visibility import floor_under
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.search import Prior, around, everywhere, near_prior
 

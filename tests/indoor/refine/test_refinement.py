@@ -286,7 +286,7 @@ def test_a_matcher_that_was_asked_for_is_not_passed_over(room, walk, exact, monk
 
 
 def test_the_shared_house_to_centimetres(shared, tmp_path, truth, kit):
-    from placegraph.indoor.mapping.build import build_scene
+    from placegraph.indoor.build import build_scene
 
     house = build_scene(shared / "data/house/map/house.glb", tmp_path / "house.scene")
     capture = open_capture(shared / "data/house/seq00")

@@ -8,7 +8,7 @@ import pytest
 
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.geometry import rotation_z
-from placegraph.indoor.mapping.build import build_scene, scene_of_model
+from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph_lab.datasets.scannet_register import register_scans
 from placegraph_lab.worlds.flat.flat import Flat
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from placegraph.errors import OptionError
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.register import rigid
 from placegraph.view.draw.canvas import Stroke, Text

@@ -9,7 +9,7 @@ from PIL import Image
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.geometry import Camera
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.refine.render import Rendering
 from placegraph.view import write_overlay
 from placegraph.view.scene.overlay import (

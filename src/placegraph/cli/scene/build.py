@@ -111,7 +111,7 @@ def build(
     """
     from time import perf_counter
 
-    from placegraph.indoor.mapping.build import build_scene
+    from placegraph.indoor.build import build_scene
 
     left_out: Counter[str] = Counter()
     notes: list[str] = []

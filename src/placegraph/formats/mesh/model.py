@@ -1,6 +1,6 @@
 """What readers of 3D files return: triangles that know their object, pictures, and no opinion.
 
-Floor, relations and the size of pictures are the builder's: `placegraph.indoor.mapping.build`.
+Floor, relations and the size of pictures are the builder's: `placegraph.indoor.build`.
 """
 
 from __future__ import annotations

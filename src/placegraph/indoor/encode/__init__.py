@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 __all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map"]
 
@@ -85,7 +85,7 @@ class Encoder(Protocol):
     def camera(self, image: Frame) -> Camera:
         """Camera whose image the grid divides."""
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """Vectors (N, d) of a map's objects, unit or zero: nothing is known of it.
 
         `captures`: images of the map itself, their odometry being map_from_camera. Raises
@@ -173,7 +173,7 @@ class BoundEncoder:
         )
 
 
-def bound(encoder: Encoder, scene: SceneMap, captures: Sequence[Capture] = ()) -> MapEncoder:
+def bound(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> MapEncoder:
     """Encoder tied to a map: with the vectors that the map holds, or else made of the map itself.
 
     Raises
@@ -187,7 +187,7 @@ def bound(encoder: Encoder, scene: SceneMap, captures: Sequence[Capture] = ()) -
     return BoundEncoder(encoder, vectors_of(encoder, scene, captures))
 
 
-def for_map(given: str | Encoder | MapEncoder, scene: SceneMap) -> MapEncoder:
+def for_map(given: str | Encoder | MapEncoder, scene: Scene) -> MapEncoder:
     """Encoder of a map from a name, from an encoder that knows no map, or as it is.
 
     Raises as `encoder` and `bound` do.
@@ -197,7 +197,7 @@ def for_map(given: str | Encoder | MapEncoder, scene: SceneMap) -> MapEncoder:
     return bound(given, scene) if isinstance(given, Encoder) else given
 
 
-def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: SceneMap) -> NDArray[np.float32]:
+def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: Scene) -> NDArray[np.float32]:
     """Vectors (N, d) of unit length, or zero; `OptionError` where they are no such thing."""
     vectors = np.asarray(vectors, np.float32)
     if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
@@ -226,7 +226,7 @@ def patches_of(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
 
 
 def vectors_of(
-    encoder: Encoder, scene: SceneMap, captures: Sequence[Capture] = ()
+    encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()
 ) -> NDArray[np.float32]:
     """An encoder's vectors (N, d) of a map's objects; raises as `bound` does."""
     if scene.graph.embeddings is not None and scene.encoder == encoder.key and not captures:

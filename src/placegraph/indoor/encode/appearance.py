@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 DIMENSION = 64
 TEMPERATURE = 0.12
@@ -108,21 +108,22 @@ class AppearanceEncoder:
         """Camera of the colour image."""
         return image.camera
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
         """Unit vectors (N, d) of a map's objects; zero of what cannot be seen, or has no colour."""
         means, cells = surfaces(scene)
         return np.where(cells[:, None] > 0, _unit(means - _USUAL), np.float32(0.0))
 
 
-def surfaces(scene: SceneMap) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Mean features (N, d) of a map's objects, not centred, and how many cells (N,) show them."""
+    from placegraph.indoor.likelihood.visibility import visibility
     from placegraph.indoor.refine.render import Renderer
 
     sums = np.zeros((len(scene), DIMENSION))
     cells = np.zeros(len(scene), np.int64)
     if not scene.coloured:
         return sums.astype(np.float32), cells
-    renderer, table = Renderer(scene), scene.visibility(FilterOptions())
+    renderer, table = Renderer(scene), visibility(scene, FilterOptions())
 
     def look(poses: NDArray[np.float64]) -> None:
         for pose in poses:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 STEP = 8
 """Pixels between those whose labels are compared with the map."""
@@ -118,7 +118,7 @@ class Confusion:
     @classmethod
     def estimate(
         cls,
-        scene: SceneMap,
+        scene: Scene,
         captures: Sequence[Capture],
         *,
         step: int = STEP,
@@ -167,7 +167,7 @@ class Confusion:
         return cls(tuple(names.values()), counts)
 
 
-def _compared(scene: SceneMap, frame: Frame, step: int) -> dict[tuple[str, str], float]:
+def _compared(scene: Scene, frame: Frame, step: int) -> dict[tuple[str, str], float]:
     """How often pixels of what is truly one label are said to be another, in one frame."""
     ids = frame.labels() if frame.label_kind == "labels" else None
     if ids is None:

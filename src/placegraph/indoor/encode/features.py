@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 MODEL = "vit_small_patch14_dinov2.lvd142m"
 TEMPERATURE = 0.1
@@ -105,7 +105,7 @@ class FeaturesEncoder:
         """Camera of the colour image."""
         return image.camera
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """Unit vectors (N, d) of a map's objects; zero of what no image shows.
 
         Patches count by the square of their share of the object: one that shows half of it and half
@@ -132,7 +132,7 @@ class FeaturesEncoder:
 
 
 def covered(
-    scene: SceneMap, frame: Frame, grid: tuple[int, int]
+    scene: Scene, frame: Frame, grid: tuple[int, int]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
     """What the patches of a frame, whose odometry is map_from_camera, show of a map's objects.
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.map.visibility import VisibilityTable
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
 
 POSITIONS_A_GLANCE = 24
 """Free positions of the visibility table, 0.25 m apart, that share a glance."""

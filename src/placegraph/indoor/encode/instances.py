@@ -11,7 +11,7 @@ from placegraph.indoor.encode.grid import GRID, checked, looked_up, majority
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 
 class InstancesEncoder:
@@ -27,7 +27,7 @@ class InstancesEncoder:
 
     """
 
-    def __init__(self, scene: SceneMap, grid: tuple[int, int] = GRID) -> None:
+    def __init__(self, scene: Scene, grid: tuple[int, int] = GRID) -> None:
         self.grid = checked(grid)
         graph = scene.graph
         merged = len(scene.scenes) > 1
@@ -57,7 +57,7 @@ class ClassesOfInstances(InstancesEncoder):
     In a merged map, a number that may be any scene's stands in each scene for its label there.
     """
 
-    def __init__(self, scene: SceneMap, grid: tuple[int, int] = GRID) -> None:
+    def __init__(self, scene: Scene, grid: tuple[int, int] = GRID) -> None:
         super().__init__(scene, grid)
         graph = scene.graph
         parts = [id_.rpartition("/") for id_ in graph.ids]

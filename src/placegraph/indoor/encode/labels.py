@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode.confusion import Confusion
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat: found on windows of the house, by its own words and by others."""
@@ -102,7 +102,7 @@ class LabelsEncoder:
         own = self.segmenter is None and image.label_camera is not None
         return (image.label_camera if own else None) or image.camera
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
         """Vectors (N, d) of the labels of a map's objects."""
         return np.stack([self.vector(label) for label in scene.graph.labels])
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.indoor.language.sentence import Sentence, Statement
-    from placegraph.indoor.map.visibility import VisibilityTable
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
+    from placegraph.indoor.map.scene import Scene
 
 WRONG = 0.15
 """Share of statements that are wrong, or about another thing of that name."""
@@ -36,7 +36,7 @@ _NOWHERE = 1e-6
 _TOLD = 0.05  # evidence that says anything [nat]
 
 
-def prior(sentence: Sentence, scene: SceneMap, table: VisibilityTable) -> NDArray[np.float32]:
+def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> NDArray[np.float32]:
     """`Sentence.prior`."""
     total = np.zeros((len(table), AZIMUTHS), np.float32)
     for _, ratio in _ratios(sentence, scene, table):
@@ -45,7 +45,7 @@ def prior(sentence: Sentence, scene: SceneMap, table: VisibilityTable) -> NDArra
     return total
 
 
-def unused(sentence: Sentence, scene: SceneMap) -> tuple[Ignored, ...]:
+def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
     """`Sentence.unused`."""
     things = Things(sentence, scene)
     reasons = [(s, things.missing(s)) for s in sentence.statements]
@@ -53,7 +53,7 @@ def unused(sentence: Sentence, scene: SceneMap) -> tuple[Ignored, ...]:
 
 
 def evidence(
-    sentence: Sentence, scene: SceneMap, table: VisibilityTable, pose: ArrayLike
+    sentence: Sentence, scene: Scene, table: VisibilityTable, pose: ArrayLike
 ) -> tuple[Evidence, ...]:
     """`Sentence.evidence`."""
     if not len(table):
@@ -81,7 +81,7 @@ def _served(s: Statement, things: Things) -> tuple[ObjectRef, ...]:
 
 
 def _ratios(
-    sentence: Sentence, scene: SceneMap, table: VisibilityTable
+    sentence: Sentence, scene: Scene, table: VisibilityTable
 ) -> list[tuple[Statement, NDArray[np.float32] | None]]:
     """Log-likelihood ratio (K, A) or (K, 1) of each statement; None where it says nothing here."""
     if not len(table):

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from placegraph.graph import SceneGraph
     from placegraph.indoor.language.index import TextIndex
     from placegraph.indoor.language.score import Score
-    from placegraph.indoor.map.visibility import VisibilityTable
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
+    from placegraph.indoor.map.scene import Scene
     from placegraph.language.check import Ignored
 
 
@@ -95,7 +95,7 @@ class Sentence:
     statements: tuple[Statement, ...] = ()
     ignored: tuple[Ignored, ...] = ()
 
-    def prior(self, scene: SceneMap, table: VisibilityTable) -> NDArray[np.float32]:
+    def prior(self, scene: Scene, table: VisibilityTable) -> NDArray[np.float32]:
         """Log prior (K, A) float32 over the table's positions and headings a * STEP [nat].
 
         Against the uniform: its exponential has the mean 1 for each statement, so it can be added
@@ -105,14 +105,14 @@ class Sentence:
 
         return prior(self, scene, table)
 
-    def unused(self, scene: SceneMap) -> tuple[Ignored, ...]:
+    def unused(self, scene: Scene) -> tuple[Ignored, ...]:
         """What of the sentence says nothing on this map, and why: things it does not have."""
         from placegraph.indoor.language.prior import unused
 
         return unused(self, scene)
 
     def evidence(
-        self, scene: SceneMap, table: VisibilityTable, pose: ArrayLike
+        self, scene: Scene, table: VisibilityTable, pose: ArrayLike
     ) -> tuple[Evidence, ...]:
         """What each statement says of a pose (4,) x, y, z [m], yaw [rad] on a map."""
         from placegraph.indoor.language.prior import evidence

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.language.sentence import Statement
     from placegraph.indoor.language.things import Things
-    from placegraph.indoor.map.visibility import VisibilityTable
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
 
     Floats = NDArray[np.float32]
 

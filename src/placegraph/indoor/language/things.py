@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.language.sentence import Sentence, Statement
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
     Floats = NDArray[np.float32]
 
@@ -35,7 +35,7 @@ class Things:
     """The things of a sentence on a map of N objects."""
 
     sentence: Sentence
-    scene: SceneMap
+    scene: Scene
 
     @cached_property
     def weights(self) -> list[Floats]:

@@ -15,7 +15,7 @@ from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.library import Entry, SceneLibrary
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature
-from placegraph.indoor.map.scene_file import from_8_bits, in_8_bits
+from placegraph.indoor.map.scene import from_8_bits, in_8_bits
 from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:

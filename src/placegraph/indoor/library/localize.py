@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.library.options import SearchOptions
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 SCENES = 4
 """Scenes localized in at most."""
@@ -117,7 +117,7 @@ def _reader(
     return next((e for e in library.encoders if e.name == given), None) or encoder_named(given)
 
 
-def _with(library: SceneLibrary, name: str, reader: Encoder | None) -> SceneMap:
+def _with(library: SceneLibrary, name: str, reader: Encoder | None) -> Scene:
     """Map of a scene with the vectors that the library has of it; without, if it has none."""
     scene = library.scene(name)
     vectors = library.entry(name).signature.vectors
@@ -126,7 +126,7 @@ def _with(library: SceneLibrary, name: str, reader: Encoder | None) -> SceneMap:
     return scene.with_embeddings(vectors[reader.key], encoder=reader.key)
 
 
-def _useful(description: str | None, scene: SceneMap) -> Sentence | None:
+def _useful(description: str | None, scene: Scene) -> Sentence | None:
     """What was said, if it is of anything in these scenes: the search has heard it already."""
     if description is None:
         return None
@@ -147,7 +147,7 @@ def _candidates(found: SceneEstimate) -> list[SceneMode]:
     return out
 
 
-def _shares(scene: SceneMap, candidates: list[SceneMode]) -> list[float]:
+def _shares(scene: Scene, candidates: list[SceneMode]) -> list[float]:
     """Share (S,) of the particles of each scene of the merged map: parts of one share evenly."""
     names = [part.partition("/")[0] for part in scene.scenes]
     total = sum(m.probability for m in candidates) or 1.0
@@ -157,7 +157,7 @@ def _shares(scene: SceneMap, candidates: list[SceneMode]) -> list[float]:
 
 def _in_their_own(
     estimate: PoseEstimate,
-    scene: SceneMap,
+    scene: Scene,
     found: SceneEstimate,
     candidates: list[SceneMode],
     merging: float,

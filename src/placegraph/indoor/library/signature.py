@@ -14,9 +14,9 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import vectors_of
+from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
-from placegraph.indoor.map.visibility import build_table
 from placegraph.indoor.options import FilterOptions
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.graph import SceneGraph
     from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 PLACES = 160
 """Panoramas of a scene, or of a merged map's part, at most,"""
@@ -77,7 +77,7 @@ class Signature:
 
 
 def signature_of(
-    scene: SceneMap,
+    scene: Scene,
     encoders: Sequence[Encoder],
     captures: Sequence[Capture] = (),
     height: float | None = None,

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.likelihood.score import View
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import Likelihood
-    from placegraph.indoor.scene_map import SceneMap
 
 _FEW = 8
 
@@ -31,7 +31,7 @@ class Scorer:
     few hundred particles the visibility table leaves is as quick as a transfer.
     """
 
-    def __init__(self, scene: SceneMap, likelihood: Likelihood, device: str = "auto") -> None:
+    def __init__(self, scene: Scene, likelihood: Likelihood, device: str = "auto") -> None:
         self.scene = scene
         self.likelihood = likelihood
         self.noise = noise(likelihood)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
-from placegraph.indoor.scene_map import SceneMap
-from placegraph.store import pack_strings, read_header
+from placegraph.indoor.map.scene import Scene, from_8_bits, in_8_bits
+from placegraph.store import pack_strings, read_header, read_map, write_map
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
     from placegraph.store import MapFile
 
+KIND = "scene"
+VERSION = 2
+S = TypeVar("S", bound=Scene)
 
 PARTS = {
     "surface": ("vertices", "triangles", "object_of", "texture_of"),
@@ -32,7 +35,23 @@ PARTS = {
 """Columns of a map file by what they are for; all others are the graph's."""
 
 
-def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
+    """Write a map file (atomically, with checksums); raises as `placegraph.store` does."""
+    write_map(path, KIND, VERSION, *columns(scene))
+
+
+def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
+    """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
+    file = read_map(path, KIND, VERSION)
+    try:
+        return kind(**_fields(file))
+    except (OptionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise MapError(
+            f"{file.header.path}: its columns contradict each other ({error}). Build it again."
+        ) from error
+
+
+def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Metadata and arrays of a scene map."""
     graph, mesh = scene.graph, scene.mesh
     grain, uv_grain = mesh.steps()
@@ -73,29 +92,6 @@ def columns(scene: SceneMap) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return meta, arrays
 
 
-def scene_map(file: MapFile) -> SceneMap:
-    """Scene map of a file's columns; `MapError` where they contradict each other."""
-    path = file.header.path
-    try:
-        blobs = _blobs(file)
-        return SceneMap(
-            graph=_graph(file),
-            mesh=_mesh(file, textures.decode(blobs, path)),
-            attributes=tuple(_attributes(a) for a in file.strings("attributes")),
-            floors=np.array(file.meta["floors"], np.float64),
-            scenes=tuple(str(name) for name in file.meta["scenes"]),
-            scene_of=file.array("scene_of", "<i4"),
-            scene_from_map=np.array(file.meta["scene_from_map"], np.float64),
-            source=str(file.meta["source"]),
-            encoded=blobs,
-            encoder=str(file.meta.get("encoder", "")),
-        )
-    except (OptionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise MapError(
-            f"{path}: its columns contradict each other ({error}). Build it again."
-        ) from (error)
-
-
 def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
     """Bytes of a map file's parts: graph, surface, colour, embeddings.
 
@@ -108,6 +104,23 @@ def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
         total[part_of.get(block.name, "graph")] += block.length
     total["graph"] += header.file_size - sum(total.values())
     return dict(total)
+
+
+def _fields(file: MapFile) -> dict[str, Any]:
+    """Fields of a `Scene` from a file's columns."""
+    blobs = _blobs(file)
+    return {
+        "graph": _graph(file),
+        "mesh": _mesh(file, textures.decode(blobs, file.header.path)),
+        "attributes": tuple(_attributes(a) for a in file.strings("attributes")),
+        "floors": np.array(file.meta["floors"], np.float64),
+        "scenes": tuple(str(name) for name in file.meta["scenes"]),
+        "scene_of": file.array("scene_of", "<i4"),
+        "scene_from_map": np.array(file.meta["scene_from_map"], np.float64),
+        "source": str(file.meta["source"]),
+        "encoded": blobs,
+        "encoder": str(file.meta.get("encoder", "")),
+    }
 
 
 def _graph(file: MapFile) -> SceneGraph:
@@ -126,24 +139,6 @@ def _graph(file: MapFile) -> SceneGraph:
         relations=tuple(kinds[i] for i in code.tolist()),
         embeddings=_embeddings(file) if "embeddings" in file.arrays else None,
     )
-
-
-def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
-
-    Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
-    """
-    most = np.abs(vectors).max(axis=1, initial=0.0).astype(np.float64)
-    mantissa, exponent = np.frexp(most / 127.0)
-    # few bits, so that products are exact
-    scales = np.ldexp(np.ceil(mantissa * 4096.0) / 4096.0, exponent).astype(np.float32)
-    divisor = np.where(scales > 0, scales, np.float32(1.0))
-    return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
-
-
-def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Vectors (N, E) of `in_8_bits`."""
-    return numbers.astype(np.float32) * scales[:, None]
 
 
 def _embeddings(file: MapFile) -> NDArray[np.float32]:

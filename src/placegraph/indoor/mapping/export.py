@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
     Paths = Mapping[str, ArrayLike]
 
@@ -43,7 +43,7 @@ _HEAD = 1 << 12
 
 
 def export(
-    scene: SceneMap,
+    scene: Scene,
     path: str | PathLike[str],
     *,
     camera_paths: Paths | None = None,
@@ -111,7 +111,7 @@ def export(
     return tuple(files)
 
 
-def losses(scene: SceneMap, path: str | PathLike[str]) -> tuple[str, ...]:
+def losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
     """What of a map a file of this ending has no place for, in sentences."""
     ending, lost = Path(path).suffix.lower(), []
     relations = len(scene.graph.relations)
@@ -148,7 +148,7 @@ def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
     return found
 
 
-def materials(scene: SceneMap, *, webp: bool = False) -> list[Material]:
+def materials(scene: Scene, *, webp: bool = False) -> list[Material]:
     """A material for each texture of a map: the encoded image, or the colour of a single texel.
 
     `webp`: keep images in WebP, which browsers show and some programs do not; else they become JPEG.
@@ -177,7 +177,7 @@ def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([way, rims.reshape(-1, 2, 3), rays.reshape(-1, 2, 3)])
 
 
-def _glb(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
+def _glb(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
     graph = scene.graph
     parts = [
         Part(graph.names[i] or graph.labels[i], surfaces, _extras(scene, i))
@@ -187,7 +187,7 @@ def _glb(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
     return encode_glb(parts, materials(scene), extras=_note(scene), generator=MARK)
 
 
-def _extras(scene: SceneMap, row: int) -> dict[str, Any]:
+def _extras(scene: Scene, row: int) -> dict[str, Any]:
     """What a node says of its object; attributes whose names are taken stand under a key of ours."""
     label, attributes = scene.graph.labels[row], scene.attributes[row]
     hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
@@ -206,7 +206,7 @@ def _jpeg(texture: NDArray[np.uint8]) -> bytes:
     return file.getvalue()
 
 
-def _note(scene: SceneMap) -> dict[str, Any]:
+def _note(scene: Scene) -> dict[str, Any]:
     """What readers want to know of a map beside its objects."""
     graph = scene.graph
     scenes = [
@@ -220,7 +220,7 @@ def _note(scene: SceneMap) -> dict[str, Any]:
     }
 
 
-def _spark_dsg(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
+def _spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
     model = painted(scene)
     several = len(scene.scenes) > 1
     rooms = []
@@ -233,7 +233,7 @@ def _spark_dsg(scene: SceneMap, paths: dict[str, NDArray[np.float64]]) -> bytes:
     return encode_spark_dsg(model, rooms, camera_paths=paths, note=note)
 
 
-def _ply(scene: SceneMap, path: Path, table: Path) -> None:
+def _ply(scene: Scene, path: Path, table: Path) -> None:
     model = painted(scene)
     numbers = _numbers([t.id for t in model.things])
     entries = []

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.scene_map import KIND, VERSION, SceneMap
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,9 +22,10 @@ GAP = 2.0
 """Free space between the boxes of neighbouring scenes [m]."""
 
 
-def merge_scenes(
-    scenes: Mapping[str, SceneMap], out_path: str | PathLike[str] | None = None
-) -> SceneMap:
+S = TypeVar("S", bound=Scene)
+
+
+def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None = None) -> S:
     """Map that holds all these scenes, in a row along x with a gap of 2 m, floors at z = 0.
 
     Scenes are shifted, never turned. Ids become `scene/id`; relations stay within their scenes.
@@ -52,7 +53,8 @@ def merge_scenes(
     moved = [_moved(name, m, s) for (name, m), s in zip(scenes.items(), shifts, strict=True)]
     first_objects = _starts([len(m) for m in moved])
     first_scenes = _starts([len(m.scenes) for m in moved])
-    merged = SceneMap(
+    merged = replace(
+        moved[0],
         graph=_graph([m.graph for m in moved], first_objects),
         mesh=_mesh([m.mesh for m in moved], first_objects),
         attributes=_joined([m.attributes for m in moved]),
@@ -62,17 +64,15 @@ def merge_scenes(
         scene_from_map=np.concatenate([m.scene_from_map for m in moved]),
         source=", ".join(scenes),
         encoded=_joined([m.encoded for m in moved]),
-        encoder=moved[0].encoder,
     )
     if out_path is not None:
-        from placegraph.indoor.map.scene_file import columns
-        from placegraph.store import write_map
+        from placegraph.indoor.map.scene_file import save_scene
 
-        write_map(out_path, KIND, VERSION, *columns(merged))
+        save_scene(merged, out_path)
     return merged
 
 
-def _check(scenes: Mapping[str, SceneMap]) -> None:
+def _check(scenes: Mapping[str, Scene]) -> None:
     if not scenes:
         raise OptionError("scenes: there is none; give at least one scene map.")
     for name in scenes:
@@ -92,7 +92,7 @@ def _check(scenes: Mapping[str, SceneMap]) -> None:
         )
 
 
-def _shifts(maps: Sequence[SceneMap]) -> list[NDArray[np.float64]]:
+def _shifts(maps: Sequence[Scene]) -> list[NDArray[np.float64]]:
     """Shift (3,) of each scene: boxes in a row along x from 0, centred in y, lowest floor at 0."""
     shifts, x = [], 0.0
     for scene in maps:
@@ -105,7 +105,7 @@ def _shifts(maps: Sequence[SceneMap]) -> list[NDArray[np.float64]]:
     return shifts
 
 
-def _moved(name: str, scene: SceneMap, shift: NDArray[np.float64]) -> SceneMap:
+def _moved(name: str, scene: S, shift: NDArray[np.float64]) -> S:
     """Scene shifted, with its name in front of ids and parts."""
     back = np.eye(4)
     back[:3, 3] = -shift

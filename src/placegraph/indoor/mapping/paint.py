@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 _SAMPLES = np.array(
     [(0.90, 0.05), (0.70, 0.25), (0.70, 0.05), (0.50, 0.40), (0.50, 0.10), (0.40, 0.30)]
@@ -22,7 +22,7 @@ _SAMPLES = np.array(
 """Shares of a corner and of the next one at points of the corner's part of a triangle."""
 
 
-def painted(scene: SceneMap) -> Model:
+def painted(scene: Scene) -> Model:
     """The map as a model without textures, whose vertices belong to one object each.
 
     A vertex has the mean colour of the texture around it, times its own colour: a wall of two

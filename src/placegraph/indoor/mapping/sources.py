@@ -142,7 +142,7 @@ def read_source(
     left_out: Counter[str],
     progress: Progress | None = None,
 ) -> Source:
-    """Read any source; parameters and errors as of `placegraph.indoor.mapping.build.build_scene`."""
+    """Read any source; parameters and errors as of `placegraph.indoor.build.build_scene`."""
     path = Path(path)
     kind = next((k for k in KINDS if k.fits(path)), None)
     if kind is None:

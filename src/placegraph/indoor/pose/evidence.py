@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.likelihood.score import View
     from placegraph.indoor.likelihood.scorer import Scorer
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 
 _MOST = 12  # objects named
@@ -114,7 +114,7 @@ def _concerned(
     return np.asarray(np.where(logs > 0, sums.argmax(axis=1)[said], blamed[said]))
 
 
-def explain(scene: SceneMap, agreed: Agreement) -> tuple[Evidence, ...]:
+def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
     """Evidence in words, the heaviest first."""
     order = np.argsort(-np.abs(agreed.weights), kind="stable")
     rows = order[agreed.told[order] > 0][:_MOST].tolist()
@@ -149,7 +149,7 @@ def explain(scene: SceneMap, agreed: Agreement) -> tuple[Evidence, ...]:
     return tuple(out)
 
 
-def _of_object(scene: SceneMap, n: int, weight: float) -> Evidence:
+def _of_object(scene: Scene, n: int, weight: float) -> Evidence:
     graph = scene.graph
     verdict = "for" if weight > _TELLING else "against" if weight < -_TELLING else "silent"
     name = graph.names[n] if graph.names else ""

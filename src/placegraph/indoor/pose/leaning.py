@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
     from placegraph.estimate import Evidence
     from placegraph.indoor.language import Sentence
-    from placegraph.indoor.map.visibility import VisibilityTable
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
+    from placegraph.indoor.map.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leaning:
     """A log prior over the poses of a visibility table, and the shares of its merged scenes."""
 
-    scene: SceneMap
+    scene: Scene
     table: VisibilityTable
     sentence: Sentence | None
     logs: NDArray[np.float32]
@@ -34,7 +34,7 @@ class Leaning:
     @classmethod
     def of(
         cls,
-        scene: SceneMap,
+        scene: Scene,
         table: VisibilityTable,
         description: str | Sentence | None,
         shares: ArrayLike | None,
@@ -75,7 +75,7 @@ class Leaning:
         return ", ".join(repr(e.statement) for e in told if e.verdict == "against")
 
 
-def _read(description: str | Sentence | None, scene: SceneMap) -> Sentence | None:
+def _read(description: str | Sentence | None, scene: Scene) -> Sentence | None:
     if description is None:
         return None
     from placegraph.indoor.language import read
@@ -92,7 +92,7 @@ def _read(description: str | Sentence | None, scene: SceneMap) -> Sentence | Non
 
 
 def _parts(
-    scene: SceneMap, table: VisibilityTable, shares: ArrayLike | None
+    scene: Scene, table: VisibilityTable, shares: ArrayLike | None
 ) -> tuple[tuple[NDArray[np.int64], float], ...]:
     if shares is None:
         return ((np.arange(len(table)), 1.0),)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.likelihood.score import Noise, View
-    from placegraph.indoor.map.visibility import VisibilityTable
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.leaning import Leaning
 

@@ -16,7 +16,7 @@ from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import COARSE, FINE, sight, spread, views
-from placegraph.indoor.map.visibility import floor_under
+from placegraph.indoor.likelihood.visibility import floor_under, visibility
 from placegraph.indoor.pose.clock import timed
 from placegraph.indoor.pose.filter import ParticleFilter, run_pass
 from placegraph.indoor.pose.leaning import Leaning
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from placegraph.indoor.likelihood.observe import Sighting
     from placegraph.indoor.likelihood.score import View
     from placegraph.indoor.likelihood.scorer import Scorer
-    from placegraph.indoor.map.visibility import VisibilityTable
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions, Pass
     from placegraph.indoor.pose.polish import Fit
     from placegraph.indoor.pose.search import Prior
-    from placegraph.indoor.scene_map import SceneMap
 
     Progress = Callable[[str, int, int], None]
 
@@ -52,7 +52,7 @@ _TRIES = 8  # poses tried around each seed
 _SCREENED = 10  # frames that screen the seeds
 
 
-def own_encoder(scene: SceneMap, frame: Frame) -> MapEncoder | None:
+def own_encoder(scene: Scene, frame: Frame) -> MapEncoder | None:
     """Encoder of the labels that a capture brings itself; None where it brings none."""
     if frame.label_kind == "instances":
         return InstancesEncoder(scene)
@@ -63,7 +63,7 @@ def own_encoder(scene: SceneMap, frame: Frame) -> MapEncoder | None:
 class Sequence_:  # noqa: N801  `Sequence` is taken
     """Frames of one capture, read, encoded, and with steps between them."""
 
-    scene: SceneMap
+    scene: Scene
     options: FilterOptions
     scorer: Scorer
     sightings: list[Sighting]
@@ -79,7 +79,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
     @classmethod
     def of(
         cls,
-        scene: SceneMap,
+        scene: Scene,
         frames: Sequence[Frame],
         encoder: MapEncoder | None,
         options: FilterOptions,
@@ -123,7 +123,7 @@ class Sequence_:  # noqa: N801  `Sequence` is taken
     @property
     def table(self) -> VisibilityTable:
         """The map's table."""
-        return self.scene.visibility(self.options)
+        return visibility(self.scene, self.options)
 
     @cached_property
     def leaning(self) -> Leaning | None:
@@ -291,6 +291,6 @@ def leveled(frames: Sequence[Frame]) -> NDArray[np.float64]:
     )
 
 
-def usable(scene: SceneMap, options: FilterOptions) -> FilterOptions:
+def usable(scene: Scene, options: FilterOptions) -> FilterOptions:
     """Options without the colour term where the map has no colours to compare."""
     return replace(options, colour=options.colour and scene.coloured)

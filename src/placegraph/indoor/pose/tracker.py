@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.likelihood.observe import Sighting
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""
@@ -75,7 +75,7 @@ class Tracker:
 
     def __init__(
         self,
-        scene: SceneMap,
+        scene: Scene,
         camera: Camera | None = None,
         *,
         options: FilterOptions | None = None,

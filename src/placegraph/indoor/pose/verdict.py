@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
     from placegraph.estimate import Evidence
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.pose.leaning import Leaning
     from placegraph.indoor.pose.polish import Fit
     from placegraph.indoor.pose.sequence import Sequence_
-    from placegraph.indoor.scene_map import SceneMap
 
 TEMPERATURE = 2.7
 """Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
@@ -125,7 +125,7 @@ def _shared(
 
 
 def _explained(
-    leaning: Leaning | None, scene: SceneMap, agreed: Agreement, pose: Floats
+    leaning: Leaning | None, scene: Scene, agreed: Agreement, pose: Floats
 ) -> tuple[Evidence, ...]:
     said = () if leaning is None else leaning.evidence(pose)
     return said + explain(scene, agreed)

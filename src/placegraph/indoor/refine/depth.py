@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.rays.packets_kernels import Tracer
-    from placegraph.indoor.scene_map import SceneMap
 
 _TILE = 4
 _REACH = 3  # pixels from a reading to the points that its normal is made of
@@ -120,7 +120,7 @@ class Surfaces(NamedTuple):
     """(T,)"""
 
     @classmethod
-    def of(cls, scene: SceneMap) -> Surfaces:
+    def of(cls, scene: Scene) -> Surfaces:
         """Surfaces of a map."""
         return cls(scene.caster.tracer, scene.normals, scene.mesh.object_of)
 

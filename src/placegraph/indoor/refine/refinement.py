@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.observe import Sighting
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
     Progress = Callable[[str, int, int], None]
 
@@ -61,7 +61,7 @@ def chosen_matcher(matcher: str | Matcher, device: str = "auto") -> Matcher | No
 
 def refine_estimate(
     estimate: PoseEstimate,
-    scene: SceneMap,
+    scene: Scene,
     sightings: Sequence[Sighting],
     *,
     matcher: Matcher | None = None,
@@ -99,7 +99,7 @@ def refine_estimate(
 
 
 def _refiner(
-    scene: SceneMap,
+    scene: Scene,
     sightings: Sequence[Sighting],
     options: RefineOptions,
     matcher: Matcher | None,
@@ -193,7 +193,7 @@ def _moved_to(mode: PoseMode, fitted: Fitted) -> PoseMode:
 
 
 def refine(
-    scene: SceneMap,
+    scene: Scene,
     capture: Capture | Sequence[Frame],
     map_from_camera: ArrayLike,
     *,
@@ -305,7 +305,7 @@ def _reach(options: RefineOptions) -> Floats:
 
 
 def _given(
-    scene: SceneMap, frames: Sequence[Frame], coarse: Floats, options: RefineOptions
+    scene: Scene, frames: Sequence[Frame], coarse: Floats, options: RefineOptions
 ) -> PoseEstimate:
     """What is known before: a pose that somebody gave."""
     matrix = coarse[-1]

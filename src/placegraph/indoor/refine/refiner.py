@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.scene_map import SceneMap
 
     Progress = Callable[[str, int, int], None]
 
@@ -102,7 +102,7 @@ class Fitted:
 class Refiner:
     """Frames of one capture, ready to be aligned with one map."""
 
-    scene: SceneMap
+    scene: Scene
     frames: Sequence[Frame]
     depths: Sequence[NDArray[np.float32] | None]
     """(T,) of (h, w) [m]"""

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Camera
     from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.rays import RayCaster
-    from placegraph.indoor.scene_map import SceneMap
 
 SAMPLES = (1, 2, 4, 8, 16)
 """Rays a pixel at edges may get."""
@@ -90,7 +90,7 @@ class Rendering:
 
 
 def render(
-    scene: SceneMap,
+    scene: Scene,
     map_from_camera: ArrayLike,
     camera: Camera,
     *,
@@ -131,7 +131,7 @@ class Renderer:
     """
 
     def __init__(
-        self, scene: SceneMap, *, device: str = "auto", caster: RayCaster | None = None
+        self, scene: Scene, *, device: str = "auto", caster: RayCaster | None = None
     ) -> None:
         self.device = "cpu" if device == "auto" else device
         self._draw: Callable[[Eye, Rendering, NDArray[np.float32]], Rendering]

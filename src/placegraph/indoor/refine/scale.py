@@ -15,9 +15,9 @@ from placegraph.indoor.refine.joint import LOOSE, READINGS
 
 if TYPE_CHECKING:
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.refine.depth import Readings
     from placegraph.indoor.refine.joint import Problem
-    from placegraph.indoor.scene_map import SceneMap
 
 OFF = 0.05
 """Share by which a scale is off that is refused. Of right cameras in the shared house and office it
@@ -40,7 +40,7 @@ class Scale(NamedTuple):
         return abs(self.share) > max(OFF, CLEAR * self.error)
 
 
-def scales(scene: SceneMap, problem: Problem, poses: Floats) -> dict[str, Scale]:
+def scales(scene: Scene, problem: Problem, poses: Floats) -> dict[str, Scale]:
     """Scales of the depth and of the image (`depth`, `image`) at fitted poses (T, 4, 4).
 
     Each by itself, with the pose of the whole sequence left free; empty without depth.
@@ -67,7 +67,7 @@ def _step(j: Floats, e: Floats, w: Floats) -> Scale:
 
 
 def _rows(
-    scene: SceneMap, problem: Problem, seen: Readings, pose: Floats, pivot: Floats
+    scene: Scene, problem: Problem, seen: Readings, pose: Floats, pivot: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Derivatives (R, 8) by shift, turn, scale of depth and of image; residuals and weights (R,).
 

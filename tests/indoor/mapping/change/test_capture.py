@@ -10,7 +10,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_z
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
 from placegraph.indoor.mapping.change.register import moved
 from placegraph_lab.worlds.flat.walks import Walk, write_walk

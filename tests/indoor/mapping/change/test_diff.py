@@ -8,8 +8,8 @@ import pytest
 
 from placegraph.errors import OptionError
 from placegraph.geometry import rotation_z
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.structure import structure
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff
 from placegraph.indoor.mapping.change.register import moved, rigid
 from placegraph.indoor.mapping.change.update import update
@@ -202,7 +202,7 @@ def test_what_the_other_map_does_not_cover_is_unseen_not_vanished(room):
 
 
 def test_two_places_are_not_laid_on_each_other(room, boxes):
-    from placegraph.indoor.mapping.build import scene_of_model
+    from placegraph.indoor.build import scene_of_model
 
     elsewhere = scene_of_model(
         boxes({"floor": ((0, 0, -0.1), (30, 2, 0)), "wall": ((0, 2, 0), (30, 2.1, 5))})

@@ -7,8 +7,8 @@ import pytest
 
 from placegraph.errors import MapError, OptionError
 from placegraph.geometry import rotation_z
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.structure import structure
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.diff import diff
 from placegraph.indoor.mapping.change.register import moved, rigid

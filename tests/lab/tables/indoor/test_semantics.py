@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from placegraph.formats.capture.capture import open_capture
 from placegraph.geometry import Camera
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode.words import vector
-from placegraph.indoor.mapping.build import build_scene
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.semantics import (
     BARE,

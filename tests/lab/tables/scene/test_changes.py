@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.scene.changes import Told, ask, changes_of, figures, report
 
 

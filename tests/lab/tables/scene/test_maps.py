@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.refine_metrics import Refined

@@ -11,8 +11,8 @@ import numpy as np
 
 from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.mesh.ply_write import write_ply
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.mapping.fuse import fuse
 from placegraph.indoor.mapping.simplify.simplify import simplify
 from placegraph.indoor.scene_map import SceneMap

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.formats.mesh.ply_write import write_ply
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import bound, encoder
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.bench import Bench

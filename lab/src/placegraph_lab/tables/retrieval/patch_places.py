@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.formats.capture.capture import Capture, Frame, open_capture
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.sources import FromCapture
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.maps import place

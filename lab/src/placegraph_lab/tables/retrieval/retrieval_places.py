@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import Rooms, rooms_of
-from placegraph.indoor.mapping.build import build_scene
 from placegraph.indoor.mapping.sources import FromCapture
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.maps import house, place

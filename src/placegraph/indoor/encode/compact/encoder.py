@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
     Floats = NDArray[np.float32]
 
@@ -75,7 +75,7 @@ class CompactEncoder:
         """Camera of the colour images."""
         return image.camera
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> Floats:  # noqa: ARG002
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> Floats:  # noqa: ARG002
         """Unit vectors (N, d) of a map's objects; `captures` are not needed."""
         words = np.stack([vector(label) for label in scene.graph.labels])
         return self.network.know(things.features(things.describe(scene), words))

@@ -20,7 +20,7 @@ from placegraph.indoor.map.textures import linear_from_srgb
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
     Floats = NDArray[np.float32]
 
@@ -54,7 +54,7 @@ class Things:
     """Whether the map has colours."""
 
 
-def describe(scene: SceneMap) -> Things:
+def describe(scene: Scene) -> Things:
     """Objects of a map."""
     mesh, count = scene.mesh, len(scene)
     doubled = np.linalg.norm(mesh.normals(), axis=1)

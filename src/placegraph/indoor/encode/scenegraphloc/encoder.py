@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode.scenegraphloc.weights import Weights
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat where the file does not say: that of the training loss."""
@@ -133,7 +133,7 @@ class SceneGraphLocEncoder:
         """Camera of the colour image."""
         return image.camera
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """As `Encoder.objects`; scenes that were merged are encoded each for itself (App. D).
 
         Raises

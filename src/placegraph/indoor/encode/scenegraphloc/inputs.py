@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.encode.scenegraphloc.network import Objects
     from placegraph.indoor.encode.scenegraphloc.views import Views
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 POINTS = 512
 """Of each object."""
@@ -63,7 +63,7 @@ class Room:
 
 
 def rooms_of(
-    scene: SceneMap,
+    scene: Scene,
     views: Views,
     *,
     attributes: Sequence[str] = (),
@@ -177,7 +177,7 @@ def _ways() -> NDArray[np.float64]:
 class _Clouds:
     """Points of the objects of a map."""
 
-    def __init__(self, scene: SceneMap, source: PointSource) -> None:
+    def __init__(self, scene: Scene, source: PointSource) -> None:
         self.mesh, self.source = scene.mesh, source
         order = np.argsort(self.mesh.object_of, kind="stable")
         ends = np.searchsorted(self.mesh.object_of[order], np.arange(len(scene) + 1))
@@ -233,7 +233,7 @@ def farthest(
     return cloud[chosen]
 
 
-def _triples(scene: SceneMap, rows: NDArray[np.int64]) -> list[tuple[int, int, int]]:
+def _triples(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[int, int, int]]:
     """Relations among some objects (row, row of the word, row) that 3DSSG has a word for."""
     place = {row: k for k, row in enumerate(rows.tolist())}
     graph = scene.graph

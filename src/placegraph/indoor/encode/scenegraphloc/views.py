@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 MOST = 10
 """Views of an object that are kept: those that show most of it."""
@@ -90,7 +90,7 @@ def quarter_turns(frame: Frame, rotate: bool | None) -> int:
     return 0 if y >= 0 else 2
 
 
-def seen_objects(scene: SceneMap, frame: Frame, *, longest: int = LONGEST) -> NDArray[np.int32]:
+def seen_objects(scene: Scene, frame: Frame, *, longest: int = LONGEST) -> NDArray[np.int32]:
     """Rows (h, w) of the objects that a frame's pixels see, -1 none, from its pose in the map.
 
     As large as the image, or as small as makes its longer side `longest`.
@@ -129,7 +129,7 @@ def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32
 
 
 def object_views(
-    scene: SceneMap,
+    scene: Scene,
     captures: Sequence[Capture],
     features: ImageFeatures,
     *,
@@ -155,7 +155,7 @@ def object_views(
     return Views(np.array(owner, np.int64), np.array(vectors, np.float32), np.array(poses))
 
 
-def _best(scene: SceneMap, frames: Sequence[Frame], rotate: bool | None) -> list[list[_Sight]]:
+def _best(scene: Scene, frames: Sequence[Frame], rotate: bool | None) -> list[list[_Sight]]:
     """The sights of each object that show most of it, the most first; of equals the earlier."""
     found: list[list[_Sight]] = [[] for _ in range(len(scene))]
     for index, frame in enumerate(frames):

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.options import DiffOptions
     from placegraph.indoor.mapping.change.register import Sampled
-    from placegraph.indoor.scene_map import SceneMap
 
 POINTS = 20_000
 """On each map."""
@@ -69,7 +69,7 @@ class Alignment:
     """The two may be different places; nothing that follows from it is sure."""
 
 
-def align(a: SceneMap, b: SceneMap, options: DiffOptions) -> Alignment:
+def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
     """Transform from a's axes to b's: the one that is given, checked, or one that is found.
 
     Raises `OptionError` where none is found, or the one given fits nowhere.
@@ -127,7 +127,7 @@ def _said(share: float, options: DiffOptions) -> str:
     )
 
 
-def _building(scene: SceneMap, rng: np.random.Generator) -> Sampled:
+def _building(scene: Scene, rng: np.random.Generator) -> Sampled:
     """Points on walls, floors and ceilings; on everything where few of them are labelled."""
     built_in = structure(scene.graph.labels)[scene.mesh.object_of]
     chosen = np.flatnonzero(built_in)
@@ -138,8 +138,8 @@ def _building(scene: SceneMap, rng: np.random.Generator) -> Sampled:
 
 
 def _overlap(
-    a: SceneMap,
-    b: SceneMap,
+    a: Scene,
+    b: Scene,
     ours: Sampled,
     theirs: Sampled,
     motion: Floats,
@@ -162,7 +162,7 @@ def _overlap(
     return max(shares)
 
 
-def _alike(a: SceneMap, b: SceneMap, motion: Floats) -> float:
+def _alike(a: Scene, b: Scene, motion: Floats) -> float:
     """Share, halved, of a's things that have one of their label near by in b."""
     movable = np.flatnonzero(~structure(a.graph.labels))
     if not movable.size:
@@ -173,7 +173,7 @@ def _alike(a: SceneMap, b: SceneMap, motion: Floats) -> float:
     return 0.5 * float((np.where(labels, gaps, np.inf).min(axis=1) < _COARSE).mean())
 
 
-def _starts(a: SceneMap, b: SceneMap, ours: Sampled, theirs: Sampled) -> list[Floats]:
+def _starts(a: Scene, b: Scene, ours: Sampled, theirs: Sampled) -> list[Floats]:
     """Transforms worth a try: axes as they are, then by turns and shifts of the walls."""
     lift = float(b.floors[0] - a.floors[0])
     starts = [np.eye(4), rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
@@ -235,5 +235,5 @@ def _slides(walls: Floats, others: Floats) -> list[Floats]:
     return found
 
 
-def _name(scene: SceneMap) -> str:
+def _name(scene: Scene) -> str:
     return scene.source or scene.scenes[0]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.motion import Scene
+    from placegraph.indoor.mapping.change.motion import Rest
     from placegraph.indoor.mapping.fuse import Fused
 
 _MARGIN = 0.12
@@ -58,11 +58,11 @@ class Clump:
         return np.asarray(self.points.max(axis=0))
 
 
-def gather(scene: Scene) -> list[Clump]:
+def gather(rest: Rest) -> list[Clump]:
     """Clumps of unexplained readings, the largest first."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
     frame = [np.zeros(0, np.int64)]
-    for t, (look, new) in enumerate(zip(scene.looks, scene.new, strict=True)):
+    for t, (look, new) in enumerate(zip(rest.looks, rest.new, strict=True)):
         points.append(look.points(new))
         colours.append(np.nan_to_num(look.rgb[new]).astype(np.float64))
         frame.append(np.full(len(points[-1]), t))
@@ -70,14 +70,14 @@ def gather(scene: Scene) -> list[Clump]:
     if not len(every):
         return []
     cells, at = np.unique(
-        np.floor(every / scene.options.voxel).astype(np.int64), axis=0, return_inverse=True
+        np.floor(every / rest.options.voxel).astype(np.int64), axis=0, return_inverse=True
     )
     at = at.ravel()
     count = np.bincount(at)
     middle = np.stack([np.bincount(at, every[:, k]) for k in range(3)], axis=1) / count[:, None]
     tint = np.stack([np.bincount(at, tints[:, k]) for k in range(3)], axis=1) / count[:, None]
-    views = np.bincount(np.unique(at * len(scene.looks) + frames) // len(scene.looks))
-    standing = (count >= 3) & ~_carved(scene, middle, views)
+    views = np.bincount(np.unique(at * len(rest.looks) + frames) // len(rest.looks))
+    standing = (count >= 3) & ~_carved(rest, middle, views)
     number = np.full(len(cells), -1)
     number[standing] = clumps(cells[standing])
     found = []
@@ -91,7 +91,7 @@ def gather(scene: Scene) -> list[Clump]:
 
 
 def appeared(
-    scene: Scene,
+    rest: Rest,
     found: Sequence[Clump],
     used: Sequence[tuple[Floats, Floats, Floats]],
     frames: Sequence[Frame],
@@ -101,8 +101,8 @@ def appeared(
 
     `used`: of each moved object its box before, and the motion back.
     """
-    options = scene.options
-    least = min(options.least_frames, len(scene.looks))
+    options = rest.options
+    least = min(options.least_frames, len(rest.looks))
     kept: list[tuple[Clump, int]] = []
     for clump in found:
         part = _unused(clump, used)
@@ -140,16 +140,16 @@ def _change(clump: Clump, pixels: int, piece: Piece) -> Change:
     )
 
 
-def _carved(scene: Scene, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _carved(rest: Rest, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which points (V, 3) are seen through so often that nothing stands there."""
     through = np.zeros(len(points), np.int64)
-    for look in scene.looks:
+    for look in rest.looks:
         if look.depth is None:
             continue
         rows, columns, depth = project(look, points)
         reading = look.depth[np.maximum(rows, 0), np.maximum(columns, 0)]
         with np.errstate(invalid="ignore"):
-            slack = tolerance(reading, scene.options) + scene.options.voxel
+            slack = tolerance(reading, rest.options) + rest.options.voxel
             through += (rows >= 0) & (reading > depth + slack)
     return np.asarray(through > _SEEN_THROUGH * (through + views))
 

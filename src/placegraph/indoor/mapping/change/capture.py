@@ -19,7 +19,7 @@ from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.appeared import Clump, appeared, gather
 from placegraph.indoor.mapping.change.changes import Change, SceneDiff
 from placegraph.indoor.mapping.change.looks import look
-from placegraph.indoor.mapping.change.motion import Placement, Scene, Thing, judge, placements
+from placegraph.indoor.mapping.change.motion import Placement, Rest, Suspect, judge, placements
 from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import inverse, moved
 from placegraph.indoor.mapping.change.slide import slid
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.looks import Look
     from placegraph.indoor.mapping.change.tally import Tally
-    from placegraph.indoor.scene_map import SceneMap
 
 SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35
 """Share of an object's pixels that have to speak for being gone before a motion is looked for."""
@@ -56,7 +56,7 @@ _MOVED_GAIN = 1.2
 
 
 def diff_capture(
-    scene: SceneMap,
+    scene: Scene,
     capture: Capture | Sequence[Frame],
     poses: ArrayLike | PoseEstimate,
     *,
@@ -181,8 +181,8 @@ def _check_poses(looks: Sequence[Look], options: DiffOptions, name: str) -> None
 
 
 def _left(
-    scene: SceneMap, looks: Sequence[Look], suspects: NDArray[np.int64], options: DiffOptions
-) -> Scene:
+    scene: Scene, looks: Sequence[Look], suspects: NDArray[np.int64], options: DiffOptions
+) -> Rest:
     """The map without the suspects, and what it does not explain."""
     suspected = np.zeros(len(scene) + 1, np.bool_)
     suspected[suspects] = True
@@ -199,7 +199,7 @@ def _left(
             depth[gone] = caster.cast(origin, rays).distance if caster else np.inf
         depths.append(depth)
         new.append(_new(seen, depth, options))
-    return Scene(looks, depths, new, options)
+    return Rest(looks, depths, new, options)
 
 
 def _new(seen: Look, depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.bool_]:
@@ -227,8 +227,8 @@ def _shown(looks: Sequence[Look], count: int, options: DiffOptions) -> NDArray[n
 
 
 def _moves(
-    scene: SceneMap,
-    left: Scene,
+    scene: Scene,
+    left: Rest,
     clumps: Sequence[Clump],
     suspects: NDArray[np.int64],
     counts: Tally,
@@ -238,7 +238,7 @@ def _moves(
     bids: list[tuple[float, int, Placement]] = []
     every = np.concatenate([np.zeros((0, 3)), *(clump.points for clump in clumps)])
     for row in suspects.tolist():
-        thing = Thing(scene.mesh, row, rng)
+        thing = Suspect(scene.mesh, row, rng)
         if counts.by_colour[row]:
             found = slid(left, thing)
             tried = [found] if found is not None else []
@@ -281,13 +281,13 @@ def _moves(
     return won
 
 
-def _reaches(thing: Thing, clump: Clump, options: DiffOptions) -> bool:
+def _reaches(thing: Suspect, clump: Clump, options: DiffOptions) -> bool:
     """Whether a clump is near enough and large enough to be the thing, or part of it."""
     gap = np.maximum(np.maximum(clump.low - thing.high, thing.low - clump.high), 0.0)
     return bool(np.linalg.norm(gap) < options.reach)
 
 
-def _box(scene: SceneMap, row: int, motion: Floats) -> tuple[Floats, Floats]:
+def _box(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
     """Corners of an object's box after a motion."""
     corners = scene.mesh.vertices[scene.mesh.triangles[scene.mesh.object_of == row]]
     points = moved(motion, corners.reshape(-1, 3).astype(np.float64))
@@ -301,13 +301,13 @@ def _common(low: Floats, high: Floats, other_low: Floats, other_high: Floats) ->
     return float(np.prod(sides) / max(least, 1e-9))
 
 
-def _explained(scene: SceneMap, placed: Placement, row: int) -> tuple[Floats, Floats, Floats]:
+def _explained(scene: Scene, placed: Placement, row: int) -> tuple[Floats, Floats, Floats]:
     """Box of an object before it moved, and the motion back: what lies in it is no news."""
     low, high = _box(scene, row, np.eye(4))
     return low, high, inverse(placed.motion)
 
 
-def _moved(scene: SceneMap, counts: Tally, row: int, placed: Placement) -> Change:
+def _moved(scene: Scene, counts: Tally, row: int, placed: Placement) -> Change:
     graph, (low, high) = scene.graph, _box(scene, row, placed.motion)
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
     gone = counts.confidence(row)
@@ -323,7 +323,7 @@ def _moved(scene: SceneMap, counts: Tally, row: int, placed: Placement) -> Chang
     )  # fmt: skip
 
 
-def _vanished(scene: SceneMap, counts: Tally, row: int) -> Change:
+def _vanished(scene: Scene, counts: Tally, row: int) -> Change:
     graph, (low, high) = scene.graph, _box(scene, row, np.eye(4))
     what = "show what is behind it" if counts.by_colour[row] else "go on behind it"
     return Change(

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.objects import Motion
-    from placegraph.indoor.scene_map import SceneMap
 
 __all__ = ["DiffOptions", "diff", "diff_capture"]
 
@@ -53,7 +53,7 @@ UNSURE = 0.3
 """Of what may have been there before, and of all between maps that are doubtfully aligned."""
 
 
-def diff(a: SceneMap, b: SceneMap, *, options: DiffOptions | None = None) -> SceneDiff:
+def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff:
     """What moved, appeared, vanished or got another label from map `a` to map `b` of one place.
 
     Parameters
@@ -231,7 +231,7 @@ def _vanished(ours: Body, around: float) -> Change:
     )  # fmt: skip
 
 
-def _appeared(b: SceneMap, theirs: Body, around: float, b_from_a: Floats) -> Change:
+def _appeared(b: Scene, theirs: Body, around: float, b_from_a: Floats) -> Change:
     sure = min(around, SUREST) if around >= COVERED and not theirs.built_in else UNSURE
     said = f"The first map has {around:.0%} of what is around it, and nothing that fits it."
     if around < COVERED:
@@ -244,7 +244,7 @@ def _appeared(b: SceneMap, theirs: Body, around: float, b_from_a: Floats) -> Cha
     )  # fmt: skip
 
 
-def piece_of(scene: SceneMap, row: int, motion: Floats) -> Piece:
+def piece_of(scene: Scene, row: int, motion: Floats) -> Piece:
     """Surface of an object of a map after a motion, with the colours of its corners."""
     mesh = scene.mesh
     own = np.flatnonzero(mesh.object_of == row)

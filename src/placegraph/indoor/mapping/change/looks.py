@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 
 WIDTH = 320
@@ -77,7 +77,7 @@ class Look:
         return np.asarray(along + self.map_from_camera[:3, 3])
 
 
-def look(scene: SceneMap, frame: Frame, map_from_camera: Floats) -> Look:
+def look(scene: Scene, frame: Frame, map_from_camera: Floats) -> Look:
     """Frame beside the map; raises `InputError` where an image is broken."""
     depth = frame.depth()
     camera = (frame.depth_camera or frame.camera) if depth is not None else frame.camera
@@ -91,7 +91,7 @@ def look(scene: SceneMap, frame: Frame, map_from_camera: Floats) -> Look:
 
 
 def seen(
-    scene: SceneMap,
+    scene: Scene,
     index: int,
     camera: Camera,
     map_from_camera: Floats,
@@ -126,7 +126,7 @@ def seen(
 
 
 def _layer(
-    scene: SceneMap,
+    scene: Scene,
     camera: Camera,
     triangle: NDArray[np.int32],
     distance: NDArray[np.float32],

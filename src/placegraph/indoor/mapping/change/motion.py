@@ -52,7 +52,7 @@ LEAST_COVER = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class Rest:
     """What is left of the map without all that is suspected to be gone, frame by frame."""
 
     looks: Sequence[Look]
@@ -93,7 +93,7 @@ class Placement:
         return self.explained * self.fit * self.cover
 
 
-class Thing:
+class Suspect:
     """One object of the map that may have moved."""
 
     def __init__(self, mesh: Mesh, row: int, rng: Generator) -> None:
@@ -112,18 +112,18 @@ class Thing:
         return np.asarray((self.low + self.high) / 2.0)
 
 
-def placements(scene: Scene, thing: Thing, clump: Floats, every: Floats) -> list[Placement]:
+def placements(rest: Rest, thing: Suspect, clump: Floats, every: Floats) -> list[Placement]:
     """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
 
     `every`: (M, 3) all unexplained points; thin things come in several clumps.
     """
-    chosen = _telling(scene, clump)
+    chosen = _telling(rest, clump)
     starts = _starts(thing, clump)
     if not chosen or not len(starts):
         return []
     scores = np.concatenate(
         [
-            _scores(scene, chosen, thing, starts[i : i + _CHUNK // POINTS])
+            _scores(rest, chosen, thing, starts[i : i + _CHUNK // POINTS])
             for i in range(0, len(starts), _CHUNK // POINTS)
         ]
     )
@@ -134,12 +134,12 @@ def placements(scene: Scene, thing: Thing, clump: Floats, every: Floats) -> list
             continue
         begin = inverse(about(thing.middle, start[3], start[:3]))
         back = register(every[near], thing.many, begin, reach=0.15, within=0.03)
-        found.append(judge(scene, thing, inverse(back.motion)))
+        found.append(judge(rest, thing, inverse(back.motion)))
     found.sort(key=lambda p: -p.worth)
-    return [_polished(scene, thing, every, found[0]), *found[1:]] if found else []
+    return [_polished(rest, thing, every, found[0]), *found[1:]] if found else []
 
 
-def _polished(scene: Scene, thing: Thing, every: Floats, placed: Placement) -> Placement:
+def _polished(rest: Rest, thing: Suspect, every: Floats, placed: Placement) -> Placement:
     """A placement, or what a fit from a little beside it finds, or that at its old height."""
     best = placed
     for turn in (-_NUDGE, 0.0, _NUDGE):
@@ -156,16 +156,16 @@ def _polished(scene: Scene, thing: Thing, every: Floats, placed: Placement) -> P
             level = motion.copy()
             level[2, 3] = 0.0
             tried.append(level)
-        best = max([best, *(judge(scene, thing, m) for m in tried)], key=lambda p: p.worth)
+        best = max([best, *(judge(rest, thing, m) for m in tried)], key=lambda p: p.worth)
     return best
 
 
-def judge(scene: Scene, thing: Thing, motion: Floats) -> Placement:
+def judge(rest: Rest, thing: Suspect, motion: Floats) -> Placement:
     """How well a thing at a placement (4, 4) explains all frames, by rays at its mesh."""
     back = inverse(motion)
     low, high = thing.low - 0.05, thing.high + 0.05
     ends = through = unexplained = frames = 0
-    for look, left, new in zip(scene.looks, scene.depths, scene.new, strict=True):
+    for look, left, new in zip(rest.looks, rest.depths, rest.new, strict=True):
         if look.depth is None:
             continue
         window = _window(look, moved(motion, _corners(low, high)))
@@ -175,7 +175,7 @@ def judge(scene: Scene, thing: Thing, motion: Floats) -> Placement:
         origin = moved(back, look.map_from_camera[None, :3, 3])[0]
         distance = thing.caster.cast(origin, rays).distance
         reading, beyond = look.depth[window].ravel(), left[window].ravel()
-        slack = tolerance(reading, scene.options)
+        slack = tolerance(reading, rest.options)
         with np.errstate(invalid="ignore"):
             shows = distance < beyond - slack
             on = shows & (np.abs(reading - distance) <= slack)
@@ -190,10 +190,10 @@ def judge(scene: Scene, thing: Thing, motion: Floats) -> Placement:
     return Placement(motion, ends, fit, min(ends / max(unexplained, 1), 1.0), frames)
 
 
-def _telling(scene: Scene, clump: Floats) -> list[int]:
+def _telling(rest: Rest, clump: Floats) -> list[int]:
     """Frames that see most of a clump, a few."""
     counts = []
-    for look, left in zip(scene.looks, scene.depths, strict=True):
+    for look, left in zip(rest.looks, rest.depths, strict=True):
         rows, columns, depth = project(look, clump)
         inside = rows >= 0
         clear = depth[inside] < left[rows[inside], columns[inside]]
@@ -202,7 +202,7 @@ def _telling(scene: Scene, clump: Floats) -> list[int]:
     return [int(t) for t in order if counts[t] > 0.2 * counts[order[0]] and counts[t] > 5]
 
 
-def _starts(thing: Thing, clump: Floats) -> Floats:
+def _starts(thing: Suspect, clump: Floats) -> Floats:
     """Placements (S, 4) to try: middle of the thing [m] and its turn [rad], upright as it was."""
     size = (thing.high - thing.low) / 2.0
     low = np.percentile(clump, 2, axis=0) - 0.5 * size.max()
@@ -226,7 +226,7 @@ def _starts(thing: Thing, clump: Floats) -> Floats:
     return np.asarray(starts[far[at] <= float(np.hypot(*size[:2]))])
 
 
-def _scores(scene: Scene, chosen: list[int], thing: Thing, starts: Floats) -> Floats:
+def _scores(rest: Rest, chosen: list[int], thing: Suspect, starts: Floats) -> Floats:
     """(S,) readings on the thing, less those behind it, as a share of its points and frames."""
     cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
     offset = thing.few.points - thing.middle
@@ -240,13 +240,13 @@ def _scores(scene: Scene, chosen: list[int], thing: Thing, starts: Floats) -> Fl
     )
     total = np.zeros(len(starts))
     for t in chosen:
-        look, left, new = scene.looks[t], scene.depths[t], scene.new[t]
+        look, left, new = rest.looks[t], rest.depths[t], rest.new[t]
         if look.depth is None:
             continue
         rows, columns, depth = project(look, points)
         rows0, columns0 = np.maximum(rows, 0), np.maximum(columns, 0)
         reading = look.depth[rows0, columns0]
-        slack = tolerance(reading, scene.options)
+        slack = tolerance(reading, rest.options)
         with np.errstate(invalid="ignore"):
             there = (rows >= 0) & (depth < left[rows0, columns0] - slack)
             on = there & (np.abs(reading - depth) <= slack) & new[rows0, columns0]
@@ -268,7 +268,7 @@ def _distinct(starts: Floats, scores: Floats) -> list[Floats]:
     return kept
 
 
-def _within(thing: Thing, start: Floats, points: Floats, margin: float) -> NDArray[np.bool_]:
+def _within(thing: Suspect, start: Floats, points: Floats, margin: float) -> NDArray[np.bool_]:
     """Which points (N, 3) lie in the thing's box at a placement, and a margin."""
     back = moved(inverse(about(thing.middle, start[3], start[:3])), points)
     inside = (back > thing.low - margin) & (back < thing.high + margin)

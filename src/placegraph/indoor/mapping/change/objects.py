@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from placegraph.geometry import Floats
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.options import DiffOptions
     from placegraph.indoor.mapping.change.register import Sampled
     from placegraph.indoor.rays import RayCaster
-    from placegraph.indoor.scene_map import SceneMap
 
 _DENSITY = 400.0  # most points a square metre of an object
 _AROUND = 0.75
@@ -94,7 +94,7 @@ class Body:
         return bool(np.all((ratio < _SIZES) & (ratio > 1.0 / _SIZES)))
 
 
-def bodies(scene: SceneMap, motion: Floats, options: DiffOptions, rng: Generator) -> list[Body]:
+def bodies(scene: Scene, motion: Floats, options: DiffOptions, rng: Generator) -> list[Body]:
     """Objects of a map after a motion."""
     mesh, graph, built_in = scene.mesh, scene.graph, structure(scene.graph.labels)
     order = np.argsort(mesh.object_of, kind="stable")
@@ -128,7 +128,7 @@ class Cover:
     """
 
     def __init__(
-        self, some: Sequence[Body], other: SceneMap, motion: Floats, options: DiffOptions
+        self, some: Sequence[Body], other: Scene, motion: Floats, options: DiffOptions
     ) -> None:
         self._built_in = [body.built_in for body in some]
         self._boxes = np.stack([body.box for body in some])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.change.looks import Look
-    from placegraph.indoor.mapping.change.motion import Scene, Thing
+    from placegraph.indoor.mapping.change.motion import Rest, Suspect
 
 ACROSS, UP = 1.6, 0.4
 """How far along the wall and up and down it is looked for [m]."""
@@ -39,24 +39,24 @@ _SEEN = 0.6
 """Share of the thing's face that a frame has to see to be asked."""
 
 
-def slid(scene: Scene, thing: Thing) -> Placement | None:
+def slid(rest: Rest, thing: Suspect) -> Placement | None:
     """Placement of a flat thing along its wall, or None where nothing there looks like it."""
     across = _across(thing)
     face = _face(thing)
     if across is None or float(np.ptp(face.colours, axis=0).max()) < 0.1:
         return None  # of one colour: it looks like any patch of such a colour
-    looks = _asked(scene, thing, across)
+    looks = _asked(rest, thing, across)
     shifts = _grid(np.zeros(2), (ACROSS, UP), COARSE)
-    scores, seen = _scores(scene, looks, face, across, shifts)
+    scores, seen = _scores(rest, looks, face, across, shifts)
     if not seen.any():
         return None
     best = int(np.where(seen, scores, -1.0).argmax())
     fine = _grid(shifts[best], (COARSE, COARSE), FINE)
-    again, _ = _scores(scene, looks, face, across, fine)
+    again, _ = _scores(rest, looks, face, across, fine)
     shift, score = fine[int(again.argmax())], float(again.max())
     apart = seen & (np.linalg.norm(shifts - shift, axis=1) > 0.3)
     rival = float(scores[apart].max()) if apart.any() else 0.0
-    without, frames, pixels = _without(scene, looks, face, _moves(across, shift[None]))
+    without, frames, pixels = _without(rest, looks, face, _moves(across, shift[None]))
     if score < ALIKE or score < without + BETTER or score < rival + BETTER:
         return None
     motion = rigid(np.eye(3), _moves(across, shift[None])[0])
@@ -84,7 +84,7 @@ class _Face:
         return max(float(self.faces(look).mean()), 0.2)
 
 
-def _face(thing: Thing) -> _Face:
+def _face(thing: Suspect) -> _Face:
     many = thing.many
     points, normals = many.points[::_EVERY], many.normals[::_EVERY]
     apart = np.linalg.norm(points[:, None] - many.points[None], axis=2)
@@ -98,7 +98,7 @@ def _moves(across: Floats, shifts: Floats) -> Floats:
     return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
 
 
-def _across(thing: Thing) -> Floats | None:
+def _across(thing: Suspect) -> Floats | None:
     """(3,) level direction along the wall a flat thing hangs on; None of what lies."""
     spread = thing.many.normals.T @ thing.many.normals
     facing = np.linalg.eigh(spread)[1][:, -1]
@@ -106,10 +106,10 @@ def _across(thing: Thing) -> Floats | None:
     return None if level < 0.8 else np.array([-facing[1], facing[0], 0.0]) / level
 
 
-def _asked(scene: Scene, thing: Thing, across: Floats) -> list[int]:
+def _asked(rest: Rest, thing: Suspect, across: Floats) -> list[int]:
     """Frames that look at the wall from near by."""
     worth = []
-    for look in scene.looks:
+    for look in rest.looks:
         spots = thing.middle + np.linspace(-ACROSS, ACROSS, 9)[:, None] * across
         rows, _, depth = project(look, spots)
         worth.append(float(np.count_nonzero(rows >= 0) / (1.0 + np.abs(depth).min())))
@@ -118,14 +118,14 @@ def _asked(scene: Scene, thing: Thing, across: Floats) -> list[int]:
 
 
 def _scores(
-    scene: Scene, looks: Sequence[int], face: _Face, across: Floats, shifts: Floats
+    rest: Rest, looks: Sequence[int], face: _Face, across: Floats, shifts: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Correlation (S,) of the thing's colours with all frames at shifts (S, 2), and who saw it."""
     moves = _moves(across, shifts)
     total, weight = np.zeros((2, len(shifts)))
     for t in looks:
-        look = scene.looks[t]
-        rows, columns, there = _visible(scene, look, face, moves)
+        look = rest.looks[t]
+        rows, columns, there = _visible(rest, look, face, moves)
         shown = blurred(look.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
         seen = there.mean(axis=1)
         worth = np.where(seen >= _SEEN * face.front(look), seen, 0.0)
@@ -135,16 +135,16 @@ def _scores(
 
 
 def _without(
-    scene: Scene, looks: Sequence[int], face: _Face, moves: Floats
+    rest: Rest, looks: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
     """How well the map without the thing fits its colours there; frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
     for t in looks:
-        look = scene.looks[t]
-        rows, columns, there = _visible(scene, look, face, moves)
+        look = rest.looks[t]
+        rows, columns, there = _visible(rest, look, face, moves)
         if there.mean() < _SEEN * face.front(look):
             continue
-        kept = (look.front.depth >= scene.depths[t] - 1e-3)[..., None]
+        kept = (look.front.depth >= rest.depths[t] - 1e-3)[..., None]
         left = blurred(np.where(kept, look.front.colour, look.behind.colour))
         shown = left[np.maximum(rows, 0), np.maximum(columns, 0)]
         values.append(float(_correlation(face.colours[None], shown, there)[0]))
@@ -154,7 +154,7 @@ def _without(
 
 
 def _visible(
-    scene: Scene, look: Look, face: _Face, moves: Floats
+    rest: Rest, look: Look, face: _Face, moves: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Pixel rows, columns (S, P) and whether a surface is seen there that may be the thing's."""
     rows, columns, depth = project(look, face.points[None] + moves[:, None])
@@ -163,7 +163,7 @@ def _visible(
     if look.depth is not None:
         reading = look.depth[at]
         with np.errstate(invalid="ignore"):
-            there &= np.abs(reading - depth) <= tolerance(reading, scene.options)
+            there &= np.abs(reading - depth) <= tolerance(reading, rest.options)
     return rows, columns, there
 
 

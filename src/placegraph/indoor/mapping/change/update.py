@@ -6,7 +6,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered
 from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene_file import open_scene, save_scene
 from placegraph.indoor.mapping.change.carry import lasting, rooms_now
 from placegraph.indoor.mapping.change.changes import KINDS
 from placegraph.indoor.mapping.change.register import moved
-from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -29,18 +30,20 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 
+S = TypeVar("S", bound=Scene)
+
 LEAST = 0.5
 """Findings less sure than this are not taken over, unless that is asked for."""
 
 
 def update(
-    scene: SceneMap,
+    scene: S,
     diff: SceneDiff,
     *,
     take: Collection[str] = KINDS,
     least_confidence: float = LEAST,
     when: str = "",
-) -> SceneMap:
+) -> S:
     """Map that has taken over what a diff found; the map given stays as it is.
 
     What moved is moved, with its surface; what vanished is left out; what appeared is added with
@@ -90,7 +93,7 @@ def update_file(
     take: Collection[str] = KINDS,
     least_confidence: float = LEAST,
     when: str = "",
-) -> SceneMap:
+) -> Scene:
     """Update a map file into another; the file is complete, or it is not there.
 
     With `in_place` both may be one: what it was before is then kept beside it, as `NAME.bak`.
@@ -108,11 +111,11 @@ def update_file(
     if same and not in_place:
         raise OptionError(f"{out} is the map itself; name another file, or say --in-place.")
     scene = update(
-        SceneMap.open(path), diff, take=take, least_confidence=least_confidence, when=when
+        open_scene(path, Scene), diff, take=take, least_confidence=least_confidence, when=when
     )
     if same:
         _keep(Path(path))
-    scene.save(out)
+    save_scene(scene, out)
     return scene
 
 
@@ -144,10 +147,10 @@ def _chosen(diff: SceneDiff, take: Collection[str], least: float) -> list[Change
     ]
 
 
-class _Things:
+class _Things(Generic[S]):
     """Columns of a map, while it changes."""
 
-    def __init__(self, scene: SceneMap) -> None:
+    def __init__(self, scene: S) -> None:
         self._before = scene
         graph, count = scene.graph, len(scene)
         self._ids, self._labels, self._names = (
@@ -187,7 +190,7 @@ class _Things:
             self._labels[row] = change.new_label
         self._stirred.add(row)
 
-    def scene(self) -> SceneMap:
+    def scene(self) -> S:
         """The new map."""
         kept = np.concatenate([self._kept, np.ones(len(self._pieces), np.bool_)])
         rows = np.flatnonzero(kept)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.scene_map import SceneMap
 
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
@@ -59,7 +59,7 @@ class Finding:
 
 
 def check(
-    scene: SceneMap,
+    scene: Scene,
     *,
     options: FilterOptions | None = None,
     size: int | None = None,
@@ -99,7 +99,7 @@ Found = tuple[Severity, str, "Sequence[str]", str]
 """Severity, sentence, ids, mend."""
 
 
-def _giant(scene: SceneMap) -> Iterator[Found]:
+def _giant(scene: Scene) -> Iterator[Found]:
     areas = np.linalg.norm(scene.mesh.normals(), axis=1) / 2.0
     own = np.bincount(scene.mesh.object_of, areas, len(scene))
     largest = int(own.argmax())
@@ -120,7 +120,7 @@ def _giant(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def _twins(scene: SceneMap) -> Iterator[Found]:
+def _twins(scene: Scene) -> Iterator[Found]:
     low, high = boxes(scene)
     movable = np.flatnonzero(~structure(scene.graph.labels))
     if not 1 < len(movable) <= 5000:
@@ -149,7 +149,7 @@ def _twins(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def _far(scene: SceneMap) -> Iterator[Found]:
+def _far(scene: Scene) -> Iterator[Found]:
     """Objects that lie apart from all others by more than the map without them is wide."""
     low, high = boxes(scene)
     if len(scene) < 3:
@@ -173,7 +173,7 @@ def _far(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def _words(scene: SceneMap) -> Iterator[Found]:
+def _words(scene: Scene) -> Iterator[Found]:
     graph = scene.graph
     bare = [i for i, label in enumerate(graph.labels) if nameless(label)]
     if len(bare) > 0.2 * len(scene):
@@ -204,7 +204,7 @@ def _words(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def _relations(scene: SceneMap) -> Iterator[Found]:
+def _relations(scene: Scene) -> Iterator[Found]:
     if len(scene) > 1 and not scene.graph.relations:
         many = len(scene) > MOST_OBJECTS
         yield (
@@ -216,7 +216,7 @@ def _relations(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def _costs(scene: SceneMap, size: int | None, seconds: float | None) -> Iterator[Found]:
+def _costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Found]:
     mend = "--detail small, or tiny, makes it smaller; so do --error and --texel."
     if len(scene.mesh) > _MANY_TRIANGLES:
         yield "warning", f"The map has {len(scene.mesh):,} triangles.", [], mend
@@ -226,12 +226,12 @@ def _costs(scene: SceneMap, size: int | None, seconds: float | None) -> Iterator
         yield "note", f"Opening it took {seconds:.1f} s.", [], mend
 
 
-def boxes(scene: SceneMap) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def boxes(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper corners (N, 3) of the objects' boxes [m]."""
     found = scene.mesh.object_bounds(len(scene))
     return found[:, 0], found[:, 1]
 
 
-def _name(scene: SceneMap, row: int) -> str:
+def _name(scene: Scene, row: int) -> str:
     graph = scene.graph
     return f"{graph.labels[row] or 'object'} {(graph.names[row] or graph.ids[row])!r}"

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.check import Found
-    from placegraph.indoor.scene_map import SceneMap
 
 _DOUBLES = 0.01
 """Share of triangles that lie on another."""
@@ -24,7 +24,7 @@ _BARE = 0.2
 """Share of the surface that is white and without texture."""
 
 
-def mesh_findings(scene: SceneMap) -> Iterator[Found]:
+def mesh_findings(scene: Scene) -> Iterator[Found]:
     """What is odd about the triangles."""
     corners = _welded(scene)
     yield from _doubles(scene, corners)
@@ -32,7 +32,7 @@ def mesh_findings(scene: SceneMap) -> Iterator[Found]:
     yield from _colours(scene)
 
 
-def _welded(scene: SceneMap) -> NDArray[np.int64]:
+def _welded(scene: Scene) -> NDArray[np.int64]:
     """(T, 3) corners as numbers of places: vertices at one place are one, whatever their colour."""
     grain, _ = scene.mesh.steps()
     steps = np.rint(scene.mesh.vertices / np.float32(grain)).astype(np.int64)
@@ -43,7 +43,7 @@ def _welded(scene: SceneMap) -> NDArray[np.int64]:
     return place[scene.mesh.triangles]
 
 
-def _doubles(scene: SceneMap, corners: NDArray[np.int64]) -> Iterator[Found]:
+def _doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Found]:
     ordered = np.sort(corners, axis=1)
     count = int(corners.max()) + 1
     first = ordered[:, 0] * count + ordered[:, 1]
@@ -82,7 +82,7 @@ def _edges(corners: NDArray[np.int64]) -> Iterator[Found]:
         )
 
 
-def _colours(scene: SceneMap) -> Iterator[Found]:
+def _colours(scene: Scene) -> Iterator[Found]:
     mesh = scene.mesh
     if not scene.coloured:
         white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)

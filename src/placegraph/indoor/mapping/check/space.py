@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.check import Found, Severity
-    from placegraph.indoor.scene_map import SceneMap
 
 HEIGHTS = {
     "chair": 0.9, "armchair": 0.9, "table": 0.74, "desk": 0.75, "sofa": 0.85, "couch": 0.85,
@@ -52,7 +52,7 @@ _BACK = 0.3
 """Share of the rays from inside that meet the back of a triangle."""
 
 
-def units(scene: SceneMap) -> Iterator[Found]:
+def units(scene: Scene) -> Iterator[Found]:
     """Is it in metres? By the height of rooms, and of things whose label is known."""
     rooms = _height(scene)
     known = _known_ratio(scene)
@@ -77,7 +77,7 @@ def units(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def up_axis(scene: SceneMap) -> Iterator[Found]:
+def up_axis(scene: Scene) -> Iterator[Found]:
     """Is z up? Floors and ceilings face along it, and rooms are lower than they are wide."""
     areas, unit = _normals(scene)
     named, standing = labelled_floors(scene.mesh, scene.graph.labels)
@@ -117,7 +117,7 @@ def up_axis(scene: SceneMap) -> Iterator[Found]:
         )
 
 
-def floors(scene: SceneMap) -> Iterator[Found]:
+def floors(scene: Scene) -> Iterator[Found]:
     """Is the floor where the map says, and level? For each merged scene."""
     areas, unit = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
@@ -167,10 +167,12 @@ def floors(scene: SceneMap) -> Iterator[Found]:
             )
 
 
-def places(scene: SceneMap, options: FilterOptions | None) -> Iterator[Found]:
+def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
     """Is there a place for a camera, and is the map closed around it? Are its normals flipped."""
+    from placegraph.indoor.likelihood.visibility import visibility
+
     options = options or FilterOptions()
-    table = scene.visibility(options)
+    table = visibility(scene, options)
     said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
     over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
     if not len(table) or over:
@@ -219,7 +221,7 @@ def _holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Fou
 
 
 def _inside_out(
-    scene: SceneMap, triangle: NDArray[np.int32], rays: NDArray[np.float32]
+    scene: Scene, triangle: NDArray[np.int32], rays: NDArray[np.float32]
 ) -> Iterator[Found]:
     hit = triangle >= 0
     rows = triangle[hit]
@@ -250,7 +252,7 @@ def _steep() -> NDArray[np.float32]:
     return both.astype(np.float32)
 
 
-def _height(scene: SceneMap) -> float:
+def _height(scene: Scene) -> float:
     """From the floor to where all but a fiftieth of the surface lies below [m]."""
     areas, _ = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
@@ -260,7 +262,7 @@ def _height(scene: SceneMap) -> float:
     return float(top - scene.floors.min())
 
 
-def _known_ratio(scene: SceneMap) -> float | None:
+def _known_ratio(scene: Scene) -> float | None:
     """How many times as high as usual things are whose kind is in `HEIGHTS`.
 
     None where fewer than `_KINDS` kinds, or no more than half of them, agree: parts of things are
@@ -282,7 +284,7 @@ def _known_ratio(scene: SceneMap) -> float | None:
     return middle if agree >= max(_KINDS, len(ratios) // 2 + 1) else None
 
 
-def _normals(scene: SceneMap) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _normals(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Areas (T,) [m2] and unit normals (T, 3)."""
     doubled = scene.mesh.normals()
     lengths = np.linalg.norm(doubled, axis=1)

@@ -13,9 +13,9 @@ from placegraph.indoor.rays.warp.scorer import WarpCaster
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.refine.render import Rendering
     from placegraph.indoor.refine.render_kernels import Eye
-    from placegraph.indoor.scene_map import SceneMap
 
 
 class WarpRenderer:
@@ -36,7 +36,7 @@ class WarpRenderer:
         Warp is not installed.
     """
 
-    def __init__(self, scene: SceneMap, device: str = "cuda") -> None:
+    def __init__(self, scene: Scene, device: str = "cuda") -> None:
         mesh = scene.mesh
         self._caster = WarpCaster(mesh.vertices, mesh.triangles, device=device)
         from placegraph.indoor.rays.warp import render_kernels as warp_render_kernels

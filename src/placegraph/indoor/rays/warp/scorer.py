@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.indoor.likelihood.score import Noise, View
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 BATCH = 4_000_000
 """So many rays are scored at once; more poses take several batches, not more memory."""
@@ -113,7 +113,7 @@ class WarpScorer:
         Warp is not installed.
     """
 
-    def __init__(self, scene: SceneMap, device: str = "cuda") -> None:
+    def __init__(self, scene: Scene, device: str = "cuda") -> None:
         self._caster = WarpCaster(scene.mesh.vertices, scene.mesh.triangles, device=device)
         from placegraph.indoor.rays.warp import score_kernels as warp_score_kernels
 

@@ -15,8 +15,8 @@ import placegraph as pg
 from placegraph.errors import InputError, MapLockedError, OptionError, PlacegraphError
 from placegraph.formats.mesh.glb import Z_UP
 from placegraph.formats.mesh.model import Picture
+from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
-from placegraph.indoor.mapping.build import build_scene, scene_of_model
 from placegraph.indoor.mapping.simplify.detail import Detail
 from placegraph.indoor.mapping.sources import FromCapture
 from placegraph.store import writing

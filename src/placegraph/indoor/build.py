@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import real_path
-from placegraph.indoor.map import textures
 from placegraph.indoor.map.floor import floor_height, is_floor
-from placegraph.indoor.map.mesh import UV_GRAIN
 from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
-from placegraph.indoor.mapping.clean import check, cleaned, in_metres, snapped, upright
+from placegraph.indoor.mapping.clean import check, cleaned, in_metres, upright
+from placegraph.indoor.mapping.reduce import reduced
 from placegraph.indoor.mapping.simplify.detail import Detail, detail_named
-from placegraph.indoor.mapping.simplify.simplify import simplify
 from placegraph.indoor.mapping.sources import FromCapture, Progress, Source, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
 
@@ -28,23 +25,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.mesh.model import Model, Picture, Thing
+    from placegraph.formats.mesh.model import Model, Thing
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.mapping.atlas import ColourOf
 
-VIVID = 0.1
-"""Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
-PATTERNED = 0.03
-"""Where more than this share of the edges have a pattern, colours are baked into textures."""
-BAKED = 2.0
-"""Triangles of fewer texels than this have colours enough at their vertices."""
-MOST_BAKED = 1_000_000
-"""Meshes of more triangles keep the colours of their vertices, to save memory."""
 FAR = 5000.0
 """Farther from the origin [m] coordinates lose what can be seen, and this is told."""
-MOST_TEXELS = 1 << 24
-"""Larger surfaces are coloured by larger texels, to save memory and time."""
-_SOME = 500_000  # triangles that are looked at for it
 
 
 def build_scene(
@@ -137,8 +122,7 @@ def build_scene(
     for given in (source, labels):
         if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
             raise OptionError(f"{given} would be overwritten by its map; name another file.")
-    from placegraph.indoor.map.scene_file import columns
-    from placegraph.indoor.scene_map import KIND, VERSION
+    from placegraph.indoor.map.scene_file import KIND, VERSION, columns
     from placegraph.store import writing
 
     with writing(out_path) as write:
@@ -179,7 +163,7 @@ def scene_of(
     height = _floor(model, mesh, labels, floor)
     if progress is not None:
         progress("simplifying", 0, 1)
-    coarse, blobs = _reduced(mesh, pictures, source.colour_of, detail, left, told)
+    coarse, blobs = reduced(mesh, pictures, source.colour_of, detail, left, told)
     _tell_odd(coarse, things, told)
     room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
     return SceneMap.create(
@@ -208,69 +192,6 @@ def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None)
             "its height (floor=0.0, or --floor 0)."
         )
     return height
-
-
-def _reduced(
-    mesh: Mesh,
-    pictures: Sequence[Picture],
-    colour_of: ColourOf | None,
-    detail: Detail,
-    left_out: Counter[str],
-    notes: list[str],
-) -> tuple[Mesh, tuple[bytes, ...]]:
-    """Mesh and encoded textures with as much detail as wanted."""
-    if detail.error is None:
-        blobs = textures.encode_pictures(pictures, detail)
-        return snapped(mesh, detail.grain, detail.uv_grain), blobs
-    plain = all(p.data is None for p in pictures)
-    if plain and (colour_of is not None or _patterned(mesh)):
-        coarse = simplify(mesh, error=detail.error, left_out=left_out)
-        coarse = snapped(coarse, detail.grain, UV_GRAIN)
-        if len(coarse) <= MOST_BAKED and _area(coarse) > BAKED * len(coarse) * detail.baked**2:
-            return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
-        return coarse, textures.encode_pictures(pictures, detail)
-    needed = textures.needed_texels(mesh, detail.texel)
-    blobs = textures.encode_pictures(pictures, detail, needed)
-    coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
-    return snapped(coarse, detail.grain, detail.uv_grain), blobs
-
-
-def _looks(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
-    """Colours of a mesh's vertices and flat materials."""
-    from placegraph.indoor.mapping.atlas import mesh_colours
-
-    flat = textures.decode(textures.encode_pictures(pictures, detail), "a material")
-    return mesh_colours(replace(mesh, textures=flat))
-
-
-def _baked(
-    mesh: Mesh, colour_of: ColourOf, detail: Detail, notes: list[str]
-) -> tuple[Mesh, tuple[bytes, ...]]:
-    """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
-    from placegraph.indoor.mapping.atlas import bake
-
-    area = _area(mesh)
-    texel = max(detail.baked, float(np.sqrt(area / MOST_TEXELS)))
-    if texel > detail.baked:
-        notes.append(
-            f"Its surface of {area:,.0f} m2 is coloured by texels of {100 * texel:.2g} cm instead of "
-            f"{100 * detail.baked:.2g} cm: there would be too many."
-        )
-    painted = bake(mesh, colour_of, texel=texel)
-    return painted, textures.encode_arrays(painted.textures, detail.quality)
-
-
-def _area(mesh: Mesh) -> float:
-    """Area [m2]."""
-    return float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
-
-
-def _patterned(mesh: Mesh) -> bool:
-    """Whether the colours of vertices are a pattern that fewer vertices would lose."""
-    some = mesh.triangles[:: len(mesh) // _SOME + 1]
-    shades = mesh.colours[some].astype(np.int16)
-    steps = np.abs(shades - np.roll(shades, 1, axis=1)).max(axis=2)
-    return bool((steps > 255 * VIVID).mean() > PATTERNED)
 
 
 def _relations(

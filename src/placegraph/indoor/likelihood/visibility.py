@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.likelihood.score import Noise, View
+    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.scene_map import SceneMap
 
 _MOST = 12_000  # positions; larger maps get a wider grid
 _CLEARANCE = 0.15  # a camera is no nearer to a surface [m]
@@ -135,7 +135,13 @@ class VisibilityTable:
 _NO_COSTS = np.zeros((0, 256), np.float32)
 
 
-def build_table(scene: SceneMap, options: FilterOptions) -> VisibilityTable:
+def visibility(scene: Scene, options: FilterOptions) -> VisibilityTable:
+    """What is visible from where, for cameras at `options.heights`; made once for each."""
+    key = ("visibility", options.heights, options.spacing)
+    return scene.derived(key, lambda scene: build_table(scene, options))
+
+
+def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
     """Table of a map for cameras at `options.heights`; empty where no position is free.
 
     Raises `OptionError` where the map has more objects than a bin of the table can name.
@@ -178,7 +184,7 @@ def build_table(scene: SceneMap, options: FilterOptions) -> VisibilityTable:
     )
 
 
-def _ground(scene: SceneMap, spacing: float) -> NDArray[np.float64]:
+def _ground(scene: Scene, spacing: float) -> NDArray[np.float64]:
     """Box (2, 3) in which cameras are looked for: the map's, or of a vast map its better part.
 
     One triangle that reaches to the horizon must not spread the grid over nothing: where the box
@@ -215,7 +221,7 @@ def _background(panoramas: Panoramas, objects: int) -> Background:
     )
 
 
-def floor_under(scene: SceneMap, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def floor_under(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Height of the floor (N,) of the merged scene that each of points (N, 2) is in, or nearest."""
     boxes = scene.scene_bounds[:, :, :2]
     outside = np.maximum(boxes[:, 0] - points[:, None], points[:, None] - boxes[:, 1])

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from placegraph.geometry import between, compose, level_from_camera, split_pose, wrap
+from placegraph.indoor.build import scene_of_model
+from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.likelihood.observe import noise, sight, views
 from placegraph.indoor.likelihood.score import View
-from placegraph.indoor.map import visibility
+from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.panoramas import HIGHEST, range_of
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
-from placegraph.indoor.map.visibility import build_table, floor_under
-from placegraph.indoor.mapping.build import scene_of_model
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.motion import level_poses

@@ -1,0 +1,268 @@
+"""A scene: one scene graph of objects with one coarse mesh, and what follows from these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.graph import SceneGraph
+from placegraph.indoor.map import textures
+from placegraph.indoor.map.mesh_order import ordered
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Mapping, Sequence
+    from typing import Self
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.map.surface import Surface
+    from placegraph.indoor.rays import RayCaster
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene:
+    """Objects with a coarse mesh, in map axes: z up, gravity -z, metres; what a `SceneMap` holds.
+
+    All stages take it, and none changes it. Row i of `graph`, `attributes` and `scene_of` is one
+    object, and row i is what `mesh.object_of` names.
+    """
+
+    graph: SceneGraph
+    """Ids, labels, names, relations, embeddings; positions and extents are boxes of the mesh."""
+    mesh: Mesh
+    attributes: tuple[dict[str, str], ...]
+    """(N,) what else is known of each object."""
+    floors: NDArray[np.float64]
+    """(S,) height of the floor of each merged scene [m, map]; one of a plain map."""
+    scenes: tuple[str, ...]
+    """(S,) names of the merged scenes."""
+    scene_of: NDArray[np.int32]
+    """(N,) int32, row of the scene of each object."""
+    scene_from_map: NDArray[np.float64]
+    """(S, 4, 4) rigid transforms into each merged scene's own frame."""
+    source: str
+    """Name of the file the map was built from."""
+    encoded: tuple[bytes, ...]
+    """The mesh's textures as the map file holds them: PNG or JPEG."""
+    encoder: str = ""
+    """Key of the encoder that the graph's embeddings are of; empty: nobody said."""
+
+    @classmethod
+    def create(
+        cls,
+        mesh: Mesh,
+        ids: Sequence[str],
+        labels: Sequence[str],
+        *,
+        floor: float,
+        names: Sequence[str] = (),
+        attributes: Sequence[Mapping[str, str]] = (),
+        relations: Sequence[tuple[int, str, int]] = (),
+        scene: str = "scene",
+        source: str = "",
+        encoded: tuple[bytes, ...] | None = None,
+    ) -> Self:
+        """Map of one scene.
+
+        Parameters
+        ----------
+        mesh
+            Triangles of the objects; every object has at least one. Coordinates are snapped to the
+            file's steps (`Mesh.snapped`), triangles brought into its order (`mesh_order`), textures
+            decoded from what the file will hold.
+        ids, labels, names
+            Of the N objects.
+        floor
+            Height of the floor [m, map].
+        attributes
+            Of each object, or of none.
+        relations
+            Edges (source row, relation, target row).
+        scene, source
+            Names for messages.
+        encoded
+            Encoded textures, if there are any already.
+
+        Raises
+        ------
+        OptionError
+            There is no object, or no triangle; columns do not fit; the floor is not a number.
+
+        """
+        if not np.isfinite(floor):
+            raise OptionError(f"floor is {floor}; it must be a height in metres.")
+        if not len(ids):
+            raise OptionError(
+                "ids: there is no object; a scene map is made of objects with triangles, so name at "
+                "least one and the triangles that are its own."
+            )
+        blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
+        mesh = ordered(replace(mesh.snapped(), textures=textures.decode(blobs, source or scene)))
+        boxes = mesh.object_bounds(len(ids))
+        bare = np.flatnonzero(np.isnan(boxes[:, 0, 0]))
+        if bare.size:
+            raise OptionError(
+                f"objects: {ids[bare[0]]!r} has no triangle; a scene map is made of objects with "
+                "triangles."
+            )
+        graph = SceneGraph(
+            ids=tuple(ids),
+            labels=tuple(labels),
+            names=tuple(names),
+            positions=boxes.mean(axis=1),
+            extents=boxes[:, 1] - boxes[:, 0],
+            sources=np.array([s for s, _, _ in relations], np.int64),
+            relations=tuple(r for _, r, _ in relations),
+            targets=np.array([t for _, _, t in relations], np.int64),
+        )
+        return cls(
+            graph=graph,
+            mesh=mesh,
+            attributes=tuple(dict(a) for a in attributes) or ({},) * len(ids),
+            floors=np.array([floor], np.float64),
+            scenes=(scene,),
+            scene_of=np.zeros(len(ids), np.int32),
+            scene_from_map=np.eye(4)[None],
+            source=source,
+            encoded=blobs,
+        )
+
+    def __post_init__(self) -> None:
+        n, s = len(self.graph), len(self.scenes)
+        for name, dtype, shape in (
+            ("floors", np.float64, (s,)),
+            ("scene_of", np.int32, (n,)),
+            ("scene_from_map", np.float64, (s, 4, 4)),
+        ):
+            column = np.array(getattr(self, name), dtype)
+            if column.shape != shape or not np.isfinite(column).all():
+                raise OptionError(f"{name}: shape {column.shape}; {shape} finite numbers belong.")
+            column.flags.writeable = False
+            object.__setattr__(self, name, column)
+        if not n or not len(self.mesh) or not s:
+            raise OptionError("A scene map needs an object, a triangle and a scene; it has none.")
+        if len(self.attributes) != n or len(self.encoded) != len(self.mesh.textures):
+            raise OptionError("attributes, encoded: not one for each object, or for each texture.")
+        if int(self.mesh.object_of.max()) >= n:
+            raise OptionError("mesh: a triangle belongs to no object.")
+        if not 0 <= int(self.scene_of.min()) <= int(self.scene_of.max()) < s:
+            raise OptionError("scene_of: a row lies outside the scenes.")
+
+    def __len__(self) -> int:
+        return len(self.graph)
+
+    def __repr__(self) -> str:
+        merged = f", {len(self.scenes)} scenes" if len(self.scenes) > 1 else ""
+        size = f"{len(self)} objects, {len(self.mesh):,} triangles{merged}"
+        return f"{type(self).__name__}({self.source!r}, {size})"
+
+    @cached_property
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3) float64, lowest and highest corner of the mesh [m]."""
+        box = self.mesh.bounds()
+        box.flags.writeable = False
+        return box
+
+    @cached_property
+    def scene_bounds(self) -> NDArray[np.float64]:
+        """(S, 2, 3) float64, lowest and highest corner of each merged scene [m, map]."""
+        half = self.graph.extents / 2 if self.graph.extents is not None else 0.0
+        boxes = np.empty((len(self.scenes), 2, 3))
+        for s in range(len(self.scenes)):
+            own = self.scene_of == s
+            boxes[s, 0] = (self.graph.positions - half)[own].min(axis=0, initial=np.inf)
+            boxes[s, 1] = (self.graph.positions + half)[own].max(axis=0, initial=-np.inf)
+        boxes.flags.writeable = False
+        return boxes
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        """Casts rays at the mesh; made on first use."""
+        from placegraph.indoor.rays import RayCaster
+
+        return RayCaster(self.mesh.vertices, self.mesh.triangles)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The mesh as compiled code reads it; made on first use."""
+        from placegraph.indoor.map.surface import Surface
+
+        return Surface.of(self.mesh)
+
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """(T, 3) float32 unit normals of the mesh's triangles, zero of those without area."""
+        doubled = self.mesh.normals()
+        lengths = np.maximum(np.linalg.norm(doubled, axis=1, keepdims=True), 1e-12)
+        return (doubled / lengths).astype(np.float32)
+
+    def derived(self, key: Hashable, make: Callable[[Self], T]) -> T:
+        """What a stage derives from the map: made once for each key, kept as long as the map."""
+        if key not in self._derived:
+            self._derived[key] = make(self)
+        return self._derived[key]
+
+    @cached_property
+    def _derived(self) -> dict[Hashable, Any]:
+        return {}
+
+    @cached_property
+    def coloured(self) -> bool:
+        """Whether surfaces have colours to compare: not all of them the same."""
+        textures = self.mesh.textures
+        first = textures[0][0, 0]
+        if np.ptp(self.mesh.colours, axis=0).any():
+            return True
+        return any((t[::8, ::8] != first).any() or (t != first).any() for t in textures)
+
+    def scene_at(self, point: ArrayLike) -> int:
+        """Row of the merged scene in whose bounds a point (2,) x, y [m] lies, or the nearest."""
+        boxes, point = self.scene_bounds[:, :, :2], np.asarray(point, np.float64)
+        outside = np.maximum(np.maximum(boxes[:, 0] - point, point - boxes[:, 1]), 0.0)
+        return int(outside.sum(axis=1).argmin())
+
+    def row_of(self, id_: str) -> int:
+        """Row of the object with this id; `OptionError` where there is none."""
+        row = self._rows.get(id_)
+        if row is None:
+            raise OptionError(f"{id_!r} is no object of {self.source or 'this map'}.")
+        return row
+
+    @cached_property
+    def _rows(self) -> dict[str, int]:
+        return {id_: i for i, id_ in enumerate(self.graph.ids)}
+
+    def with_embeddings(self, embeddings: ArrayLike, *, encoder: str = "") -> Self:
+        """Map whose objects carry these vectors (N, E), rounded to 8 bits as its file holds them.
+
+        `encoder`: key of the encoder that they are of (`placegraph.indoor.encode.Encoder.key`).
+        """
+        vectors = np.asarray(embeddings, np.float32)
+        if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
+            vectors = from_8_bits(*in_8_bits(vectors))
+        return replace(self, graph=replace(self.graph, embeddings=vectors), encoder=encoder)
+
+
+def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
+
+    Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
+    """
+    most = np.abs(vectors).max(axis=1, initial=0.0).astype(np.float64)
+    mantissa, exponent = np.frexp(most / 127.0)
+    # few bits, so that products are exact
+    scales = np.ldexp(np.ceil(mantissa * 4096.0) / 4096.0, exponent).astype(np.float32)
+    divisor = np.where(scales > 0, scales, np.float32(1.0))
+    return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
+
+
+def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Vectors (N, E) of `in_8_bits`."""
+    return numbers.astype(np.float32) * scales[:, None]
