@@ -241,7 +241,7 @@ def test_a_failure_leaves_the_map_and_its_backup(room, found, tmp_path, monkeypa
     def fail(*_):
         raise MapError("disk full")
 
-    monkeypatch.setattr(SceneMap, "save", fail)
+    monkeypatch.setattr("placegraph.indoor.mapping.change.update.save_scene", fail)
     with pytest.raises(MapError, match="disk full"):
         update_file(path, found, path, in_place=True)
     assert path.read_bytes() == whole
