@@ -7,12 +7,11 @@ import numpy as np
 
 def private() -> SimpleNamespace:
     """Options without public names, and drawn worlds: a town's OpenStreetMap file, a home's scene map."""
-    from placegraph.indoor.search import Prior
-    from placegraph.indoor.sources import FromCapture
-    from placegraph.synthetic.homes import home, scene_of
-    from placegraph.synthetic.towns import Town
-
+    from placegraph.indoor.mapping.sources import FromCapture
     from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.search import Prior
+    from placegraph_lab.worlds.home.home import home, scene_of
+    from placegraph_lab.worlds.town.town import Town
 
     def home_scene(seed):
         rng = np.random.default_rng(seed)
