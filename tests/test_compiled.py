@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba.core import config
 
-from placegraph import compiled
+from placegraph import compiled, kept
 from placegraph.fingerprint import fingerprint
 
 CALLEE = """
@@ -37,7 +37,7 @@ BOTH = ["compiled_caller.total", "compiled_callee.times"]
 
 @pytest.fixture(autouse=True)
 def _fresh(monkeypatch, tmp_path):
-    monkeypatch.setattr(compiled, "_FOLDERS", compiled._Folders())
+    monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     compiled.use_folder(tmp_path / "kept")
 
@@ -123,8 +123,8 @@ def test_a_folder_that_cannot_be_written_is_replaced_with_one_warning(total, tmp
 
 def test_a_folder_that_can_no_longer_be_written(total, tmp_path):
     assert total(np.arange(4.0))[1] == BOTH
-    for kept in tmp_path.glob("kept/*"):
-        kept.rename(tmp_path / kept.name)
+    for file in tmp_path.glob("kept/*"):
+        file.rename(tmp_path / file.name)
     (tmp_path / "kept").rmdir()
     (tmp_path / "kept").touch()
     with pytest.warns(UserWarning, match="cannot be kept in"):
@@ -158,8 +158,8 @@ def test_what_is_shipped_beside_the_package_is_read_and_the_rest_kept_elsewhere(
 ):
     total(np.arange(4.0))
     shipped, user = tmp_path / "kept", tmp_path / "user"
-    monkeypatch.setattr(compiled._Folders, "_wanted", [shipped, user])
-    monkeypatch.setattr(compiled, "_writable", lambda folder: folder != shipped)
+    monkeypatch.setattr(kept._Folders, "_wanted", [shipped, user])
+    monkeypatch.setattr(kept, "_writable", lambda folder: folder != shipped)
     compiled.use_folder(None)
     assert total(np.arange(4.0)) == (18.0, [])
     assert not user.exists()

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.matching import matcher
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.maps import open_map
-    from placegraph.outdoor.city import CityMap, build_city
+    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language import describe
-    from placegraph.vectors import Region, open_store
+    from placegraph.outdoor.map.build import build_city
 
 __version__ = "0.1.0"
 
@@ -35,13 +35,12 @@ _HOME = {
     "Frame": "placegraph.formats.capture.capture",
     "RefineOptions": "placegraph.indoor.refine",
     "Refinement": "placegraph.estimate",
-    "Region": "placegraph.vectors",
     "SceneGraph": "placegraph.graph",
     "SceneLibrary": "placegraph.indoor.library",
     "SceneMap": "placegraph.indoor.scene_map",
     "SearchOptions": "placegraph.indoor.library",
     "Status": "placegraph.estimate",
-    "build_city": "placegraph.outdoor.city",
+    "build_city": "placegraph.outdoor.map.build",
     "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.language",
     "encoder": "placegraph.indoor.encode",
@@ -49,7 +48,6 @@ _HOME = {
     "merge_scenes": "placegraph.indoor.mapping.merge",
     "open_capture": "placegraph.formats.capture.capture",
     "open_map": "placegraph.maps",
-    "open_store": "placegraph.vectors",
 }
 
 __all__ = [
@@ -59,7 +57,6 @@ __all__ = [
     "Frame",
     "RefineOptions",
     "Refinement",
-    "Region",
     "SceneGraph",
     "SceneLibrary",
     "SceneMap",
@@ -75,7 +72,6 @@ __all__ = [
     "merge_scenes",
     "open_capture",
     "open_map",
-    "open_store",
 ]
 
 

@@ -53,7 +53,7 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
 
 def _town(out: Path, say: Callable[[str], None]) -> None:
     """Build the town and locate what was said in it."""
-    from placegraph.outdoor.city import build_city
+    from placegraph.outdoor.map.build import build_city
     from placegraph.view import draw_city, write_page, write_picture
 
     osm = Town.load(TOWN).write_osm(out / f"{TOWN}.osm")

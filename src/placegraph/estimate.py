@@ -254,7 +254,9 @@ class CityEstimate(Estimate[Place]):
 
     def next_question(self, city: CityMap) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""
-        return city.ask(self)
+        from placegraph.outdoor.search.ask import next_question
+
+        return next_question(self, city)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""

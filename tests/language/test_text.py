@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lark import Transformer
 
 from placegraph.errors import DescriptionError
 from placegraph.language.check import check
@@ -20,7 +19,7 @@ pair: A B
 """
 
 
-class Build(Transformer):
+class Build:
     def pair(self, children):
         return tuple(chunk.words for chunk in children)
 

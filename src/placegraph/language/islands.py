@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from lark import Lark, Token
-from lark.exceptions import UnexpectedToken
-from lark.lexer import Lexer
+from placegraph.language.grammar import END, Grammar, UnexpectedTokenError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from lark import Transformer
+    from placegraph.language.grammar import Parse
 
-_END = Token("$END", "")
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""
 Clause = TypeVar("Clause")
@@ -34,15 +31,6 @@ class Chunk:
     capital: bool = False
 
 
-class _Chunks(Lexer):
-    """The chunks are the tokens: nothing to lex."""
-
-    def __init__(self, _conf: object) -> None: ...
-
-    def lex(self, data: list[Chunk]) -> Iterator[Chunk]:  # type: ignore[override]
-        yield from data
-
-
 class Islands(Generic[Clause]):
     """Parses by islands (LALR): what the grammar does not expect is left out, or ends an island.
 
@@ -50,8 +38,8 @@ class Islands(Generic[Clause]):
     ----------
     grammar, start
         Of lark; the terminals are types of chunks.
-    transformer
-        Called as soon as a rule is complete.
+    builder
+        Called as soon as a rule is complete; see `Grammar`.
     kind
         What the start rule becomes.
     skipped
@@ -62,13 +50,11 @@ class Islands(Generic[Clause]):
         self,
         grammar: str,
         start: str,
-        transformer: Transformer[Any, Any],
+        builder: object,
         kind: type[Clause],
         skipped: Collection[str],
     ) -> None:
-        self._lark = Lark(
-            grammar, start=start, parser="lalr", lexer=_Chunks, transformer=transformer
-        )
+        self._grammar = Grammar(grammar, start, builder)
         self._kind, self._skipped = kind, skipped
 
     def parse(
@@ -93,12 +79,12 @@ class Islands(Generic[Clause]):
 
     def _island(self, chunks: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
         """Longest clause from the first chunk on, chunks left out of it, and how many it took."""
-        parser = self._lark.parse_interactive([])
+        parser = self._grammar.parse()
         left_out: list[Chunk] = []
         for i, chunk in enumerate(chunks):
             try:
-                parser.feed_token(chunk)  # type: ignore[arg-type]
-            except UnexpectedToken:
+                parser.feed(chunk.type, chunk)
+            except UnexpectedTokenError:
                 if chunk.type in self._skipped:
                     left_out.append(chunk)
                     continue
@@ -117,11 +103,11 @@ class Islands(Generic[Clause]):
         """Parse a beginning of the chunks that cannot be parsed whole."""
         kept = [chunk for chunk in chunks if chunk not in left_out]
         for n in range(len(kept) - 1, max(0, len(kept) - 1 - _BACK), -1):
-            parser = self._lark.parse_interactive([])
+            parser = self._grammar.parse()
             try:
                 for chunk in kept[:n]:
-                    parser.feed_token(chunk)  # type: ignore[arg-type]
-            except UnexpectedToken:
+                    parser.feed(chunk.type, chunk)
+            except UnexpectedTokenError:
                 continue
             clause = self._finish(parser)
             if clause is not None:
@@ -129,9 +115,9 @@ class Islands(Generic[Clause]):
                 return clause, [chunk for chunk in left_out if chunk in chunks[:used]], used
         return None, left_out, len(chunks)
 
-    def _finish(self, parser: Any) -> Clause | None:  # noqa: ANN401  # lark's InteractiveParser
+    def _finish(self, parser: Parse) -> Clause | None:
         try:
-            clause = parser.feed_token(_END)
-        except UnexpectedToken:
+            clause = parser.feed(END)
+        except UnexpectedTokenError:
             return None
         return clause if isinstance(clause, self._kind) else None

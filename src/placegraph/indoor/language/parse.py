@@ -8,8 +8,6 @@ from importlib.resources import files
 from math import pi
 from typing import TYPE_CHECKING, Any
 
-from lark import Transformer
-
 from placegraph.language.islands import Chunk, Islands
 
 if TYPE_CHECKING:
@@ -75,7 +73,7 @@ def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause | None, list[Chunk]]]:
         yield clause, left_out
 
 
-class _Build(Transformer[Any, Any]):
+class _Build:
     """Callbacks of the grammar's rules, called as soon as a rule is complete."""
 
     # clauses

@@ -6,8 +6,6 @@ from functools import lru_cache, partialmethod
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from lark import Transformer
-
 from placegraph.language.islands import Chunk, Islands
 from placegraph.outdoor.language.nodes import Clause, Noun, Place, Thing
 
@@ -45,7 +43,7 @@ def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
             yield clause, left_out
 
 
-class _Build(Transformer[Any, Any]):
+class _Build:
     """Callbacks of the grammar's rules, called as soon as a rule is complete."""
 
     # clauses

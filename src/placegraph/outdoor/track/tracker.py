@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.geometry import Floats
-    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.city import CityMap
 
 MOST_STATEMENTS = 24
 """What was said at one place is read as one text up to so many statements."""
@@ -99,7 +99,7 @@ class CityTracker:
 
     def __init__(
         self,
-        city: City,
+        city: CityMap,
         *,
         near: Sequence[float] | None = None,
         radius: float = 1000.0,

@@ -1,0 +1,136 @@
+"""What is made once and found again by the next process: compiled code, and tables of grammars.
+
+Folders are looked through in this order, and what is new goes to the first that can be written:
+the one that was chosen (`use_folder`, or numba's own setting, ``NUMBA_CACHE_DIR``), and only where
+none was chosen the package's own (``__pycache__/kernels``), then the user's cache. Where none can
+be written, it is kept in a private temporary one, with one warning.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tempfile
+import warnings
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from os import PathLike
+
+
+def use_folder(folder: str | PathLike[str] | None) -> None:
+    """Keep compiled code in `folder`; None: where it would be kept unasked."""
+    FOLDERS.choose(Path(folder) if folder is not None else None)
+
+
+def folders() -> list[Path]:
+    """Folders that are looked through for compiled code, first to last."""
+    return FOLDERS.read
+
+
+def kept(name: str, make: Callable[[], Any]) -> Any:  # noqa: ANN401  # any JSON
+    """JSON that `make` returned once, found by `name`, which tells all that goes into it."""
+    for folder in folders():
+        with suppress(OSError, ValueError):
+            return json.loads((folder / name).read_bytes())
+    text = json.dumps(make(), separators=(",", ":"))
+    FOLDERS.keep(name, text.encode())
+    return json.loads(text)
+
+
+class _Folders:
+    """Where compiled code is kept; looked up when first needed, since options come before."""
+
+    def __init__(self) -> None:
+        self._chosen: Path | None = None
+        self._private: Path | None = None
+
+    def choose(self, folder: Path | None) -> None:
+        self._chosen = folder
+        self.__dict__.pop("write", None)
+
+    @property
+    def read(self) -> list[Path]:
+        private = [self._private] if self._private else []
+        return self._wanted + private
+
+    @cached_property
+    def write(self) -> Path:
+        for folder in self._wanted:
+            if _writable(folder):
+                return folder
+        return self._fallback()
+
+    def keep(self, name: str, code: bytes) -> None:
+        """Write whole or not at all, so that no reader sees half of it."""
+        try:
+            _write(self.write / name, code)
+        except OSError:  # full by now, or gone
+            self.write = self._fallback()
+            _write(self.write / name, code)
+
+    @property
+    def _wanted(self) -> list[Path]:
+        if self._chosen is not None:
+            return [self._chosen]
+        from numba.core import config
+        from numba.misc.appdirs import AppDirs
+
+        if config.CACHE_DIR:
+            return [Path(config.CACHE_DIR)]
+        user = AppDirs(appname="placegraph", appauthor=False).user_cache_dir
+        return [Path(__file__).parent / "__pycache__" / "kernels", Path(user) / "kernels"]
+
+    def _fallback(self) -> Path:
+        if self._private is None:
+            self._private = _private_folder()
+            wanted = " nor ".join(str(folder) for folder in self._wanted)
+            warnings.warn(
+                f"Compiled code cannot be kept in {wanted}; it is kept in {self._private} for now. "
+                "Choose a folder that can be written, and the next start will be quick.",
+                stacklevel=2,
+            )
+        return self._private
+
+
+FOLDERS = _Folders()
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _private_folder() -> Path:
+    """One folder for each user, and nobody else's: code is run from it."""
+    folder = Path(tempfile.gettempdir()) / f"placegraph-{os.getuid()}"
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+        if ours and not found.st_mode & 0o077:
+            return folder
+    return Path(tempfile.mkdtemp(prefix="placegraph-"))
+
+
+def _write(path: Path, code: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, name = tempfile.mkstemp(dir=path.parent)
+    temporary = Path(name)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(code)
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink()
+        raise
