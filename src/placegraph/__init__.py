@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from placegraph.graph import SceneGraph
     from placegraph.indoor.build import build_scene
     from placegraph.indoor.encode import encoder
+    from placegraph.indoor.language import rank_scenes
     from placegraph.indoor.library import SceneLibrary, SearchOptions
     from placegraph.indoor.mapping.merge import merge_scenes
     from placegraph.indoor.refine import RefineOptions
@@ -48,6 +49,7 @@ _HOME = {
     "merge_scenes": "placegraph.indoor.mapping.merge",
     "open_capture": "placegraph.formats.capture.capture",
     "open_map": "placegraph.maps",
+    "rank_scenes": "placegraph.indoor.language",
 }
 
 __all__ = [
@@ -72,6 +74,7 @@ __all__ = [
     "merge_scenes",
     "open_capture",
     "open_map",
+    "rank_scenes",
 ]
 
 

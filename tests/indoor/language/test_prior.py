@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.language import read
-from placegraph.indoor.language.prior import WRONG
+from placegraph.indoor.language.prior import WRONG, evidence, prior, unused
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.map.panoramas import range_of
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, STEP
@@ -42,17 +42,17 @@ def best(prior, share=0.01):
 
 
 def test_next_to_the_sofa(flat, table):
-    prior = read("next to the sofa").prior(flat, table)
-    assert prior.shape == (len(table), AZIMUTHS)
-    assert prior.dtype == np.float32
-    near = prior[:, 0] > 1.0
+    logs = prior(read("next to the sofa"), flat, table)
+    assert logs.shape == (len(table), AZIMUTHS)
+    assert logs.dtype == np.float32
+    near = logs[:, 0] > 1.0
     assert 0 < near.sum() < 0.2 * len(table)
     assert (away(flat, "sofa", table.positions[near]) < 1.5).all()
-    assert (prior == prior[:, :1]).all()  # nothing is said of where one looks
+    assert (logs == logs[:, :1]).all()  # nothing is said of where one looks
 
 
 def test_facing_the_toilet(flat, table):
-    k, a = best(read("facing the toilet").prior(flat, table))
+    k, a = best(prior(read("facing the toilet"), flat, table))
     to = where(flat, "toilet")[0].mean(axis=0) - table.positions[k, :2]
     off = np.arctan2(to[:, 1], to[:, 0]) - a * STEP
     off = np.abs((off + np.pi) % (2 * np.pi) - np.pi)
@@ -63,7 +63,7 @@ def test_facing_the_toilet(flat, table):
 
 def test_left_is_right_after_half_a_turn(flat, table):
     left, right, behind = (
-        read(f"the bed is {way}").prior(flat, table)
+        prior(read(f"the bed is {way}"), flat, table)
         for way in ("on my left", "on my right", "behind me")
     )
     assert np.allclose(left, np.roll(right, AZIMUTHS // 2, axis=1), atol=1e-5)
@@ -79,69 +79,70 @@ def test_left_is_right_after_half_a_turn(flat, table):
      ("facing the plant on the dresser, in the bedroom", "bedroom")],
 )  # fmt: skip
 def test_the_room_is_right(flat, table, text, room):
-    prior = read(text).prior(flat, table)
+    logs = prior(read(text), flat, table)
     inside = np.array([a.get("room") == room for a in flat.attributes])
     floor = next(i for i in np.flatnonzero(inside) if flat.graph.labels[i] == "floor")
     gap = np.abs(table.positions[:, :2] - flat.graph.positions[floor, :2])
     here = (gap < flat.graph.extents[floor, :2] / 2).all(axis=1)
-    assert here[best(prior, 0.003)[0]].mean() > 0.9
-    assert np.exp(prior[here]).mean() > np.exp(prior[~here]).mean()
+    assert here[best(logs, 0.003)[0]].mean() > 0.9
+    assert np.exp(logs[here]).mean() > np.exp(logs[~here]).mean()
 
 
 def test_no_statement_rules_a_pose_out(flat, table):
     text = "next to the sofa, between the bed and the toilet, facing the stove, in the hall"
     said = read(text)
-    prior = said.prior(flat, table)
-    assert np.isfinite(prior).all()
-    assert prior.min() > len(said.statements) * np.log(WRONG) - 1e-3
-    one = read("facing the stove").prior(flat, table)
+    logs = prior(said, flat, table)
+    assert np.isfinite(logs).all()
+    assert logs.min() > len(said.statements) * np.log(WRONG) - 1e-3
+    one = prior(read("facing the stove"), flat, table)
     assert np.exp(one).mean(dtype=np.float64) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_what_is_unsure_says_less(flat, table):
-    sure, unsure = (read(t).prior(flat, table) for t in ("by the bed", "maybe by the bed"))
+    sure, unsure = (prior(read(t), flat, table) for t in ("by the bed", "maybe by the bed"))
     assert sure.max() > unsure.max() > 0 > unsure.min() > sure.min()
 
 
 def test_not_and_far(flat, table):
-    near, far = (read(f"{t} the sofa").prior(flat, table) for t in ("next to", "far from"))
+    near, far = (prior(read(f"{t} the sofa"), flat, table) for t in ("next to", "far from"))
     close = near[:, 0] > 1.0
     assert (far[close] < 0).all()
-    unseen = read("I cannot see the sofa").prior(flat, table)
-    seen = read("I see the sofa").prior(flat, table)
+    unseen = prior(read("I cannot see the sofa"), flat, table)
+    seen = prior(read("I see the sofa"), flat, table)
     assert (unseen[seen > 1.0] < 0).all()
 
 
 def test_kin_and_one_of_several(flat, table):
     assert np.array_equal(
-        *(read(f"by the {t}").prior(flat, table) for t in ("picture", "pictures"))
+        *(prior(read(f"by the {t}"), flat, table) for t in ("picture", "pictures"))
     )
-    couch, sofa = (read(f"near the {t}").prior(flat, table) for t in ("couch", "sofa"))
+    couch, sofa = (prior(read(f"near the {t}"), flat, table) for t in ("couch", "sofa"))
     assert np.corrcoef(couch[:, 0], sofa[:, 0])[0, 1] > 0.99
-    plants = read("next to a plant").prior(flat, table)[:, 0] > 0.5
+    plants = prior(read("next to a plant"), flat, table)[:, 0] > 0.5
     assert {int(away_ < 2.0) for away_ in away(flat, "plant", table.positions[plants])} == {1}
     assert (
-        plants.sum() > (read("next to the plant on the dresser").prior(flat, table)[:, 0] > 1).sum()
+        plants.sum()
+        > (prior(read("next to the plant on the dresser"), flat, table)[:, 0] > 1).sum()
     )
 
 
 def test_what_the_map_has_not_is_told(flat, table):
     said = read("next to the toaster, facing the piano on the sofa, in the gym")
-    assert (said.prior(flat, table) == 0).all()
-    reasons = [i.reason for i in said.unused(flat)]
+    assert (prior(said, flat, table) == 0).all()
+    reasons = [i.reason for i in unused(said, flat)]
     assert reasons == ["the map has no toaster", "the map has no gym"] or len(reasons) == 4
-    assert not read("next to the sofa").unused(flat)
+    assert not unused(read("next to the sofa"), flat)
 
 
 def test_a_pose_is_told_why(flat, table):
     said = read("next to the sofa, facing the toaster")
     at = table.positions[away(flat, "sofa", table.positions).argmin()]
-    near, toaster = said.evidence(flat, table, [*at, 0.0])
+    near, toaster = evidence(said, flat, table, [*at, 0.0])
     assert (near.verdict, toaster.verdict) == ("for", "silent")
     assert [o.label for o in near.objects] == ["sofa"]
     assert toaster.note == "the map has no toaster"
     far = table.positions[away(flat, "sofa", table.positions).argmax()]
-    assert said.evidence(flat, table, [*far, 0.0])[0].verdict == "against"
+    assert evidence(said, flat, table, [*far, 0.0])[0].verdict == "against"
 
 
 def test_a_table_without_positions(flat, table):
@@ -152,8 +153,8 @@ def test_a_table_without_positions(flat, table):
     none = replace(
         table, positions=table.positions[:0], panoramas=Panoramas(*(a[:0] for a in table.panoramas))
     )
-    assert read("by the sofa").prior(flat, none).shape == (0, AZIMUTHS)
-    assert read("by the sofa").evidence(flat, none, [0, 0, 0, 0]) == ()
+    assert prior(read("by the sofa"), flat, none).shape == (0, AZIMUTHS)
+    assert evidence(read("by the sofa"), flat, none, [0, 0, 0, 0]) == ()
 
 
 def test_compiled_code_does_as_plain_code():

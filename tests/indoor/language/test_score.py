@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.errors import OptionError
+import placegraph as pg
+from placegraph.errors import DescriptionError, OptionError
 from placegraph.graph import SceneGraph
-from placegraph.indoor.language import TextIndex, rank, read
+from placegraph.indoor.language import TextIndex, rank_scenes, read, score
 
 
 def graph(*labels, edges=()):
@@ -55,60 +56,75 @@ def test_the_scene_that_is_meant_is_first(text, best):
 
 def test_words_of_a_kind_fit_at_a_discount():
     said = read("a sofa")
-    sofa, couch, chair, desk = rank(said, [graph(x) for x in ("sofa", "couch", "armchair", "desk")])
+    sofa, couch, chair, desk = rank_scenes(
+        said, [graph(x) for x in ("sofa", "couch", "armchair", "desk")]
+    )
     assert sofa >= couch > chair >= desk
 
 
 def test_what_is_rare_counts_more():
     scenes = [graph("chair", "lamp"), *[graph("chair", "table")] * 8, graph("lamp", "harp")]
     said = read("a chair and a harp")
-    scores = rank(said, scenes)
+    scores = rank_scenes(said, scenes)
     assert scores[-1] > scores[:-1].max()
     lone = scenes[-1].subgraph([1])
     rare, common = lone, graph("chair")
     library = TextIndex(scenes)
-    weight = [e.weight for e in said.score(rare, library=library).evidence]
-    other = [e.weight for e in said.score(common, library=library).evidence]
+    weight = [e.weight for e in score(said, rare, library=library).evidence]
+    other = [e.weight for e in score(said, common, library=library).evidence]
     assert weight[1] > other[0] > 0 > weight[0]
 
 
+def test_scenes_are_ranked_by_a_text():
+    ratios = pg.rank_scenes("a kitchen with two sinks", iter(SCENES))
+    assert ratios.shape == (len(SCENES),)
+    assert ratios.argmax() == SCENES.index(KITCHEN)
+    assert ratios[0] > 0 > ratios[2]
+    alone = TextIndex(SCENES).scores(read("a kitchen with two sinks"))
+    np.testing.assert_array_equal(ratios, alone)
+    with pytest.raises(DescriptionError):
+        pg.rank_scenes(" ", SCENES)
+
+
 def test_evidence_names_what_it_is_about():
-    score = read("a kitchen with two sinks and a bed").score(KITCHEN)
-    room, sinks, bed = score.evidence
+    found = score(read("a kitchen with two sinks and a bed"), KITCHEN)
+    room, sinks, bed = found.evidence
     assert (room.verdict, sinks.verdict, bed.verdict) == ("for", "for", "against")
     assert [o.id for o in sinks.objects] == ["0", "6"]
     assert sinks.statement == "two sinks"
-    assert score.log_likelihood == pytest.approx(sum(e.weight for e in score.evidence))
+    assert found.log_likelihood == pytest.approx(sum(e.weight for e in found.evidence))
 
 
 def test_rooms_of_a_home_are_described_one_by_one():
     home = graph("bed", "lamp", "sink", "stove", "fridge", "toilet", "sink", "mirror")
     rooms = ["bedroom"] * 2 + ["kitchen"] * 3 + ["bathroom"] * 3
     two_sinks = read("a kitchen with two sinks")
-    assert two_sinks.score(home, rooms).log_likelihood < two_sinks.score(KITCHEN).log_likelihood
+    assert score(two_sinks, home, rooms).log_likelihood < score(two_sinks, KITCHEN).log_likelihood
     numbers = ["1"] * 2 + ["2"] * 3 + ["3"] * 3
     for names in (rooms, numbers):
         yes, no = read("a bedroom with a lamp"), read("a bathroom with a lamp")
-        assert yes.score(home, names).log_likelihood > no.score(home, names).log_likelihood + 1.0
+        assert score(yes, home, names).log_likelihood > score(no, home, names).log_likelihood + 1.0
     told = graph(*home.labels, edges=[(0, "same room", 1), (2, "same room", 3), (3, "same room", 4),
                                       (5, "same room", 6), (6, "same room", 7)])  # fmt: skip
-    assert rank(two_sinks, [told]) == pytest.approx(rank(two_sinks, [home], [numbers]))
-    assert read("two bathrooms").score(home, rooms).log_likelihood < 0.5
+    assert rank_scenes(two_sinks, [told]) == pytest.approx(
+        rank_scenes(two_sinks, [home], [numbers])
+    )
+    assert score(read("two bathrooms"), home, rooms).log_likelihood < 0.5
 
 
 def test_rooms_are_named_one_an_object():
     with pytest.raises(OptionError, match="one for each"):
-        read("a sofa").score(KITCHEN, ["kitchen"])
+        score(read("a sofa"), KITCHEN, ["kitchen"])
 
 
 def test_an_empty_index_and_an_empty_sentence():
     assert TextIndex().scores(read("a sofa")).shape == (0,)
     assert TextIndex().search(read("a sofa")) == []
-    assert (rank(read("so what"), SCENES) == 0).all()
-    assert read("so what").score(KITCHEN).log_likelihood == 0.0
+    assert (rank_scenes(read("so what"), SCENES) == 0).all()
+    assert score(read("so what"), KITCHEN).log_likelihood == 0.0
     with pytest.raises(OptionError, match="index has 6"):
         TextIndex(SCENES).remove(6)
-    bare = rank(read("a kitchen with a sofa and no harp"), [graph(), KITCHEN])
+    bare = rank_scenes(read("a kitchen with a sofa and no harp"), [graph(), KITCHEN])
     assert np.isfinite(bare).all()
 
 
@@ -134,7 +150,7 @@ texts = st.sampled_from([
 @given(st.lists(graphs, min_size=1, max_size=6), texts)
 def test_the_index_says_what_single_scenes_say(scenes, text):
     said, index = read(text), TextIndex(scenes)
-    alone = [said.score(scene, library=index).log_likelihood for scene in scenes]
+    alone = [score(said, scene, library=index).log_likelihood for scene in scenes]
     assert index.scores(said) == pytest.approx(alone, abs=1e-5)
 
 
@@ -146,7 +162,7 @@ def test_scenes_come_and_go(scenes, text, data):
     index.scores(said)
     index.remove(row)
     left = [*scenes[:row], *scenes[row + 1 :]]
-    assert index.scores(said) == pytest.approx(rank(said, left))
+    assert index.scores(said) == pytest.approx(rank_scenes(said, left))
     assert index.add(scenes[row]) == len(left)
-    assert index.scores(said) == pytest.approx(rank(said, [*left, scenes[row]]))
+    assert index.scores(said) == pytest.approx(rank_scenes(said, [*left, scenes[row]]))
     assert len(index) == len(scenes)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from math import atan2, cos, pi, radians, sin
 from typing import TYPE_CHECKING
 
-from placegraph.indoor.language.lexicon import english
 from placegraph.indoor.map.floor import label_words
 from placegraph.language.islands import Chunk
 from placegraph.language.measures import COUNTS
+from placegraph.language.phrases import Phrases, Terminal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -29,6 +33,40 @@ _MOST = 1000
 """More of a thing than this, nobody counts."""
 UNSURE = 0.6
 """Certainty of what is said to be "maybe" so."""
+_COUNTED = {"couple": 2, "pair": 2, "pairs": 4}
+
+
+@cache
+def english() -> Phrases:
+    """The phrases of the grammar."""
+    table = tomllib.loads(_file("lexicon.toml"))
+    known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
+    for section, entries in table.items():
+        for key, phrases in entries.items():
+            for phrase in phrases:
+                words = tuple(phrase.split())
+                known.setdefault(words, tuple(_terminals(section, key, words)))
+    return Phrases(known)
+
+
+def _terminals(section: str, key: str, words: Sequence[str]) -> Iterator[Terminal]:
+    if section == "relations":
+        yield Terminal("REL", key)
+    elif section == "directions":
+        yield Terminal("DIR", radians(float(key)))
+    else:
+        for terminal in key.split():
+            yield Terminal(terminal, next((_COUNTED[w] for w in words if w in _COUNTED), None))
+
+
+@cache
+def attributes() -> frozenset[str]:
+    """Words that say what a thing looks like, and not what it is."""
+    return frozenset(_file("attributes.txt").split())
+
+
+def _file(name: str) -> str:
+    return files(__package__).joinpath("data", name).read_text("utf-8")
 
 
 def chunks(sentence: Sequence[Word], text: str) -> list[Chunk]:
@@ -128,8 +166,6 @@ def _paired(found: list[Chunk]) -> list[Chunk]:
 
 def _middle(one: float, other: float) -> float:
     """The direction between two [rad]."""
-    from math import atan2, cos, sin
-
     return atan2(sin(one) + sin(other), cos(one) + cos(other))
 
 
@@ -143,9 +179,7 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
     if kind in ("STAND", "SKIP", "THAT"):
         return None
     if kind == "REL" and chunk.words in ("behind", "before") and after in ("", "AND", "BE"):
-        return replace(
-            chunk, type="DIR", value=3.141592653589793 if chunk.words == "behind" else 0.0
-        )
+        return replace(chunk, type="DIR", value=pi if chunk.words == "behind" else 0.0)
     if kind == "REL" and chunk.words == "around" and after not in _NOUNS | {"ME", "IT"}:
         return replace(chunk, type="SIGHT")
     if kind == "DIR" and chunk.words == "in front" and after == "OF":

@@ -1,15 +1,18 @@
-"""Many scenes by text: an inverted index over labels and relations, and how rare each is."""
+"""What scene graphs say, by labels, and where: an inverted index over labels and relations."""
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.language.facts import units
-from placegraph.indoor.language.kin import EXACT, fits
-from placegraph.indoor.language.kinds import kind_by_name, kinds_of, likenesses
+from placegraph.indoor.language.likeness import EXACT, fits, kind_by_name, kinds_of, likenesses
+from placegraph.indoor.map.relation_words import canonical
+from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -17,8 +20,104 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.graph import SceneGraph
-    from placegraph.indoor.language.facts import Triple, Unit
-    from placegraph.indoor.language.sentence import Sentence
+
+Triple = tuple[str, str, str]
+"""Label, relation by its canonical name and never turned, label."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unit:
+    """A room, or a scene as a whole: what somebody may describe."""
+
+    labels: dict[str, int]
+    """How many things of each label."""
+    triples: dict[Triple, int]
+    """How many things at most lie so to one other."""
+    name: str = ""
+    """Of the room, where it has one."""
+    whole: bool = False
+    """Whether it is a scene of several rooms, which are units too."""
+    undivided: bool = False
+    """Whether nobody told its rooms apart."""
+
+
+def units(graph: SceneGraph, rooms: Sequence[str] = ()) -> list[Unit]:
+    """What may be described of a scene: its rooms, and, where there are several, all of it.
+
+    `rooms`: (N,) name of the room of each object, empty where unknown. Raises `OptionError` where
+    there is not one for each object.
+    """
+    if len(rooms) not in (0, len(graph)):
+        raise OptionError(f"rooms: {len(rooms)} names for {len(graph)} objects; give one for each.")
+    groups = _groups(graph, rooms)
+    all_ = list(triples(graph))
+    if not groups:
+        labels = Counter(graph.labels)
+        return [Unit(dict(labels), _counted(all_, graph.labels), undivided=True)]
+    out = []
+    for name, rows in groups:
+        labels = Counter(graph.labels[row] for row in rows)
+        inside = set(rows)
+        own = all_ if len(groups) == 1 else [t for t in all_ if t[0] in inside]
+        out.append(Unit(dict(labels), _counted(own, graph.labels), name))
+    if len(out) == 1:  # with what lies between rooms
+        return [replace(out[0], labels=dict(Counter(graph.labels)))]
+    return [*out, Unit(dict(Counter(graph.labels)), _counted(all_, graph.labels), whole=True)]
+
+
+def _groups(graph: SceneGraph, rooms: Sequence[str]) -> list[tuple[str, list[int]]]:
+    """Name and objects of each room; none where nothing says which are together."""
+    groups: dict[str, list[int]] = {}
+    for row, name in enumerate(rooms):
+        if name:
+            groups.setdefault(name, []).append(row)
+    if groups:
+        return list(groups.items())
+    owner = list(range(len(graph)))
+
+    def root(i: int) -> int:
+        while owner[i] != i:
+            owner[i] = owner[owner[i]]
+            i = owner[i]
+        return i
+
+    together = [j for j, r in enumerate(graph.relations) if _canonical(r)[0] == SAME_ROOM]
+    for s, t in zip(
+        graph.sources[together].tolist(), graph.targets[together].tolist(), strict=True
+    ):
+        owner[root(s)] = root(t)
+    found: dict[int, list[int]] = {}
+    for row in {*graph.sources[together].tolist(), *graph.targets[together].tolist()}:
+        found.setdefault(root(row), []).append(row)
+    return [("", rows) for rows in found.values()]
+
+
+def triples(graph: SceneGraph) -> Iterable[tuple[int, str, int]]:
+    """Subject, relation by its canonical name, and target, of every edge that says where."""
+    ends = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
+    for a, written, b in ends:
+        name, turned = _canonical(written)
+        if name == SAME_ROOM:
+            continue
+        yield (b, name, a) if turned else (a, name, b)
+        if name == NEXT_TO or name.startswith("same "):
+            yield b, name, a
+
+
+def _counted(found: Iterable[tuple[int, str, int]], labels: Sequence[str]) -> dict[Triple, int]:
+    subjects: dict[tuple[str, str, int], set[int]] = {}
+    for s, name, t in found:
+        subjects.setdefault((labels[s], name, t), set()).add(s)
+    out: dict[Triple, int] = {}
+    for (one, name, t), rows in subjects.items():
+        key = (one, name, labels[t])
+        out[key] = max(out.get(key, 0), len(rows))
+    return out
+
+
+@cache
+def _canonical(relation: str) -> tuple[str, bool]:
+    return canonical(relation)
 
 
 class Found(NamedTuple):
@@ -83,83 +182,8 @@ class Columns(NamedTuple):
         return fits(asked, self.labels)
 
 
-class TextIndex:
-    """Finds scenes by text; scenes have rows as in a list.
-
-    Parameters
-    ----------
-    graphs
-        Scene graphs.
-    rooms
-        Of each graph the names of its objects' rooms (`Sentence.score`); of none if not given.
-    """
-
-    def __init__(
-        self, graphs: Iterable[SceneGraph] = (), rooms: Iterable[Sequence[str]] | None = None
-    ) -> None:
-        self._scenes: list[list[Unit]] = []
-        self._columns: Columns | None = None
-        given = iter(rooms) if rooms is not None else None
-        for graph in graphs:
-            self.add(graph, next(given, ()) if given is not None else ())
-
-    def __len__(self) -> int:
-        return len(self._scenes)
-
-    def add(self, graph: SceneGraph, rooms: Sequence[str] = ()) -> int:
-        """Add a scene at the end and return its row; raises `OptionError` as `Sentence.score`."""
-        return self.add_units(units(graph, rooms))
-
-    def add_units(self, described: Sequence[Unit]) -> int:
-        """Add a scene by what may be described of it (`facts.units`, `TextIndex.units`)."""
-        self._scenes.append(list(described))
-        self._columns = None
-        return len(self._scenes) - 1
-
-    def units(self, row: int) -> tuple[Unit, ...]:
-        """What may be described of a scene: its rooms, and where there are several all of it."""
-        return tuple(self._scenes[row])
-
-    def remove(self, row: int) -> None:
-        """Take a scene out; those after it move up. `OptionError` where there is none."""
-        if not 0 <= row < len(self._scenes):
-            raise OptionError(f"row is {row}; the index has {len(self._scenes)} scenes.")
-        del self._scenes[row]
-        self._columns = None
-
-    def scores(self, sentence: Sentence) -> NDArray[np.float64]:
-        """Log-likelihood ratio (n,) of each scene against the average of them [nat].
-
-        All zero for a sentence that says nothing.
-        """
-        from placegraph.indoor.language.score import scene_scores
-
-        return scene_scores(sentence, self.columns)
-
-    def search(self, sentence: Sentence, most: int = 10) -> list[tuple[int, float]]:
-        """Rows and scores of the best scenes, best first, the first of equal ones before."""
-        scores = self.scores(sentence)
-        order = np.argsort(-scores, kind="stable")[:most]
-        return [(int(row), float(scores[row])) for row in order]
-
-    @property
-    def columns(self) -> Columns:
-        """All scenes as arrays; made anew after `add` and `remove`."""
-        if self._columns is None:
-            self._columns = _columns(self._scenes)
-        return self._columns
-
-
-def rank(
-    sentence: Sentence,
-    graphs: Iterable[SceneGraph],
-    rooms: Iterable[Sequence[str]] | None = None,
-) -> NDArray[np.float64]:
-    """How well each graph (n,) answers a sentence, rare things counting more: `TextIndex.scores`."""
-    return TextIndex(graphs, rooms).scores(sentence)
-
-
-def _columns(scenes: Sequence[Sequence[Unit]]) -> Columns:
+def columns_of(scenes: Sequence[Sequence[Unit]]) -> Columns:
+    """The units of scenes as arrays."""
     flat = [unit for scene in scenes for unit in scene]
     label_row: dict[str, int] = {}
     triple_row: dict[Triple, int] = {}

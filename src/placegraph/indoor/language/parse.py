@@ -1,4 +1,4 @@
-"""The grammar at work: chunks of a clause become things, places, and a verb between them."""
+"""The grammar at work: chunks of a clause become nouns, where they are, and a verb between them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SKIPPED = ("WORD", "AND", "OF", "FROM", "NOT", "DET", "A", "NO", "NUM", "SOME",
 
 
 @dataclass(slots=True)
-class Thing:
+class Noun:
     """Somebody or something spoken of, in one place of the text."""
 
     kind: str
@@ -27,19 +27,19 @@ class Thing:
     end: int
     determiners: tuple[Chunk, ...] = ()
     words: tuple[Chunk, ...] = ()
-    owner: Thing | None = None
+    owner: Noun | None = None
     """Of what it is: "the door of the kitchen"."""
 
 
 @dataclass(slots=True)
-class Place:
+class Where:
     """What is said of where something is."""
 
     how: str
     """Rule of the grammar: ``related towards between faces far here sight with_``."""
     start: int
     end: int
-    things: tuple[Thing, ...] = ()
+    things: tuple[Noun, ...] = ()
     relation: str = ""
     bearing: float = 0.0
     distance: float | None = None
@@ -48,7 +48,7 @@ class Place:
 
 Joint = Chunk
 """A comma, or "and"."""
-Item = Thing | Place | Joint
+Item = Noun | Where | Joint
 
 
 @dataclass(slots=True)
@@ -103,15 +103,15 @@ class _Build:
         return list(children)
 
     # places
-    def not_(self, children: list[Any]) -> Place:
+    def not_(self, children: list[Any]) -> Where:
         children[1].negated = True
         return children[1]
 
-    def _place(self, children: list[Any], *, how: str) -> Place:
-        place = Place(how, children[0].start, children[-1].end)
-        place.things = tuple(child for child in children if isinstance(child, Thing))
+    def _place(self, children: list[Any], *, how: str) -> Where:
+        place = Where(how, children[0].start, children[-1].end)
+        place.things = tuple(child for child in children if isinstance(child, Noun))
         for child in children:
-            if isinstance(child, Thing):
+            if isinstance(child, Noun):
                 continue
             if child.type == "REL":
                 place.relation = child.value
@@ -130,34 +130,34 @@ class _Build:
     sight = partialmethod(_place, how="sight")
     with_ = partialmethod(_place, how="with_")
 
-    def back_to(self, children: list[Any]) -> Place:
+    def back_to(self, children: list[Any]) -> Where:
         place = self._place(children, how="faces")
         place.bearing = pi
         return place
 
     # things
-    def no_thing(self, children: list[Any]) -> Thing:
+    def no_thing(self, children: list[Any]) -> Noun:
         negation, thing = children
         thing.determiners = (Chunk("NO", negation.start, negation.end), *thing.determiners)
         return thing
 
-    def _who(self, children: list[Any], *, kind: str) -> Thing:
-        return Thing(kind, children[0].start, children[0].end)
+    def _who(self, children: list[Any], *, kind: str) -> Noun:
+        return Noun(kind, children[0].start, children[0].end)
 
     me = partialmethod(_who, kind="ME")
     it = partialmethod(_who, kind="IT")
     scene = partialmethod(_who, kind="SPOT")
 
-    def named(self, children: list[Any]) -> Thing:
+    def named(self, children: list[Any]) -> Noun:
         words = tuple(child for child in children if child.type == "WORD")
         determiners = tuple(child for child in children if child.type != "WORD")
-        return Thing("thing", children[0].start, children[-1].end, determiners, words)
+        return Noun("thing", children[0].start, children[-1].end, determiners, words)
 
-    def of(self, children: list[Any]) -> Thing:
+    def of(self, children: list[Any]) -> Noun:
         thing, _, owner = children
-        return Thing("thing", thing.start, owner.end, thing.determiners, thing.words, owner)
+        return Noun("thing", thing.start, owner.end, thing.determiners, thing.words, owner)
 
-    def part(self, children: list[Any]) -> Thing:
-        if isinstance(children[-1], Thing):
+    def part(self, children: list[Any]) -> Noun:
+        if isinstance(children[-1], Noun):
             return children[-1]  # the corner of the kitchen is in the kitchen
-        return Thing("PART", children[0].start, children[-1].end)
+        return Noun("PART", children[0].start, children[-1].end)

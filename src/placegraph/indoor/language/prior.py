@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import Evidence, ObjectRef
+from placegraph.indoor.language.referents import Referents
 from placegraph.indoor.language.sight import Sight
-from placegraph.indoor.language.things import Things
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 from placegraph.language.check import Ignored
 
@@ -37,7 +37,11 @@ _TOLD = 0.05  # evidence that says anything [nat]
 
 
 def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> NDArray[np.float32]:
-    """`Sentence.prior`."""
+    """Log prior (K, A) float32 over the table's positions and headings a * STEP [nat].
+
+    Against the uniform: its exponential has the mean 1 for each statement, so it can be added
+    to what images say. Zero where nothing was said that the map could serve (`unused`).
+    """
     total = np.zeros((len(table), AZIMUTHS), np.float32)
     for _, ratio in _ratios(sentence, scene, table):
         if ratio is not None:
@@ -46,8 +50,8 @@ def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> NDArray[n
 
 
 def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
-    """`Sentence.unused`."""
-    things = Things(sentence, scene)
+    """What of the sentence says nothing on this map, and why: things it does not have."""
+    things = Referents(sentence, scene)
     reasons = [(s, things.missing(s)) for s in sentence.statements]
     return tuple(Ignored(s.text, reason) for s, reason in reasons if reason)
 
@@ -55,13 +59,13 @@ def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
 def evidence(
     sentence: Sentence, scene: Scene, table: VisibilityTable, pose: ArrayLike
 ) -> tuple[Evidence, ...]:
-    """`Sentence.evidence`."""
+    """What each statement says of a pose (4,) x, y, z [m], yaw [rad] on a map."""
     if not len(table):
         return ()
     pose = np.asarray(pose, np.float64)
     row = int(np.square(table.positions - pose[:3]).sum(axis=1).argmin())
     heading = int(np.round(pose[3] / STEP)) % AZIMUTHS
-    things = Things(sentence, scene)
+    things = Referents(sentence, scene)
     out = []
     for s, ratio in _ratios(sentence, scene, table):
         if ratio is None:
@@ -73,7 +77,7 @@ def evidence(
     return tuple(out)
 
 
-def _served(s: Statement, things: Things) -> tuple[ObjectRef, ...]:
+def _served(s: Statement, things: Referents) -> tuple[ObjectRef, ...]:
     """The objects that a statement is most probably about, at most one of each thing."""
     graph = things.scene.graph
     rows = [int(things.weights[t].argmax()) for t in s.things if things.weights[t].any()]
@@ -86,7 +90,7 @@ def _ratios(
     """Log-likelihood ratio (K, A) or (K, 1) of each statement; None where it says nothing here."""
     if not len(table):
         return [(s, None) for s in sentence.statements]
-    things = Things(sentence, scene)
+    things = Referents(sentence, scene)
     useful = [s for s in sentence.statements if not things.missing(s)]
     sight = Sight(things, table) if useful else None
     return [

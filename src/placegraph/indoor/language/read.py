@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from placegraph.indoor.language.build import Builder
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 from placegraph.indoor.language.chunk import chunks, clauses
-from placegraph.indoor.language.parse import parse
-from placegraph.indoor.language.sentence import Sentence
+from placegraph.indoor.language.parse import Noun, Where, parse
+from placegraph.indoor.language.sentence import ME, Kind, Sentence
+from placegraph.indoor.language.statements import Statements
 from placegraph.language.check import Ignored, check
 from placegraph.language.words import scan
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.indoor.language.parse import Clause, Item
+
 _EXAMPLE = "I am next to the sofa, facing the window."
+_BESIDES = frozenset(("behind", "above", "under", "left of", "right of", "attached to", "against"))
+"""Relations of the speaker to a thing that tell no more than that it is near."""
 
 
 def read(text: str) -> Sentence:
@@ -28,16 +38,231 @@ def read(text: str) -> Sentence:
 
     """
     check(text, _EXAMPLE)
-    builder = Builder(text)
+    reader = Reader(text)
     for sentence in scan(text):
         for part, certainty in clauses(chunks(sentence, text)):
             for clause, left_out in parse(part):
                 if clause is not None:
-                    builder.take(clause, certainty)
-                builder.leave(left_out)
-    builder.finish()
-    if not builder.statements and not builder.ignored:
-        builder.ignored.append(Ignored(text.strip(), "says nothing about a place"))
-    return Sentence(
-        text, tuple(builder.mentions), tuple(builder.statements), tuple(builder.ignored)
-    )
+                    reader.take(clause, certainty)
+                reader.leave(left_out)
+    reader.finish()
+    if not reader.statements and not reader.ignored:
+        reader.ignored.append(Ignored(text.strip(), "says nothing about a place"))
+    return Sentence(text, tuple(reader.mentions), tuple(reader.statements), tuple(reader.ignored))
+
+
+class Reader(Statements):
+    """Says what the clauses of a text state, one after the other."""
+
+    def take(self, clause: Clause, certainty: float) -> None:
+        """Add what a clause says."""
+        self.certainty = certainty
+        before, after = list(clause.before), list(clause.after)
+        things = [item for item in before if isinstance(item, Noun)]
+        match clause.verb:
+            case "is_" if things and after and isinstance(after[0], Where):
+                rest = next((i for i, a in enumerate(after) if isinstance(a, Noun)), len(after))
+                self._say_of(before, after[:rest])
+                self._walk(after[rest:], ME)  # "..., a lamp behind me"
+            case "is_" if things and not any(t.kind == "thing" for t in things):
+                self._walk(after, ME)  # "this is the kitchen"
+            case "is_" if things:
+                self._walk(before, ME)
+                self.ignore(after, "says what a thing is, not where")
+            case "sees":
+                self._sees(before, after)
+            case "has":
+                self._has(before, after)
+            case _:  # "behind me is a bookcase", "on the table there is a plant"
+                self._walk([*_turned(after, before)], ME)
+
+    # what a clause's parts say of each other
+    def _say_of(self, subjects: Sequence[Item], places: Sequence[Item]) -> None:
+        """As "The sofa and the table are on my left"."""
+        of = [t for t in subjects if isinstance(t, Noun)]
+        rest = [item for item in subjects if isinstance(item, Where)]
+        for thing in of:
+            self._walk([thing, *rest, *[p for p in places if isinstance(p, Where)]], ME)
+            rest = []
+
+    def _sees(self, before: list[Item], after: list[Item]) -> None:
+        """As "On my left I see a plant on the table"."""
+        directions = [p for p in before if isinstance(p, Where) and p.how == "towards"]
+        self._walk([p for p in before if isinstance(p, Where) and p not in directions], ME)
+        if directions:
+            self._walk(_turned(after, directions), ME)
+            return
+        first = len(self.statements)
+        self._walk(after, ME)
+        seen = self.statements[first:]
+        placed = {
+            t
+            for s in seen
+            if s.kind is not Kind.HOLDS and s.kind is not Kind.RELATED
+            for t in s.things
+        }
+        self.statements[first:] = [
+            replace(s, kind=Kind.TOWARDS, wide=True)
+            if s.kind is Kind.HOLDS and s.things[0] not in placed
+            else s
+            for s in seen
+        ]
+
+    def _has(self, before: list[Item], after: list[Item]) -> None:
+        """As "The kitchen has two sinks", "the table has a plant on it"."""
+        things = [item for item in before if isinstance(item, Noun)]
+        holder = self.node(things[-1]) if things else ME
+        rest = [item for item in before if not isinstance(item, Noun)]
+        self._walk(rest, ME)
+        if holder is not None and holder >= 0 and self.mentions[holder].room:
+            self.state(Kind.ROOM, (holder,), things[-1])
+            holder = ME
+        with_ = [
+            Where("with_", item.start, item.end, (item,)) if isinstance(item, Noun) else item
+            for item in after
+            if not (isinstance(item, Where) and any(t.kind == "IT" for t in item.things))
+        ]
+        self._walk(with_, ME if holder is None else holder)
+
+    def _walk(self, items: Sequence[Item], base: int) -> None:
+        """Things and places in the order of speech.
+
+        A place right after a thing is said of that thing (`anchor`); after a joint it is said of
+        what was spoken of all along (`base`): the speaker, where a place came first.
+        """
+        anchor, holder, joint = base, base, True
+        leads = base == ME and bool(items) and isinstance(items[0], Noun)
+        for i, item in enumerate(items):
+            if isinstance(item, Noun):
+                node = self.node(item)
+                if node is None:
+                    continue
+                if node < 0 or self.mentions[node].room:
+                    base = anchor = holder = ME
+                    leads = False
+                else:
+                    anchor = node
+                    base = node if leads else base
+                if node >= 0:
+                    self._hold(node, item)
+            elif isinstance(item, Where) and item.how == "with_":
+                anchor = self._with(item, holder if joint else anchor, items[i + 1 :])
+            elif isinstance(item, Where):
+                subject = base if joint else anchor
+                anchor = self._put(ME if item.how == "faces" else subject, item, anchor)
+            joint = not isinstance(item, Noun | Where)
+
+    def _with(self, item: Where, owner: int, rest: Sequence[Item]) -> int:
+        """As "with two sinks": of the scene, or of the thing before; returns what is spoken of."""
+        node = self.node(item.things[0])
+        if node is None or node < 0:
+            return owner
+        goes_on = (
+            rest and isinstance(rest[0], Where) and rest[0].how in ("towards", "here", "sight")
+        )
+        if owner >= 0 and owner != node and not goes_on:
+            self.state(Kind.RELATED, (node, owner), item, relation="with")
+        else:
+            self._hold(node, item.things[0])
+        return node
+
+    def _put(self, subject: int, place: Where, anchor: int) -> int:
+        """State a place of a subject; returns what a place right after it is said of."""
+        if place.how in ("towards", "here", "sight"):
+            return self._direct(anchor if anchor >= 0 else subject, place)
+        nodes = [self.node(thing, other_than=subject) for thing in place.things]
+        if any(node is None for node in nodes):
+            self.ignore([place], "says no thing")
+            return anchor
+        targets = [node for node in nodes if node is not None]
+        if subject >= 0 and any(t == subject for t in targets):
+            self.ignore([place], "relates a thing to itself")
+            return anchor
+        if any(t < 0 for t in targets):
+            return self._to_me(subject, place, targets, anchor)
+        if place.how == "faces":
+            self.state(
+                Kind.TOWARDS, (targets[0],), place, bearing=place.bearing, negated=place.negated
+            )
+            return targets[0]
+        if place.how == "between":
+            return self._between(subject, place, targets)
+        room = self.mentions[targets[0]].room
+        if room and (place.relation == "in" or subject == ME):
+            self.state(Kind.ROOM, (targets[0],), place, negated=place.negated)
+            return subject
+        if subject < 0:
+            self._near(place, targets[0])
+            return targets[0]
+        self._relate(subject, place, targets[0])
+        return targets[0]
+
+    def _direct(self, subject: int, place: Where) -> int:
+        """As "on my left", "next to me", "in sight" of a thing."""
+        if subject < 0:
+            if place.how != "sight":
+                self.ignore([place], "says no thing")
+            return subject
+        kinds = {"towards": Kind.TOWARDS, "here": Kind.NEAR, "sight": Kind.HOLDS}
+        self.state(
+            kinds[place.how], (subject,), place, bearing=place.bearing, distance=place.distance,
+            negated=place.negated,
+        )  # fmt: skip
+        return subject
+
+    def _to_me(self, subject: int, place: Where, targets: list[int], anchor: int) -> int:
+        """What is said of a thing by where I am: "left of me", "far from me"; or of the room."""
+        if ME in targets and subject >= 0 and place.how in ("related", "far"):
+            kind = Kind.NEAR if place.how == "related" else Kind.FAR
+            self.state(kind, (subject,), place, distance=place.distance, negated=place.negated)
+        elif subject != ME or place.relation != "in":
+            self.ignore([place], "says no thing")
+        return anchor
+
+    def _between(self, subject: int, place: Where, targets: list[int]) -> int:
+        two = tuple(targets) if len(targets) == 2 else (targets[0], targets[0])
+        if subject < 0:
+            self.state(Kind.BETWEEN, two, place, negated=place.negated)
+        else:
+            for target in dict.fromkeys(two):
+                self.state(
+                    Kind.RELATED, (subject, target), place, relation="next to",
+                    negated=place.negated,
+                )  # fmt: skip
+        return subject
+
+    def _near(self, place: Where, target: int) -> None:
+        """Where I am by one thing."""
+        if place.how == "far":
+            self.state(Kind.FAR, (target,), place, negated=place.negated)
+            return
+        relation = "" if place.relation in ("next to", "") else place.relation
+        self.state(
+            Kind.NEAR, (target,), place, relation="" if relation in _BESIDES else relation,
+            distance=place.distance, negated=place.negated,
+        )  # fmt: skip
+
+    def _relate(self, subject: int, place: Where, target: int) -> None:
+        if place.how == "far":
+            self.state(
+                Kind.RELATED, (subject, target), place, relation="next to",
+                negated=not place.negated,
+            )  # fmt: skip
+            return
+        self.state(
+            Kind.RELATED, (subject, target), place, relation=place.relation or "next to",
+            negated=place.negated, distance=place.distance,
+        )  # fmt: skip
+
+    def _hold(self, node: int, item: Noun) -> None:
+        self.state(Kind.ROOM if self.mentions[node].room else Kind.HOLDS, (node,), item)
+
+
+def _turned(after: Sequence[Item], before: Sequence[Item]) -> list[Item]:
+    """Things first, then where they are: "behind me is a bookcase"."""
+    places = [item for item in before if isinstance(item, Where)]
+    things = [item for item in before if isinstance(item, Noun)]
+    first = next((i for i, item in enumerate(after) if isinstance(item, Noun)), None)
+    if first is None or not places:
+        return [*things, *places, *after]
+    return [*after[: first + 1], *places, *after[first + 1 :]]

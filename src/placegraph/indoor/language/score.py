@@ -1,4 +1,4 @@
-"""How well scenes answer a text: a log-likelihood ratio, statement by statement.
+"""How well what scenes hold fits the statements of a text, as a log-likelihood ratio.
 
 As outdoors, a statement s of a scene has P(s | scene) = (1 - WRONG) fit(s, scene) / fit(s, average)
 + WRONG: what few scenes have counts more, what is wrong costs no more than the logarithm of WRONG.
@@ -7,15 +7,12 @@ Somebody describes a room, or a scene of several rooms as a whole; where a text 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Evidence, ObjectRef
-from placegraph.indoor.language.kin import EXACT, fits
-from placegraph.indoor.language.kinds import table, usual
+from placegraph.indoor.language.likeness import table, usual
 from placegraph.indoor.language.sentence import Kind
 from placegraph.indoor.map.relation_words import readings
 from placegraph.indoor.map.relations import NEXT_TO
@@ -25,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.graph import SceneGraph
-    from placegraph.indoor.language.index import Columns, TextIndex
+    from placegraph.indoor.language.index import Columns
     from placegraph.indoor.language.sentence import Mention, Sentence, Statement
 
     Floats = NDArray[np.float64]
@@ -38,64 +34,25 @@ APART = 0.2
 SIDE = 0.6
 """How well "next to" fits relations as seen by somebody: "in front of", "left of"."""
 _RELATED = 0.05  # share of average scenes in which two things are so related
-_TOLD = 0.05  # evidence that says anything [nat]
 _WITH = ("on", "next to", "in", "attached to")
 _SEEN = frozenset(("in front of", "behind", "left of", "right of", "opposite", "against"))
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """How well a scene answers a text."""
-
-    log_likelihood: float
-    """Log-likelihood ratio against an average scene [nat]."""
-    evidence: tuple[Evidence, ...]
-    """What each statement says of the scene, or of the room of it that fits best."""
-
-
-def score(
-    sentence: Sentence,
-    graph: SceneGraph,
-    rooms: Sequence[str] = (),
-    library: TextIndex | None = None,
-) -> Score:
-    """`Sentence.score`; rarity is the library's where there is one."""
-    from placegraph.indoor.language.index import TextIndex
-
-    columns = TextIndex([graph], [rooms]).columns
-    usual_ = (
-        [_expected(s, sentence.mentions) for s in sentence.statements]
-        if library is None
-        else backgrounds(sentence, library.columns)
-    )
-    ratios = _ratios(sentence, columns, usual_)
-    total, best = _of_scenes(sentence, columns, ratios.sum(axis=0))
-    evidence = tuple(
-        _evidence(s, sentence.mentions, graph, float(ratio))
-        for s, ratio in zip(sentence.statements, ratios[:, best[0]], strict=True)
-    )
-    return Score(float(total[0]), evidence)
 
 
 def scene_scores(sentence: Sentence, columns: Columns) -> Floats:
     """Log-likelihood ratio (n,) of each scene against their average [nat]."""
     if not columns.scenes or not sentence.statements:
         return np.zeros(columns.scenes)
-    fit = _fits(sentence, columns)
-    ratios = _compared(sentence, fit, _means(fit, columns))
-    return _of_scenes(sentence, columns, ratios.sum(axis=0))[0]
+    fit = statement_fits(sentence, columns)
+    ratios = compared(sentence, fit, _means(fit, columns))
+    return of_scenes(sentence, columns, ratios.sum(axis=0))[0]
 
 
 def backgrounds(sentence: Sentence, columns: Columns) -> list[float]:
     """How well each statement fits the average scene of an index."""
-    return _means(_fits(sentence, columns), columns).tolist()
+    return _means(statement_fits(sentence, columns), columns).tolist()
 
 
-def _ratios(sentence: Sentence, columns: Columns, usual_: Sequence[float]) -> Floats:
-    return _compared(sentence, _fits(sentence, columns), np.asarray(usual_, np.float64))
-
-
-def _compared(sentence: Sentence, fit: Floats, background: Floats) -> Floats:
+def compared(sentence: Sentence, fit: Floats, background: Floats) -> Floats:
     """Log-likelihood ratios (S, U)."""
     certain = np.array([s.certainty for s in sentence.statements])
     wrong = (1.0 - (1.0 - WRONG) * certain)[:, None]
@@ -107,7 +64,7 @@ def _means(fit: Floats, columns: Columns) -> Floats:
     return np.asarray((fit.sum(axis=1) + 0.05) / (len(columns.scene) + 1.0))
 
 
-def _of_scenes(
+def of_scenes(
     sentence: Sentence, columns: Columns, totals: Floats
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Scores (n,) of scenes from those of their units, and the unit of each that fits best."""
@@ -125,7 +82,7 @@ def _of_scenes(
     return top + np.log(sums), best
 
 
-def _fits(sentence: Sentence, columns: Columns) -> Floats:
+def statement_fits(sentence: Sentence, columns: Columns) -> Floats:
     """How well (S, U) each statement fits each unit."""
     known: dict[str, NDArray[np.float32]] = {}
     for mention in sentence.mentions:
@@ -204,7 +161,7 @@ def _counted(many: Floats, thing: Mention) -> Floats:
     return (many > 0).astype(np.float64)
 
 
-def _expected(s: Statement, mentions: Sequence[Mention]) -> float:
+def expected(s: Statement, mentions: Sequence[Mention]) -> float:
     """How well a statement fits an average room, where no library says."""
     things = [mentions[t] for t in s.things]
     if s.kind is Kind.ROOM:
@@ -214,22 +171,3 @@ def _expected(s: Statement, mentions: Sequence[Mention]) -> float:
     if s.kind is Kind.RELATED:
         chance = max(APART * chance, _RELATED * chance)
     return 1.0 - chance if s.negated else max(chance, 1e-3)
-
-
-def _evidence(
-    s: Statement, mentions: Sequence[Mention], graph: SceneGraph, ratio: float
-) -> Evidence:
-    labels = list(dict.fromkeys(graph.labels))
-    serving = {
-        label
-        for t in s.things
-        for label, fit in zip(labels, fits(mentions[t].label, labels), strict=True)
-        if fit >= EXACT
-    }
-    verdict = "for" if ratio > _TOLD else "against" if ratio < -_TOLD else "silent"
-    refs = tuple(
-        ObjectRef(id_, label, name)
-        for id_, label, name in zip(graph.ids, graph.labels, graph.names, strict=True)
-        if label in serving and s.kind is not Kind.ROOM
-    )
-    return Evidence(s.text, verdict, ratio, refs)

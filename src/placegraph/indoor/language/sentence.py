@@ -7,17 +7,6 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.estimate import Evidence
-    from placegraph.graph import SceneGraph
-    from placegraph.indoor.language.index import TextIndex
-    from placegraph.indoor.language.score import Score
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.map.scene import Scene
     from placegraph.language.check import Ignored
 
 
@@ -94,55 +83,6 @@ class Sentence:
     mentions: tuple[Mention, ...] = ()
     statements: tuple[Statement, ...] = ()
     ignored: tuple[Ignored, ...] = ()
-
-    def prior(self, scene: Scene, table: VisibilityTable) -> NDArray[np.float32]:
-        """Log prior (K, A) float32 over the table's positions and headings a * STEP [nat].
-
-        Against the uniform: its exponential has the mean 1 for each statement, so it can be added
-        to what images say. Zero where nothing was said that the map could serve (`unused`).
-        """
-        from placegraph.indoor.language.prior import prior
-
-        return prior(self, scene, table)
-
-    def unused(self, scene: Scene) -> tuple[Ignored, ...]:
-        """What of the sentence says nothing on this map, and why: things it does not have."""
-        from placegraph.indoor.language.prior import unused
-
-        return unused(self, scene)
-
-    def evidence(
-        self, scene: Scene, table: VisibilityTable, pose: ArrayLike
-    ) -> tuple[Evidence, ...]:
-        """What each statement says of a pose (4,) x, y, z [m], yaw [rad] on a map."""
-        from placegraph.indoor.language.prior import evidence
-
-        return evidence(self, scene, table, pose)
-
-    def score(
-        self, graph: SceneGraph, rooms: Sequence[str] = (), library: TextIndex | None = None
-    ) -> Score:
-        """How well a scene answers the text, as a log-likelihood ratio against an average scene.
-
-        Parameters
-        ----------
-        graph
-            Scene graph of a room, or of a home.
-        rooms
-            (N,) name or number of the room of each object, empty where unknown, as attribute `room`
-            of a map's objects; without, relations "same room" say what is together.
-        library
-            Index that says how rare things are; else they are as rare as in homes (`rooms.toml`).
-
-        Raises
-        ------
-        OptionError
-            There is not one room for each object.
-
-        """
-        from placegraph.indoor.language.score import score
-
-        return score(self, graph, rooms, library)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""

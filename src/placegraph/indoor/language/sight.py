@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.language.kin import EXACT
-from placegraph.indoor.language.kinds import kinds_of, table
+from placegraph.indoor.language.likeness import EXACT, kinds_of, table
 from placegraph.indoor.language.sentence import Kind
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.map.panoramas import HIGHEST, range_of
@@ -17,8 +16,8 @@ from placegraph.indoor.map.panoramas_kernels import ELEVATIONS, STEP
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.indoor.language.referents import Referents
     from placegraph.indoor.language.sentence import Statement
-    from placegraph.indoor.language.things import Things
     from placegraph.indoor.likelihood.visibility import VisibilityTable
 
     Floats = NDArray[np.float32]
@@ -58,7 +57,7 @@ class Sight:
         The table.
     """
 
-    def __init__(self, things: Things, views: VisibilityTable) -> None:
+    def __init__(self, things: Referents, views: VisibilityTable) -> None:
         self._things, self._views = things, views
         spoken = [weights > 0 for weights in things.weights]
         self._rows = np.flatnonzero(np.any(spoken, axis=0))

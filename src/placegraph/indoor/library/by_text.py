@@ -10,7 +10,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import SceneEstimate, SceneMode
-from placegraph.indoor.language import read
+from placegraph.indoor.language import read, score
 from placegraph.indoor.library.by_capture import judge
 
 if TYPE_CHECKING:
@@ -62,4 +62,4 @@ def _explain(library: SceneLibrary, name: str, sentence: Sentence) -> tuple[Evid
     """What each statement says of a scene."""
     signature = library.entry(name).signature
     rooms = [a.get("room", "") for a in signature.attributes]
-    return sentence.score(signature.graph, rooms, library.texts).evidence
+    return score(sentence, signature.graph, rooms, library.texts).evidence

@@ -17,6 +17,7 @@ from placegraph.estimate import Status
 from placegraph.geometry import split_pose
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import read
+from placegraph.indoor.language.prior import unused
 from placegraph.indoor.localize import localize as localize_in
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.frames import chosen_frames
@@ -131,7 +132,7 @@ def _useful(description: str | None, scene: Scene) -> Sentence | None:
     if description is None:
         return None
     sentence = read(description)
-    useful = len(sentence.unused(scene)) < len(sentence.statements)
+    useful = len(unused(sentence, scene)) < len(sentence.statements)
     return sentence if useful else None
 
 

@@ -52,7 +52,9 @@ class Leaning:
         sentence = _read(description, scene)
         logs = np.zeros((len(table), AZIMUTHS), np.float32)
         if sentence is not None:
-            logs += sentence.prior(scene, table)
+            from placegraph.indoor.language.prior import prior
+
+            logs += prior(sentence, scene, table)
         return cls(scene, table, sentence, logs, _parts(scene, table, shares))
 
     def at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -65,7 +67,9 @@ class Leaning:
         """What each statement of the description says of a pose (4,)."""
         if self.sentence is None:
             return ()
-        return self.sentence.evidence(self.scene, self.table, pose)
+        from placegraph.indoor.language.prior import evidence
+
+        return evidence(self.sentence, self.scene, self.table, pose)
 
     def against(self, pose: NDArray[np.float64]) -> str:
         """What of the description is not so at a pose (4,), if that outweighs what is."""
@@ -79,10 +83,11 @@ def _read(description: str | Sentence | None, scene: Scene) -> Sentence | None:
     if description is None:
         return None
     from placegraph.indoor.language import read
+    from placegraph.indoor.language.prior import unused
 
     sentence = read(description) if isinstance(description, str) else description
-    ignored = [*sentence.ignored, *sentence.unused(scene)]
-    if len(sentence.unused(scene)) == len(sentence.statements):
+    ignored = [*sentence.ignored, *unused(sentence, scene)]
+    if len(unused(sentence, scene)) == len(sentence.statements):
         reasons = "; ".join(f"{i.text!r}: {i.reason}" for i in ignored)
         raise OptionError(
             f"description {sentence.text!r} says nothing of this map"

@@ -10,7 +10,7 @@ import pytest
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import level_from_camera, pose_matrix
 from placegraph.graph import SceneGraph
-from placegraph.indoor.language import Kind, read
+from placegraph.indoor.language import Kind, read, score
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import spoken_poses
 from placegraph_lab.tables.indoor.spoken_poses import describe_pose
@@ -56,7 +56,7 @@ def test_true_facts_are_true(row):
         said = read(describe(SCENES, row, rng, facts=facts, wrong=0.0))
         assert not said.ignored
         assert not {"wall", "floor"} & {m.label for m in said.mentions}
-        evidence = said.score(SCENES[row].graph, SCENES[row].rooms).evidence
+        evidence = score(said, SCENES[row].graph, SCENES[row].rooms).evidence
         assert all(e.verdict == "for" for e in evidence), (said.text, evidence)
 
 

@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.language.facts import triples
-from placegraph.indoor.language.kin import EXACT, fits
-from placegraph.indoor.language.kinds import kind_by_name, kinds_of, likenesses, table
+from placegraph.indoor.language.index import triples
+from placegraph.indoor.language.likeness import (
+    EXACT,
+    fits,
+    kind_by_name,
+    kinds_of,
+    likenesses,
+    table,
+)
 from placegraph.indoor.language.score import sayings
 from placegraph.indoor.language.sentence import Kind
 
@@ -31,8 +37,8 @@ _NO_ROOM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Things:
-    """The things of a sentence on a map of N objects."""
+class Referents:
+    """The objects that the things of a sentence may be, on a map of N of them."""
 
     sentence: Sentence
     scene: Scene

@@ -1,23 +1,101 @@
-"""Which kind of room a room is, by its name or by what is in it."""
+"""How well a label fits what somebody calls a thing, and which kind of room holds such things."""
 
 from __future__ import annotations
 
-from functools import cache
+import tomllib
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.indoor.language.kin import EXACT, fits
-from placegraph.indoor.language.lexicon import room_kind, rooms
+from placegraph.indoor.encode.words import vector
+from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.relation_words import same_thing
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+LEAST = 0.5
+"""Cosine of words that are no kin any more (`encode.word_tree`: 0.64 of two kinds of a thing)."""
+SYNONYM = 0.95
+"""How well a synonym fits."""
+GENERAL = 0.7
+"""How well a label fits that says less than what was asked for: a "table" may be a "side table"."""
+EXACT = 0.9
+"""What fits this well is the thing itself."""
+_MANY = 20_000  # words kept
 _UNLISTED = 0.25  # of the mean of what is listed: how probably other rooms hold a thing
 _ABSENT = 0.5  # weight of what is not there: a map does not hold all that a room does
 _NAMED = 0.97  # a room is what it is called
+
+
+def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
+    """How well labels (n,) fit what is asked for, in [0, 1]: 1 the same thing, 0 no kin of it.
+
+    A "desk" is a "table" by half. Labels that name nothing fit nothing.
+    """
+    if not labels:
+        return np.zeros(0, np.float32)
+    cosines = np.stack([_vector(label) for label in labels]) @ _vector(asked)
+    out = SYNONYM * np.clip((cosines - LEAST) / (1.0 - LEAST), 0.0, 1.0)
+    start = _start(asked)
+    for i, label in enumerate(labels):
+        if _start(label) == start and start and same_thing(asked, label):
+            said, own = set(label_words(asked)[:-1]), set(label_words(label)[:-1])
+            out[i] = 1.0 if said <= own else max(out[i], GENERAL)
+    return np.asarray(out, np.float32)
+
+
+@lru_cache(maxsize=_MANY)
+def _vector(label: str) -> NDArray[np.float32]:
+    return vector(label)
+
+
+@lru_cache(maxsize=_MANY)
+def _start(label: str) -> str:
+    """Two letters that the last word of a label has in common with its plural."""
+    words = label_words(label)
+    return words[-1][:2] if words else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Rooms:
+    """Kinds of rooms."""
+
+    kind_of: Mapping[tuple[str, ...], str]
+    """Kind that words name."""
+    usual: Mapping[str, float]
+    """Share of each kind among the rooms of homes; they sum to 1."""
+    holds: Mapping[str, Mapping[str, float]]
+    """How probably a room of a kind holds such a thing, by what it is called."""
+
+
+@cache
+def rooms() -> Rooms:
+    """The kinds of rooms that placegraph knows."""
+    table = tomllib.loads(files(__package__).joinpath("data", "rooms.toml").read_text("utf-8"))
+    names = {kind: [kind, *entry.get("names", [])] for kind, entry in table.items()}
+    total = sum(entry["usual"] for entry in table.values())
+    return Rooms(
+        kind_of={tuple(name.split()): kind for kind, all_ in names.items() for name in all_},
+        usual={kind: entry["usual"] / total for kind, entry in table.items()},
+        holds={kind: entry["holds"] for kind, entry in table.items()},
+    )
+
+
+def room_kind(label: str) -> str:
+    """Kind of room that a label names: its last words do; empty if it names none."""
+    words = label_words(label)
+    for last in (words[-1:], [words[-1].removesuffix("s")] if words else []):
+        for n in (3, 2, 1):
+            kind = rooms().kind_of.get((*words[-n:-1], *last)) if len(words) >= n else None
+            if kind:
+                return kind
+    return ""
 
 
 class _Table(NamedTuple):

@@ -1,0 +1,160 @@
+"""The statements of a text, while it is read: what nouns mean, and who "it" is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from placegraph.indoor.language.chunk import attributes
+from placegraph.indoor.language.likeness import room_kind
+from placegraph.indoor.language.parse import Noun, Where
+from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
+from placegraph.indoor.map.relation_words import same_thing
+from placegraph.language.check import Ignored
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.indoor.language.parse import Item
+    from placegraph.language.islands import Chunk
+
+SCENE = -2
+"""Stands for the scene itself where a mention could stand."""
+_ANYTHING = frozenset(
+    ("room", "place", "space", "scene", "flat", "apartment", "house", "home", "area", "spot")
+)
+"""What names a place without saying which."""
+_REMEMBERED = 50
+"""Things back to which "the table" is looked for."""
+_NOTHING = frozenset(("thing", "things", "something", "anything", "nothing", "everything", "one"))
+
+
+class Statements:
+    """Collects the statements of a text.
+
+    Parameters
+    ----------
+    text
+        The text.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.mentions: list[Mention] = []
+        self.statements: list[Statement] = []
+        self.ignored: list[Ignored] = []
+        self._spoken: list[int] = []
+        self.certainty = 1.0
+
+    def leave(self, left_out: Sequence[Chunk]) -> None:
+        """Note words that no rule expected."""
+        for chunk in left_out:
+            if chunk.type == "WORD" or (chunk.type in ("REL", "DIST", "BETWEEN", "FACE", "AWAY")):
+                self.ignored.append(Ignored(self.text[chunk.start : chunk.end], "not understood"))
+
+    def finish(self) -> None:
+        """What is said twice is said once; of what is placed, it is no news that it is there."""
+        placed = {t for s in self.statements for t in s.things if s.kind is not Kind.HOLDS}
+        kept: dict[Statement, Statement] = {}
+        for s in self.statements:
+            thing = self.mentions[s.things[0]]
+            news = thing.count or thing.several or s.negated or s.things[0] not in placed
+            if news or s.kind is not Kind.HOLDS:
+                kept.setdefault(replace(s, text=""), s)
+        self.statements = list(kept.values())
+
+    def state(
+        self,
+        kind: Kind,
+        things: tuple[int, ...],
+        said: Noun | Where,
+        *,
+        relation: str = "",
+        bearing: float = 0.0,
+        distance: float | None = None,
+        negated: bool = False,
+    ) -> None:
+        """Add what `said` states of some things."""
+        no = any(self.mentions[t].negated for t in things)
+        self.statements.append(
+            Statement(
+                kind, things, relation, bearing, distance=distance, negated=negated or no,
+                certainty=self.certainty, text=self.text[said.start : said.end],
+            )
+        )  # fmt: skip
+
+    def node(self, thing: Noun, *, other_than: int = ME) -> int | None:
+        """Row of what a thing is, ME, SCENE, or None where it names nothing."""
+        if thing.kind == "ME":
+            return ME
+        if thing.kind == "SPOT":
+            return SCENE
+        if thing.kind == "IT":
+            return next((row for row in reversed(self._spoken) if row != other_than), None)
+        if thing.kind == "PART":
+            return None
+        mention = _mention(thing, self.text)
+        if mention.label in _NOTHING or not mention.label:
+            self.ignored.append(Ignored(mention.words, "names no thing"))
+            return None
+        if mention.label in _ANYTHING:
+            return SCENE
+        owner = thing.owner
+        if owner is not None and owner.kind == "thing" and owner.determiners:
+            where = _mention(owner, self.text)
+            if where.room:
+                self.state(Kind.ROOM, (self._kept(where, owner),), owner)
+            else:
+                self.ignored.append(Ignored(where.words, "of what a thing is part"))
+        self._spoken.append(self._kept(mention, thing))
+        return self._spoken[-1]
+
+    def _kept(self, mention: Mention, thing: Noun) -> int:
+        """Row of a mention: "the table" is the table spoken of before."""
+        definite = any(d.type == "DET" for d in thing.determiners) and not mention.negated
+        if definite:
+            for row in range(len(self.mentions) - 1, -1, -1)[:_REMEMBERED]:
+                other = self.mentions[row]
+                if not other.negated and _same(mention, other):
+                    return row
+        self.mentions.append(mention)
+        return len(self.mentions) - 1
+
+    def ignore(self, items: Sequence[Item], reason: str) -> None:
+        """Note that some items say nothing that can be used, and why."""
+        said = [item for item in items if isinstance(item, Noun | Where)]
+        if said:
+            words = self.text[said[0].start : said[-1].end]
+            self.ignored.append(Ignored(words, reason))
+
+
+def _same(one: Mention, other: Mention) -> bool:
+    """Whether two mentions may be of one thing."""
+    if one.room or other.room:
+        return one.room == other.room
+    if one.count is not None and one.count != other.count:
+        return False
+    return same_thing(one.label, other.label) and set(one.attributes) <= set(other.attributes)
+
+
+def _mention(thing: Noun, text: str) -> Mention:
+    """What a noun phrase says."""
+    words = [chunk.words for chunk in thing.words]
+    looks = attributes()
+    head = 0
+    while head < len(words) - 1 and words[head] in looks:
+        head += 1
+    label = " ".join(words[head:])
+    if thing.owner is not None and not thing.owner.determiners and thing.owner.kind == "thing":
+        label = " ".join([label, "of", *[chunk.words for chunk in thing.owner.words]])
+    kinds = {d.type for d in thing.determiners}
+    count = next((d.value for d in thing.determiners if d.type == "NUM"), None)
+    return Mention(
+        words=text[thing.start : thing.end],
+        label=label,
+        count=count,
+        several="SOME" in kinds,
+        attributes=tuple(words[:head]),
+        negated="NO" in kinds or count == 0,
+        room=room_kind(label),
+    )
