@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import numba
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ from placegraph.formats.capture.tum import read_tum
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.geometry import Camera
 from placegraph.indoor.build import build_scene
+from placegraph.threads import limited
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
@@ -116,10 +116,8 @@ def flat_walk(flat_world):
 @pytest.fixture(scope="module")
 def one_thread():
     """Compiled code on one thread: on busy cores threads mostly wait for each other."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
+    with limited(1):
+        yield
 
 
 @pytest.fixture(scope="session")

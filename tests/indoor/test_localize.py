@@ -4,7 +4,6 @@ import hashlib
 import json
 import shutil
 
-import numba
 import numpy as np
 import pytest
 
@@ -27,6 +26,7 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.search import Prior
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.threads import limited
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
@@ -216,11 +216,8 @@ def test_the_same_seed_gives_the_same_answer(room, walk, answer):
 
 def test_the_number_of_threads_does_not_matter(room, walk):
     alone = room.localize(walk, frames=TWO)
-    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
-    try:
+    with limited(2):
         same(alone, room.localize(walk, frames=TWO))
-    finally:
-        numba.set_num_threads(1)
 
 
 def test_progress_was_told(answer):

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from placegraph.compiled import kernel
 
 
-@kernel(parallel=True)
+@kernel
 def look_for(objects, ranges, slot, level, slots):
     """Where things are seen from each position.
 
@@ -22,7 +21,7 @@ def look_for(objects, ranges, slot, level, slots):
     near = np.full((slots, count), np.inf, np.float32)
     at = np.zeros((slots, count), np.int16)
     cut = np.zeros((slots, count), np.bool_)
-    for k in prange(count):
+    for k in range(count):
         for e in range(bands):
             for a in range(azimuths):
                 j = slot[objects[k, e, a]]
@@ -36,7 +35,7 @@ def look_for(objects, ranges, slot, level, slots):
     return near, at, cut
 
 
-@kernel(parallel=True)
+@kernel
 def look_around_for(objects, ranges, weight, fit):
     """How well (K, A) what is seen in each direction is the thing: the best of `weight` x `fit`.
 
@@ -44,7 +43,7 @@ def look_around_for(objects, ranges, weight, fit):
     """
     count, bands, azimuths = objects.shape
     out = np.zeros((count, azimuths), np.float32)
-    for k in prange(count):
+    for k in range(count):
         for e in range(bands):
             for a in range(azimuths):
                 w = weight[objects[k, e, a]]
@@ -53,7 +52,7 @@ def look_around_for(objects, ranges, weight, fit):
     return out
 
 
-@kernel(parallel=True)
+@kernel
 def turned(profile, shift, window):
     """Best of a profile (K, A) around each heading (K, A), turned by `shift` bins.
 
@@ -62,7 +61,7 @@ def turned(profile, shift, window):
     count, azimuths = profile.shape
     half = len(window) // 2
     out = np.zeros((count, azimuths), np.float32)
-    for k in prange(count):
+    for k in range(count):
         for b in range(azimuths):
             value = profile[k, b]
             if value <= 0.0:
@@ -73,12 +72,12 @@ def turned(profile, shift, window):
     return out
 
 
-@kernel(parallel=True)
+@kernel
 def vote_rooms(objects, ranges, room, weight, rooms):
     """Share (K, rooms) of what is seen that is of each room; `weight`: (256,) by range."""
     count, bands, azimuths = objects.shape
     out = np.zeros((count, rooms), np.float32)
-    for k in prange(count):
+    for k in range(count):
         total = np.float32(1e-6)
         for e in range(bands):
             for a in range(azimuths):

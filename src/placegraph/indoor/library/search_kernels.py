@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from placegraph.compiled import kernel
+from placegraph.threads import share as in_threads
 
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another
@@ -19,15 +19,19 @@ SLIP = 1.0
 """What being at the next place, or turned by one bin more, costs [nat]."""
 
 
-@kernel(parallel=True, fastmath=True, error_model="numpy")
 def best_cosines(cosines, code, starts, weight):
     """Sum over words of weight (W,) times the best of cosines (W, U) over each scene's objects.
 
     `code`: (M,) column of each object; `starts`: (S + 1,) first object of each scene.
     """
-    scenes = len(starts) - 1
-    out = np.empty(scenes, np.float32)
-    for s in prange(scenes):
+    out = np.empty(len(starts) - 1, np.float32)
+    in_threads(_best_cosines, len(out), cosines, code, starts, weight, out)
+    return out
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _best_cosines(cosines, code, starts, weight, out, first, last):
+    for s in range(first, last):
         total = np.float32(0.0)
         for w in range(len(weight)):
             best = np.float32(-1.0)
@@ -35,24 +39,27 @@ def best_cosines(cosines, code, starts, weight):
                 best = max(best, cosines[w, code[i]])
             total += weight[w] * best
         out[s] = total
-    return out
 
 
-@kernel(parallel=True, fastmath=True, error_model="numpy")
 def held(ratio, code, share, starts, weight, wrong):
     """Log-likelihood (S,) of words with weights (W,) in each scene, a mixture of its objects.
 
     `ratio`: (U, W) how much likelier a word is of an object than of anything; `share`: (M,).
     """
-    scenes, words = len(starts) - 1, ratio.shape[1]
-    out = np.empty(scenes, np.float64)
-    for s in prange(scenes):
+    out = np.empty(len(starts) - 1, np.float64)
+    in_threads(_held, len(out), ratio, code, share, starts, weight, wrong, out)
+    return out
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _held(ratio, code, share, starts, weight, wrong, out, first, last):
+    words = ratio.shape[1]
+    for s in range(first, last):
         mean = _mixture(ratio, code, share, starts[s], starts[s + 1])
         total = 0.0
         for w in range(words):
             total += weight[w] * np.log(np.float32(1.0 - wrong) * mean[w] + np.float32(wrong))
         out[s] = total
-    return out
 
 
 @kernel(fastmath=True)
@@ -84,7 +91,6 @@ def add_told(told, bin_of, word, weight, logs):
             row[o] += share * said[o]
 
 
-@kernel(parallel=True, fastmath=True, error_model="numpy")
 def along_ways(
     told, bin_turn, bin_band, frame_starts, chosen, object_starts, code, panoramas, place_starts,
     places, steps, unknown,
@@ -111,11 +117,22 @@ def along_ways(
         (T,) what a frame is taken to say of a direction, and of a place, that is not mapped.
 
     """
+    out = np.empty(len(chosen), np.float64)
+    scenes = chosen, object_starts, code, panoramas, place_starts, places
+    frames = told, bin_turn, bin_band, frame_starts, steps, unknown
+    in_threads(_along_ways, len(out), *frames, *scenes, out)
+    return out
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _along_ways(
+    told, bin_turn, bin_band, frame_starts, steps, unknown,
+    chosen, object_starts, code, panoramas, place_starts, places, out, begin, end,
+):  # fmt: skip
     turns = panoramas.shape[2]
     frames = len(frame_starts) - 1
     unit = 2.0 * np.pi / turns
-    out = np.empty(len(chosen), np.float64)
-    for c in prange(len(chosen)):
+    for c in range(begin, end):
         s = chosen[c]
         first, last = place_starts[s], place_starts[s + 1]
         count = last - first
@@ -159,7 +176,6 @@ def along_ways(
             for h in range(turns):
                 mean += np.exp(total[p, h] - top)
         out[c] = top + np.log(mean / (count * turns))
-    return out
 
 
 @kernel

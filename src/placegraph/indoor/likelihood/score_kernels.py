@@ -4,44 +4,35 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
+from placegraph.threads import share
 
 SEMANTIC, DEPTH, COLOUR = range(3)
 """Columns of scores."""
 
 
-_CHUNKS = 64
+_FEW = 8
+"""So few poses are scored sooner than other threads wake."""
 
 
 _STILL = np.float32(1e-4)  # variance below which there is no colour to compare
 
 
-@kernel(parallel=True, fastmath=True, error_model="numpy")
 def score_poses(tracer, surface, poses, view, noise):
     """Scores (N, 3) float32 of poses (N, 4) float64 x, y, z [m], yaw [rad] against one view.
 
     Columns: semantic, depth, colour; log-likelihood ratios against a place the map does not know
     or, under ``gaussian``, the paper's scores in [0, 2] (Sec. 3.3, 3.4).
     """
-    n = len(poses)
-    scores = np.zeros((n, 3), np.float32)
-    chunks = min(n, _CHUNKS)
-    for chunk in prange(chunks):
-        first, last = chunk * n // chunks, (chunk + 1) * n // chunks
-        _score(tracer, surface, poses, view, noise, scores, first, last)
-    return scores
-
-
-@kernel(fastmath=True, error_model="numpy")
-def score_few(tracer, surface, poses, view, noise):
-    """`score_poses` on one core: for a handful of poses, waking the others takes longer."""
     scores = np.zeros((len(poses), 3), np.float32)
-    _score(tracer, surface, poses, view, noise, scores, 0, len(poses))
+    if len(poses) <= _FEW:
+        _score(tracer, surface, poses, view, noise, scores, 0, len(poses))
+    else:
+        share(_score, len(poses), tracer, surface, poses, view, noise, scores)
     return scores
 
 

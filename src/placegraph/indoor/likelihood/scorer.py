@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.observe import combine, noise
-from placegraph.indoor.likelihood.score_kernels import score_few, score_poses
+from placegraph.indoor.likelihood.score_kernels import score_poses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from placegraph.indoor.likelihood.score import View
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import Likelihood
-
-_FEW = 8
 
 
 class Scorer:
@@ -55,8 +53,7 @@ class Scorer:
             scores = self._warp.score(poses, view, self.noise)
         else:
             scene = self.scene
-            score = score_few if len(poses) <= _FEW else score_poses
-            scores = score(scene.caster.tracer, scene.surface, poses, view, self.noise)
+            scores = score_poses(scene.caster.tracer, scene.surface, poses, view, self.noise)
         self.rays += len(poses) * len(view.directions)
         self.poses += len(poses)
         self.seconds += perf_counter() - start

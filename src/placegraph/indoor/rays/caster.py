@@ -12,6 +12,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.rays import bvh, embree
 from placegraph.indoor.rays.layout import LANES, NONE
 from placegraph.indoor.rays.packets_kernels import Tracer, cast_rays
+from placegraph.threads import processors
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -98,7 +99,7 @@ class RayCaster:
         start, along = checked_rays(origins, directions)
         hits = Hits.empty(len(along))
         columns = hits.triangle, hits.distance, hits.u, hits.v
-        threads = embree.processors() if len(along) > _FEW else 1
+        threads = processors() if len(along) > _FEW else 1
         if threads == 1:
             cast_rays(self.tracer, start, along, (0, len(along)), columns)
             return hits

@@ -8,7 +8,6 @@ they hold for the versions named here alone, and a scene with known answers prov
 from __future__ import annotations
 
 import ctypes
-import os
 import re
 import weakref
 from functools import cache
@@ -32,6 +31,7 @@ from placegraph.indoor.rays.layout import (
     V,
 )
 from placegraph.indoor.rays.packets_kernels import Tracer
+from placegraph.threads import processors
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -160,13 +160,6 @@ def _scene(
 def _release(library: ctypes.CDLL, scene: int, device: int, *_buffers: NDArray[Any]) -> None:
     library.rtcReleaseScene(scene)
     library.rtcReleaseDevice(device)
-
-
-def processors() -> int:
-    """Processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _self_test(library: ctypes.CDLL) -> str:

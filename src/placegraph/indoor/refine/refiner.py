@@ -11,7 +11,6 @@ import numpy as np
 
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.clock import timed
-from placegraph.indoor.rays.embree import processors
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
 from placegraph.indoor.refine.images import look, solve_frame, solve_rig, turned
@@ -20,6 +19,7 @@ from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.pixels import Sights
 from placegraph.indoor.refine.render import Renderer
 from placegraph.indoor.refine.uncertainty import covariance
+from placegraph.threads import processors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

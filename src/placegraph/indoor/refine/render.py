@@ -7,18 +7,15 @@ covers: of a texture by its mip levels, across edges by several rays.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.rays.embree import processors
 from placegraph.indoor.refine.render_kernels import TILE, Eye, Picture, World, draw, smooth
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -126,8 +123,8 @@ def render(
 class Renderer:
     """Renders one map again and again, on the device asked for.
 
-    The CPU takes as many threads as numba does (`numba.set_num_threads`), and may be asked by any
-    number of threads. Parameters and errors: `render`; `caster` is the map's own where none is given.
+    The CPU takes as many threads as `threads.limited` lets it, and may be asked by any number of
+    threads. Parameters and errors: `render`; `caster` is the map's own where none is given.
     """
 
     def __init__(
@@ -163,25 +160,11 @@ class Renderer:
     def _by_cpu(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
         rows = len(drawn.depth)
         picture = Picture(drawn.colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
-        threads = min(processors(), numba.get_num_threads())
-        with ThreadPoolExecutor(threads) as pool:
-
-            def share(work: Callable[..., None], count: int, *inputs: object) -> None:
-                # more parts than threads, since some rows are quicker than others
-                parts = min(8 * threads, count) if threads > 1 else 1
-                ends = [count * part // parts for part in range(parts + 1)]
-                jobs = [
-                    pool.submit(work, self._world, eye, picture, *inputs, first, last)
-                    for first, last in pairwise(ends)
-                ]
-                for job in jobs:
-                    job.result()
-
-            share(draw, -(-rows // TILE))
-            if len(offsets) == 1:
-                return drawn
-            colour = drawn.colour.copy()
-            share(smooth, rows, colour, offsets)
+        share(draw, -(-rows // TILE), self._world, eye, picture)
+        if len(offsets) == 1:
+            return drawn
+        colour = drawn.colour.copy()
+        share(smooth, rows, self._world, eye, picture, colour, offsets)
         return Rendering(colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
 
 

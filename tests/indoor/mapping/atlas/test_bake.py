@@ -1,4 +1,3 @@
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +8,7 @@ from placegraph.geometry import Camera
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas import bake
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.threads import limited
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 
@@ -187,14 +187,10 @@ def test_two_hundred_thousand_triangles(grid, field, rng):
 
 
 def test_the_same_again_on_any_number_of_threads(ball, colour_of):
-    before = numba.get_num_threads()
     made = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
+    for threads in (1, 2):
+        with limited(threads):
             made.append(bake(ball, colour_of))
-    finally:
-        numba.set_num_threads(before)
     assert (made[0].uv == made[1].uv).all()
     assert all((a == b).all() for a, b in zip(made[0].textures, made[1].textures, strict=True))
 

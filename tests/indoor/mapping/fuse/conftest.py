@@ -1,6 +1,5 @@
 """Scenes whose depth is known to the last digit."""
 
-import numba
 import numpy as np
 import pytest
 
@@ -53,14 +52,6 @@ def views():
     made = [room_view(yaw, down) for yaw in np.arange(0, 6.2, 0.7) for down in (-0.6, 0.2, 0.9)]
     frames, poses = zip(*made, strict=True)
     return frames, np.array(poses)
-
-
-@pytest.fixture
-def threads():
-    """Set the number of compiled code's threads; afterwards it is as before."""
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from collections import Counter
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +13,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import rotation_z
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph.indoor.rays import RayCaster
+from placegraph.threads import limited
 
 PLAIN = FuseOptions(gains=False)
 
@@ -120,14 +120,12 @@ def test_the_order_of_frames_changes_little(fused, views):
     assert np.quantile(gap, 0.98) < 1e-3
 
 
-def test_threads_change_nothing(views, threads):
-    if numba.config.NUMBA_NUM_THREADS < 2:
-        pytest.skip("numba has one thread here")
+def test_threads_change_nothing(views):
     frames, poses = views[0][:4], views[1][:4]
-    threads(1)
-    one = fuse(frames, poses, voxel=0.08)
-    threads(2)
-    two = fuse(frames, poses, voxel=0.08)
+    with limited(1):
+        one = fuse(frames, poses, voxel=0.08)
+    with limited(2):
+        two = fuse(frames, poses, voxel=0.08)
     for name in ("vertices", "triangles", "colours"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
 

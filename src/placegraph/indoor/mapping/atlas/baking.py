@@ -22,7 +22,7 @@ from placegraph.indoor.mapping.atlas.baking_kernels import (
 from placegraph.indoor.mapping.atlas.chart_kernels import spread
 from placegraph.indoor.mapping.atlas.charts import Charts, charts_of, neighbours_of
 from placegraph.indoor.mapping.atlas.pack import filled, pack
-from placegraph.indoor.mapping.atlas.share import share
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

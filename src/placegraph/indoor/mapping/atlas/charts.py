@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.mapping.atlas.chart_kernels import absorb, grow, overlapping, turns
-from placegraph.indoor.mapping.atlas.share import share
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

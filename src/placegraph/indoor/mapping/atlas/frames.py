@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.mapping.atlas.share import share
 from placegraph.indoor.mapping.atlas.view_kernels import OBSERVED, Views, balance, mixed, observe
 from placegraph.indoor.mapping.atlas.views import keyframes, looked
 from placegraph.indoor.rays import RayCaster
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -9,9 +9,9 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.surface import Surface
-from placegraph.indoor.mapping.atlas.share import share
 from placegraph.indoor.mapping.atlas.surface_kernels import colours_of, nearest, sorted_cells
 from placegraph.indoor.rays import RayCaster
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from placegraph.compiled import kernel
 from placegraph.indoor.mapping.fuse.volume_kernels import NEAR
+from placegraph.threads import share
 
 FLAT = 0.1
 """Least cosine of the angle at which a reading's surface is looked at."""
 
 
-@kernel(parallel=True, error_model="numpy")
 def facets_of(depth, eye, reach, edges):
     """Plane, reading and weight of every pixel (h, w, 6) float32.
 
@@ -25,10 +24,16 @@ def facets_of(depth, eye, reach, edges):
     Planes are linear in the image if written for 1 / depth: slopes are a least-squares fit over
     readings that are near in depth, every second of 5 x 5.
     """
+    out = np.zeros((*depth.shape, 6), np.float32)
+    share(_facets_of, len(out), depth, eye, reach, edges, out)
+    return out
+
+
+@kernel(error_model="numpy")
+def _facets_of(depth, eye, reach, edges, out, first, last):
+    """Fill lines `first` to `last` of out (h, w, 6)."""
     h, w = depth.shape
-    out = np.zeros((h, w, 6), np.float32)
-    for line in prange(h):
-        v = np.int64(line)  # prange's own is unsigned
+    for v in range(first, last):
         y = (v + 0.5 - eye[3]) / eye[1]
         for u in range(w):
             z = depth[v, u]
@@ -82,7 +87,6 @@ def facets_of(depth, eye, reach, edges):
             out[v, u, 3] = 1 / length
             out[v, u, 4] = 1 / here
             out[v, u, 5] = cosine * here**4
-    return out
 
 
 @kernel(error_model="numpy")

@@ -4,25 +4,29 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from placegraph.compiled import kernel
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE, row_of
+from placegraph.threads import share
 
 _WIDE = SIDE + 1
 
 
-@kernel(parallel=True)
 def neighbours(keys, rows, places, count):
     """Rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
     out = np.empty((count, 27), np.int32)
-    for row in prange(count):
+    share(_neighbours, count, keys, rows, places, out)
+    return out
+
+
+@kernel
+def _neighbours(keys, rows, places, out, first, last):
+    for row in range(first, last):
         x, y, z = np.int64(places[row, 0]), np.int64(places[row, 1]), np.int64(places[row, 2])
         for side in range(27):
             out[row, side] = row_of(
                 keys, rows, x + side // 9 - 1, y + side // 3 % 3 - 1, z + side % 3 - 1
             )
-    return out
 
 
 @kernel
@@ -32,7 +36,6 @@ def corner_of(around, row, i, j, k):
     return around[row, side], (i % SIDE * SIDE + j % SIDE) * SIDE + k % SIDE
 
 
-@kernel(parallel=True)
 def cells_of(around, distance, weight, least, steepest, loops):
     """Where the surface is: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
@@ -47,7 +50,16 @@ def cells_of(around, distance, weight, least, steepest, loops):
     cases = np.zeros((count, SIZE), np.uint8)
     crossed = np.zeros((count, SIZE), np.uint16)
     sizes = np.zeros(count, np.int64)
-    for row in prange(count):
+    given = around, distance, weight, least, steepest, loops
+    share(_cells_of, count, *given, cases, crossed, sizes)
+    return cases, crossed, sizes
+
+
+@kernel
+def _cells_of(
+    around, distance, weight, least, steepest, loops, cases, crossed, sizes, first, last
+):  # fmt: skip
+    for row in range(first, last):
         gap = np.full((_WIDE, _WIDE, _WIDE), np.nan, np.float32)
         for i in range(_WIDE):
             for j in range(_WIDE):
@@ -80,10 +92,8 @@ def cells_of(around, distance, weight, least, steepest, loops):
                 crossed[row, cell] = mask
                 cases[row, cell] = case if whole else 0
                 sizes[row] += loops[cases[row, cell]]
-    return cases, crossed, sizes
 
 
-@kernel(parallel=True)
 def vertices_of(
     around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel
 ):
@@ -92,17 +102,27 @@ def vertices_of(
     `starts`: (B + 1,) first vertex of each block; `loop_of`: (256, 12), see `surface.loop_tables`.
     A vertex is the mean of the points where its loop crosses the edges of the cell.
     """
-    count = len(around)
     points = np.zeros((starts[-1], 3), np.float64)
     paints = np.zeros((starts[-1], 3), np.uint8)
-    first = np.zeros((count, SIZE), np.int32)
-    for row in prange(count):
+    vertex = np.zeros((len(around), SIZE), np.int32)
+    volume = around, places, distance, colour, paint
+    cells = cases, crossed, starts, loop_of, loops, voxel
+    share(_vertices_of, len(around), *volume, *cells, points, paints, vertex)
+    return points, paints, vertex
+
+
+@kernel
+def _vertices_of(
+    around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel,
+    points, paints, vertex, first, last,
+):  # fmt: skip
+    for row in range(first, last):
         at = starts[row]
         for cell in range(SIZE):
             if crossed[row, cell] == 0:
                 continue
             case = cases[row, cell]
-            first[row, cell] = at
+            vertex[row, cell] = at
             i, j, k = cell // (SIDE * SIDE), cell // SIDE % SIDE, cell % SIDE
             gap = np.zeros(8)
             shade = np.zeros((8, 4))
@@ -148,7 +168,6 @@ def vertices_of(
                     value = 128.0 if total == 0 else mix[channel] / total + 0.5
                     paints[at, channel] = int(min(value, 255.0))
                 at += 1
-    return points, paints, first
 
 
 @kernel
@@ -159,16 +178,23 @@ def low_corner(edge):
     return (rest & 1) << one | (rest >> 1) << two
 
 
-@kernel(parallel=True)
-def quads_of(around, distance, cases, crossed, first, loop_of, starts, quads):
+def quads_of(around, distance, cases, crossed, vertex, loop_of, starts, quads):
     """Vertices around every edge that the surface crosses: count by block (B,), or fill `quads`.
 
     `quads`: (Q, 4) int32, empty for counting; `starts`: (B + 1,) first quad of each block. Seen from free
     space they run counter-clockwise.
     """
-    count = len(around)
-    sizes = np.zeros(count, np.int64)
-    for row in prange(count):
+    sizes = np.zeros(len(around), np.int64)
+    grid = around, distance, cases, crossed, vertex, loop_of
+    share(_quads_of, len(around), *grid, starts, quads, sizes)
+    return sizes
+
+
+@kernel
+def _quads_of(
+    around, distance, cases, crossed, vertex, loop_of, starts, quads, sizes, first, last
+):  # fmt: skip
+    for row in range(first, last):
         at = starts[row]
         corners = np.zeros(4, np.int32)
         for cell in range(SIZE):
@@ -190,20 +216,19 @@ def quads_of(around, distance, cases, crossed, first, loop_of, starts, quads):
                         break
                     loop = loop_of[cases[block, other], 4 * axis + a + 2 * b]
                     # free space at the edge's low end turns the quad round
-                    corners[turn if behind else 3 - turn] = first[block, other] + loop
+                    corners[turn if behind else 3 - turn] = vertex[block, other] + loop
                 if whole:
                     if len(quads):
                         quads[at] = corners
                     at += 1
         sizes[row] = at - starts[row]
-    return sizes
 
 
-@kernel(parallel=True)
+@kernel
 def split(points, quads):
     """Two triangles (2 Q, 3) int64 for each quad (Q, 4), along its shorter diagonal."""
     out = np.empty((2 * len(quads), 3), np.int64)
-    for row in prange(len(quads)):
+    for row in range(len(quads)):
         a, b, c, d = quads[row]
         one, two = 0.0, 0.0
         for axis in range(3):
@@ -218,11 +243,11 @@ def split(points, quads):
     return out
 
 
-@kernel(parallel=True)
+@kernel
 def areas_of(points, triangles):
     """Areas (T,) of triangles [m^2]."""
     out = np.empty(len(triangles))
-    for row in prange(len(triangles)):
+    for row in range(len(triangles)):
         a, b, c = triangles[row]
         total = 0.0
         for axis in range(3):

@@ -12,6 +12,7 @@ import numpy as np
 
 from placegraph.indoor.mapping.fuse import volume_kernels as kernels
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -117,10 +118,10 @@ class Volume:
             back,
             self.truncation,
         )
-        kernels.integrate(
-            self.distance, self.weight, self.colour, self.paint, self.places, chosen, self.voxel,
-            self.truncation, facets, view.image, gain, view.eyes, back,
-            BAND * self.voxel,
+        share(
+            kernels.integrate, len(chosen), self.distance, self.weight, self.colour, self.paint,
+            self.places, chosen, self.voxel, self.truncation, facets, view.image, gain, view.eyes,
+            back, BAND * self.voxel,
         )  # fmt: skip
         return gain
 

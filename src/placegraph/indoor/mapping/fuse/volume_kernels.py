@@ -8,7 +8,6 @@ over `keys` (K,) int64, -1 where free, and `rows` (K,) int32; K is a power of tw
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from placegraph.compiled import kernel
 
@@ -162,7 +161,7 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
     return found[:n]
 
 
-@kernel(parallel=True, error_model="numpy")
+@kernel(error_model="numpy")
 def integrate(
     distance,
     weight,
@@ -178,8 +177,10 @@ def integrate(
     eyes,
     pose,
     band,
+    first,
+    last,
 ):
-    """Take one view into the blocks `chosen`, in place.
+    """Take one view into the blocks `chosen`, from `first` to `last` of them, in place.
 
     `distance`, `weight`, `paint`: (B, SIZE) float32 signed distance [m], its weight, and that of the
     colour; `colour`: (B, SIZE, 3) float32; `facets`: (h, w, 6), see `depth_kernels.facets_of`;
@@ -190,7 +191,7 @@ def integrate(
     h, w = facets.shape[:2]
     tall, wide = image.shape[:2]
     sx, sy, sz = voxel * pose[0, 2], voxel * pose[1, 2], voxel * pose[2, 2]
-    for n in prange(len(chosen)):
+    for n in range(first, last):
         row = chosen[n]
         for line in range(SIDE * SIDE):
             px = (places[row, 0] * SIDE + line // SIDE + 0.5) * voxel

@@ -1,0 +1,64 @@
+"""Compiled loops on several threads: one range, cut into parts that write to what is their own.
+
+Numba's own parallel loops are not used: they take twice as long to compile, two of them at once end
+the process on some machines, and so does one after a fork.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+_MOST: ContextVar[int | None] = ContextVar("most", default=None)
+
+
+def processors() -> int:
+    """Processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def limited(most: int) -> Iterator[None]:
+    """Within it, `share` takes at most so many threads; it takes all processors otherwise."""
+    if most < 1:
+        raise OptionError(f"most is {most}; give at least 1 thread.")
+    token = _MOST.set(most)
+    try:
+        yield
+    finally:
+        _MOST.reset(token)
+
+
+def share(work: Callable[..., None], count: int, *inputs: object) -> None:
+    """Call `work(*inputs, first, last)` for parts of 0 to `count`, on several threads.
+
+    `work` is compiled, lets go of the interpreter's lock, and writes to what is its own.
+    """
+    threads = min(_MOST.get() or processors(), processors(), max(count, 1))
+    if threads == 1:
+        work(*inputs, 0, count)
+        return
+    # more parts than threads, since some are quicker than others
+    parts = min(8 * threads, count)
+    rest = iter(list(pairwise(count * part // parts for part in range(parts + 1))))
+
+    def take_parts() -> None:
+        for first, last in rest:
+            work(*inputs, first, last)
+
+    with ThreadPoolExecutor(threads - 1) as pool:
+        helpers = [pool.submit(take_parts) for _ in range(threads - 1)]
+        take_parts()
+        for helper in helpers:
+            helper.result()
