@@ -1,4 +1,4 @@
-"""Make the homes that stand beside every library (`indoor/library/decoys.py`).
+"""Make the homes that stand beside every library (`indoor/library/signature_file.py`).
 
     python scripts/decoys.py
 
@@ -14,7 +14,7 @@ import numpy as np
 
 import placegraph
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.decoys import FILE
+from placegraph.indoor.library.signature_file import DECOYS
 from placegraph_lab.worlds.home.home import home, scene_of
 
 COUNT = 32
@@ -25,7 +25,7 @@ ENCODERS = ("labels", "appearance", "compact")
 def main() -> None:
     """Draw, map and sign the homes."""
     library = SceneLibrary(ENCODERS)
-    out = Path(placegraph.__file__).parent / "indoor/library" / FILE
+    out = Path(placegraph.__file__).parent / "indoor/library" / DECOYS
     out.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent) as folder:
         for i in range(COUNT):

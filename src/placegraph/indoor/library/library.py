@@ -2,233 +2,40 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
-from dataclasses import dataclass
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from placegraph.errors import InputError, MapError, OptionError
-from placegraph.indoor.encode import Encoder, encoder
-from placegraph.indoor.language import TextIndex, read
-from placegraph.indoor.library.decoys import decoys
-from placegraph.indoor.library.index import Index
-from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.signature import Signature, signature_of
-from placegraph.indoor.scene_map import SceneMap
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.indoor.encode import ENCODERS, Encoder, encoder
+from placegraph.indoor.library.answer import search
+from placegraph.indoor.library.localize import localize
+from placegraph.indoor.library.scenes import Entry, Scenes
+from placegraph.indoor.library.signature_file import GRAIN, KIND, VERSION, columns, signatures_in
+from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from placegraph.estimate import PoseEstimate, SceneEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
+    from placegraph.indoor.library.options import SearchOptions
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.store import MapFile
 
     Progress = Callable[[str, int, int], None]
 
 SUFFIX = ".scene"
 """Of the maps in a folder."""
-_OPEN = 8  # maps kept open
 
 
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One scene of a library."""
+class SceneLibrary(Scenes):
+    """Scenes by name, and the question in which of them something is.
 
-    signature: Signature
-    path: Path | None
-    """Map file; None where the map is only in memory."""
-    digest: str = ""
-    """SHA-256 of the file."""
-
-
-class SceneLibrary:
-    """Scenes by name, each with a signature of kilobytes; maps are opened when they are needed.
-
-    Made empty, opened from a file that `save` wrote, or from a folder of scene maps.
-
-    Parameters
-    ----------
-    encoders
-        What scenes and captures are compared by: names, such as ``labels``, or encoders. A capture
-        needs something for one of them only.
-    height
-        Of the cameras above the floor [m]; those of `FilterOptions.heights` if not given.
-
-    Raises
-    ------
-    OptionError
-        There is no encoder, or none of that name, or two are alike.
-
+    Made empty, opened from a file that `save` wrote, or from a folder of scene maps; parameters
+    and errors as of `Scenes`.
     """
-
-    def __init__(
-        self,
-        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "compact"),
-        *,
-        height: float | None = None,
-    ) -> None:
-        given = [encoders] if isinstance(encoders, str | Encoder) else list(encoders)
-        self.encoders = tuple(encoder(e) if isinstance(e, str) else e for e in given)
-        keys = [e.key for e in self.encoders]
-        if not keys or len(set(keys)) < len(keys):
-            raise OptionError(
-                f"encoders are {', '.join(keys) or 'none'}; give at least one, each once."
-            )
-        self.height = height
-        self._entries: dict[str, Entry] = {}
-        self._index: Index | None = None
-        self._own: Index | None = None
-        self._texts: TextIndex | None = None
-        self._open: OrderedDict[str, SceneMap] = OrderedDict()
-
-    # -------------------------------------------------------------------------------- scenes
-
-    def add(
-        self,
-        name: str,
-        scene: SceneMap | str | os.PathLike[str],
-        captures: Sequence[Capture] = (),
-    ) -> None:
-        """Add a map, or the map of a file.
-
-        Parameters
-        ----------
-        name
-            Of the scene; no slash, and not yet taken.
-        scene
-            A map, kept in memory, or its file, opened again when it is needed.
-        captures
-            Images of it, where an encoder needs some; their odometry is map_from_camera.
-
-        Raises
-        ------
-        OptionError
-            The name is none, or taken; the scene says nothing to the encoders (`signature_of`).
-        InputError, MapError
-            The file is no sound scene map.
-
-        """
-        if not name or "/" in name:
-            raise OptionError(f"name is {name!r}; give one without a slash.")
-        if name in self._entries:
-            raise OptionError(f"{name!r} is taken; remove it first, or take another name.")
-        path = None if isinstance(scene, SceneMap) else Path(scene)
-        opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
-        signature = signature_of(opened, self.encoders, captures, self.height)
-        self.insert(name, Entry(signature, path, "" if path is None else digest_of(path)))
-        if path is None:
-            self._open[name] = opened
-
-    def insert(self, name: str, entry: Entry) -> None:
-        """Add a scene whose signature is known already."""
-        self._entries[name] = entry
-        self._index = self._own = self._texts = None
-
-    def remove(self, name: str) -> None:
-        """Take a scene out; its file stays. Raises `OptionError` where there is none."""
-        self.entry(name)
-        del self._entries[name]
-        self._open.pop(name, None)
-        self._index = self._own = self._texts = None
-
-    def entry(self, name: str) -> Entry:
-        """Signature and file of a scene; `OptionError` where there is none of this name."""
-        if name not in self._entries:
-            raise OptionError(f"{name!r} is no scene of this library; it has {self._some()}.")
-        return self._entries[name]
-
-    def scene(self, name: str) -> SceneMap:
-        """Map of a scene, opened where it is not open yet.
-
-        Raises
-        ------
-        OptionError
-            There is no scene of this name.
-        InputError, MapError
-            Its file is gone, is no sound map, or another one than was added.
-
-        """
-        entry = self.entry(name)
-        if name in self._open:
-            self._open.move_to_end(name)
-            return self._open[name]
-        if entry.path is None:
-            raise InputError(
-                f"{name}: the library knows its signature alone, and no map of it; add it again by "
-                "its file."
-            )
-        if not entry.path.exists():
-            raise InputError(
-                f"{entry.path}: the map of {name!r} is not there; bring it back, or remove the scene."
-            )
-        opened = SceneMap.open(entry.path)
-        if digest_of(entry.path) != entry.digest:
-            raise MapError(
-                f"{entry.path} is another map than was added as {name!r}; remove the scene and add "
-                "it again."
-            )
-        self._open[name] = opened
-        while sum(self._entries[n].path is not None for n in self._open) > _OPEN:
-            self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
-        return opened
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all scenes, in the order in which they came."""
-        return tuple(self._entries)
-
-    def __len__(self) -> int:
-        return len(self._entries)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._entries
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._entries)
-
-    def __repr__(self) -> str:
-        encoders = ", ".join(e.name for e in self.encoders)
-        return f"SceneLibrary({len(self)} scenes by {encoders})"
-
-    def _some(self) -> str:
-        names = ", ".join(list(self._entries)[:5])
-        return names + (", ..." if len(self) > 5 else "") if names else "none at all"
-
-    @property
-    def index(self) -> Index:
-        """All signatures side by side, and those of `decoys`; `OptionError` where the library is empty."""
-        if not self._entries:
-            raise OptionError("The library is empty: add a scene before you search it.")
-        if self._index is None:
-            signatures = [e.signature for e in self._entries.values()] + decoys(self.encoders)
-            self._index = Index.of(signatures, [e.key for e in self.encoders])
-        return self._index
-
-    @property
-    def own_index(self) -> Index:
-        """The scenes alone, without the homes beside them."""
-        if self._own is None:
-            scenes = self.index.owner < len(self)
-            self._own = self.index.subset(np.flatnonzero(scenes))
-        return self._own
-
-    @property
-    def texts(self) -> TextIndex:
-        """All graphs as texts ask for them; `OptionError` where the library is empty."""
-        if self._texts is None:
-            _ = self.index
-            signatures = [e.signature for e in self._entries.values()]
-            self._texts = TextIndex(
-                (s.graph for s in signatures),
-                ([a.get("room", "") for a in s.attributes] for s in signatures),
-            )
-        return self._texts
-
-    # ------------------------------------------------------------------------------- questions
 
     def search(
         self,
@@ -262,27 +69,16 @@ class SceneLibrary:
             An image is broken.
 
         """
-        if most < 1:
-            raise OptionError(f"most is {most}; ask for at least one scene.")
-        if isinstance(query, str):
-            from placegraph.indoor.library.by_text import search_text
-
-            return search_text(self, query, most)
-        from placegraph.indoor.library.by_capture import search_capture
-
-        text = None if description is None else read(description)
-        return search_capture(self, query, frames, options or SearchOptions(), most, text)
+        return search(
+            self, query, frames=frames, description=description, options=options, most=most
+        )
 
     def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
         """Scene and pose of a capture: retrieval, then the filter in the best scenes together.
 
         Parameters, result and errors: `placegraph.indoor.library.localize.localize`.
         """
-        from placegraph.indoor.library.localize import localize
-
         return localize(self, capture, **options)
-
-    # ----------------------------------------------------------------------------------- files
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all signatures and the places of the maps into one file (atomically).
@@ -290,9 +86,26 @@ class SceneLibrary:
         Maps are named relative to the file, so that both can be moved together. Raises `MapError`
         where it cannot be written, `OptionError` where a map is only in memory or there is none.
         """
-        from placegraph.indoor.library.library_file import save
-
-        save(self, path)
+        if not len(self):
+            raise OptionError("The library is empty: add a scene before you save it.")
+        entries = [self.entry(name) for name in self]
+        nowhere = [n for n, e in zip(self, entries, strict=True) if e.path is None]
+        if nowhere:
+            raise OptionError(
+                f"{nowhere[0]!r} is a map in memory; save it, and add it to the library by its file."
+            )
+        folder = Path(path).resolve().parent
+        places = [os.path.relpath(e.path.resolve(), folder) for e in entries if e.path is not None]
+        signatures = [e.signature for e in entries]
+        meta = {
+            "encoders": [{"name": e.name, "key": e.key} for e in self.encoders],
+            "digests": [e.digest for e in entries],
+            "height": self.height,
+            "grain": GRAIN,
+        }
+        arrays = {"names": pack_strings(self.names), "paths": pack_strings(places)}
+        arrays |= columns(signatures, [e.key for e in self.encoders])
+        write_map(path, KIND, VERSION, meta, arrays)
 
     @classmethod
     def open(
@@ -321,9 +134,33 @@ class SceneLibrary:
         """
         if Path(path).is_dir():
             return cls._of_folder(Path(path), encoders, progress)
-        from placegraph.indoor.library.library_file import load
+        return cls._of_file(path, encoders)
 
-        return load(path, encoders)
+    @classmethod
+    def _of_file(
+        cls,
+        path: str | os.PathLike[str],
+        encoders: str | Encoder | Sequence[str | Encoder] | None,
+    ) -> SceneLibrary:
+        file = read_map(path, KIND, VERSION)
+        made = _encoders(file, encoders)
+        try:
+            library = cls(made, height=file.meta["height"])
+            names, places = file.strings("names"), file.strings("paths")
+            digests = [str(digest) for digest in file.meta["digests"]]
+            signatures = signatures_in(file, [e.key for e in library.encoders])
+            folder = Path(path).resolve().parent
+            for name, place, signature, digest in zip(
+                names, places, signatures, digests, strict=True
+            ):
+                library.insert(
+                    name, Entry(signature, Path(os.path.normpath(folder / place)), digest)
+                )
+        except (OptionError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            raise MapError(
+                f"{path}: its columns contradict each other ({error}). Make the library again."
+            ) from error
+        return library
 
     @classmethod
     def _of_folder(
@@ -347,14 +184,40 @@ class SceneLibrary:
         return library
 
 
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def library_of(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  # noqa: ANN401
     """Library of maps in memory; options are those of `SceneLibrary`."""
     library = SceneLibrary(**options)
     for name, scene in maps.items():
         library.add(name, scene)
     return library
+
+
+def _encoders(
+    file: MapFile, given: str | Encoder | Sequence[str | Encoder] | None
+) -> list[Encoder]:
+    """Encoders of a file, made by name or given; `MapError` where these are others."""
+    known = [] if given is None else [given] if isinstance(given, str | Encoder) else list(given)
+    made = {e.key: e for e in (encoder(g) if isinstance(g, str) else g for g in known)}
+    try:
+        wanted = [(str(e["name"]), str(e["key"])) for e in file.meta["encoders"]]
+    except (KeyError, TypeError) as error:
+        raise MapError(f"{file.header.path}: names no encoders. Make the library again.") from error
+    out = [made.get(key) or _by_name(name, key) for name, key in wanted]
+    for found, (_, key) in zip(out, wanted, strict=True):
+        if found is None or (made and not made.keys() & {k for _, k in wanted}):
+            here = ", ".join(made) or (found.key if found else "nothing that makes such vectors")
+            raise MapError(
+                f"{file.header.path} was encoded by {key}, and here is {here}: open it with the "
+                "encoder that it was made with (encoders=..., or --encoder and --weights), or make "
+                "the library again."
+            )
+    return [e for e in out if e is not None]
+
+
+def _by_name(name: str, key: str) -> Encoder | None:
+    """Encoder that can be made by its name alone, and has this key; None where there is none."""
+    try:
+        made = encoder(name) if name in ENCODERS else None
+    except (OptionError, MissingExtraError):  # it needs weights, or what is not installed
+        return None
+    return made if made is not None and made.key == key else None

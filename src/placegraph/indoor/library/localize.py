@@ -18,6 +18,7 @@ from placegraph.geometry import split_pose
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import unused
+from placegraph.indoor.library.answer import search as search_in
 from placegraph.indoor.localize import localize as localize_in
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.frames import chosen_frames
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.language import Sentence
-    from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.library.options import SearchOptions
+    from placegraph.indoor.library.scenes import Scenes
     from placegraph.indoor.map.scene import Scene
 
 SCENES = 4
@@ -42,7 +43,7 @@ _LEAST = 0.02  # share of the particles of a scene that is looked at all
 
 
 def localize(
-    library: SceneLibrary,
+    library: Scenes,
     capture: Capture | Sequence[Frame],
     *,
     frames: slice | Sequence[int] | None = None,
@@ -63,12 +64,10 @@ def localize(
     ----------
     capture
         A capture, or frames in order of time.
-    frames
-        Which of them; all if not given.
+    frames, search
+        Which of them, all if not given; how scenes are searched.
     most
         Scenes localized in at most: those that hold 99 % of the probability, if these are fewer.
-    search
-        How scenes are searched.
     description
         What somebody says of the place: helps to find the scene, and the pose in it.
     encoder
@@ -89,12 +88,9 @@ def localize(
         An option needs an extra.
 
     """
-    if most < 1:
-        raise OptionError(f"most is {most}; localize in at least one scene.")
-    if {"shares", "prior"} & options.keys():
-        raise OptionError("shares, prior: a library finds these itself; leave them out.")
+    _check(most, options)
     chosen = chosen_frames(capture, frames)
-    found = library.search(chosen, description=description, options=search, most=most)
+    found = search_in(library, chosen, description=description, options=search, most=most)
     candidates = _candidates(found)
     start = perf_counter()
     reader = _reader(library, chosen, encoder)
@@ -107,8 +103,15 @@ def localize(
     return _in_their_own(estimate, scene, found, candidates, merging)
 
 
+def _check(most: int, options: dict[str, Any]) -> None:
+    if most < 1:
+        raise OptionError(f"most is {most}; localize in at least one scene.")
+    if {"shares", "prior"} & options.keys():
+        raise OptionError("shares, prior: a library finds these itself; leave them out.")
+
+
 def _reader(
-    library: SceneLibrary, frames: Sequence[Frame], given: str | Encoder | None
+    library: Scenes, frames: Sequence[Frame], given: str | Encoder | None
 ) -> Encoder | None:
     """Encoder that the filter reads the frames by; None: the frames' own instances, or none."""
     if given is None and frames[0].label_kind == "labels":
@@ -118,7 +121,7 @@ def _reader(
     return next((e for e in library.encoders if e.name == given), None) or encoder_named(given)
 
 
-def _with(library: SceneLibrary, name: str, reader: Encoder | None) -> Scene:
+def _with(library: Scenes, name: str, reader: Encoder | None) -> Scene:
     """Map of a scene with the vectors that the library has of it; without, if it has none."""
     scene = library.scene(name)
     vectors = library.entry(name).signature.vectors

@@ -1,120 +1,45 @@
-"""The columns of a library's file; what they mean stands in `docs/formats.md`."""
+"""Signatures as the columns of a library's file (`docs/formats.md`), and those that ship: decoys."""
 
 from __future__ import annotations
 
 import json
-import os
-from pathlib import Path
+from dataclasses import replace
+from functools import lru_cache
+from importlib.resources import as_file, files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MapError, MissingExtraError, OptionError
 from placegraph.graph import SceneGraph
-from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.index import distinct
-from placegraph.indoor.library.library import Entry, SceneLibrary
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature
 from placegraph.indoor.map.scene import from_8_bits, in_8_bits
-from placegraph.store import pack_strings, read_map, write_map
+from placegraph.store import pack_strings, read_map
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.encode import Encoder
     from placegraph.store import MapFile
 
 KIND = "library"
 VERSION = 1
-_GRAIN = 0.01  # of positions and extents [m]
+GRAIN = 0.01
+"""Of positions and extents [m]."""
+DECOYS = "data/decoys.library"
 
 
-def save(library: SceneLibrary, path: str | os.PathLike[str]) -> None:
-    """Write a library; raises as `SceneLibrary.save` does."""
-    if not len(library):
-        raise OptionError("The library is empty: add a scene before you save it.")
-    entries = [library.entry(name) for name in library]
-    nowhere = [n for n, e in zip(library, entries, strict=True) if e.path is None]
-    if nowhere:
-        raise OptionError(
-            f"{nowhere[0]!r} is a map in memory; save it, and add it to the library by its file."
-        )
-    folder = Path(path).resolve().parent
-    places = [os.path.relpath(e.path.resolve(), folder) for e in entries if e.path is not None]
-    signatures = [e.signature for e in entries]
-    meta = {
-        "encoders": [{"name": e.name, "key": e.key} for e in library.encoders],
-        "digests": [e.digest for e in entries],
-        "height": library.height,
-        "grain": _GRAIN,
-    }
-    arrays = {"names": pack_strings(library.names), "paths": pack_strings(places)}
-    arrays |= _graphs(signatures) | _panoramas(signatures)
-    for i, e in enumerate(library.encoders):
-        arrays |= _vectors(i, np.concatenate([s.vectors[e.key] for s in signatures]))
-    write_map(path, KIND, VERSION, meta, arrays)
+def columns(signatures: Sequence[Signature], keys: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Arrays of signatures, with their vectors of the encoders of these keys."""
+    arrays = _graphs(signatures) | _panoramas(signatures)
+    for i, key in enumerate(keys):
+        arrays |= _vectors(i, np.concatenate([s.vectors[key] for s in signatures]))
+    return arrays
 
 
-def load(
-    path: str | os.PathLike[str], encoders: str | Encoder | Sequence[str | Encoder] | None = None
-) -> SceneLibrary:
-    """Open a library's file; raises as `SceneLibrary.open` does."""
-    file = read_map(path, KIND, VERSION)
-    made = _encoders(file, encoders)
-    try:
-        library = SceneLibrary(made, height=file.meta["height"])
-        names, places = file.strings("names"), file.strings("paths")
-        digests = [str(digest) for digest in file.meta["digests"]]
-        signatures = _signatures(file, [e.key for e in library.encoders])
-        folder = Path(path).resolve().parent
-        for name, place, signature, digest in zip(names, places, signatures, digests, strict=True):
-            library.insert(name, Entry(signature, Path(os.path.normpath(folder / place)), digest))
-    except (OptionError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise MapError(
-            f"{path}: its columns contradict each other ({error}). Make the library again."
-        ) from error
-    return library
-
-
-def signatures_of(path: str | os.PathLike[str]) -> tuple[Signature, ...]:
-    """Signatures of a library's file, whatever encoders it is of; raises as `load` does."""
-    file = read_map(path, KIND, VERSION)
-    return tuple(_signatures(file, [str(e["key"]) for e in file.meta["encoders"]]))
-
-
-def _encoders(
-    file: MapFile, given: str | Encoder | Sequence[str | Encoder] | None
-) -> list[Encoder]:
-    """Encoders of a file, made by name or given; `MapError` where these are others."""
-    known = [] if given is None else [given] if isinstance(given, str | Encoder) else list(given)
-    made = {e.key: e for e in (encoder(g) if isinstance(g, str) else g for g in known)}
-    try:
-        wanted = [(str(e["name"]), str(e["key"])) for e in file.meta["encoders"]]
-    except (KeyError, TypeError) as error:
-        raise MapError(f"{file.header.path}: names no encoders. Make the library again.") from error
-    out = [made.get(key) or _by_name(name, key) for name, key in wanted]
-    for found, (_, key) in zip(out, wanted, strict=True):
-        if found is None or (made and not made.keys() & {k for _, k in wanted}):
-            here = ", ".join(made) or (found.key if found else "nothing that makes such vectors")
-            raise MapError(
-                f"{file.header.path} was encoded by {key}, and here is {here}: open it with the "
-                "encoder that it was made with (encoders=..., or --encoder and --weights), or make "
-                "the library again."
-            )
-    return [e for e in out if e is not None]
-
-
-def _by_name(name: str, key: str) -> Encoder | None:
-    """Encoder that can be made by its name alone, and has this key; None where there is none."""
-    try:
-        made = encoder(name) if name in ENCODERS else None
-    except (OptionError, MissingExtraError):  # it needs weights, or what is not installed
-        return None
-    return made if made is not None and made.key == key else None
-
-
-def _graphs(signatures: list[Signature]) -> dict[str, NDArray[Any]]:
+def _graphs(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
     graphs = [s.graph for s in signatures]
     labels = sorted({label for g in graphs for label in g.labels})
     kinds = sorted({kind for g in graphs for kind in g.relations})
@@ -140,7 +65,7 @@ def _graphs(signatures: list[Signature]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _panoramas(signatures: list[Signature]) -> dict[str, NDArray[Any]]:
+def _panoramas(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
     return {
         "share": np.concatenate([s.share for s in signatures]).astype(np.float16),
         "part": np.concatenate([s.part for s in signatures]).astype(np.int32),
@@ -162,11 +87,11 @@ def _vectors(i: int, vectors: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
 
 
 def _in_steps(metres: NDArray[np.floating]) -> NDArray[np.int32]:
-    return np.rint(metres / _GRAIN).astype(np.int32)
+    return np.rint(metres / GRAIN).astype(np.int32)
 
 
-def _signatures(file: MapFile, keys: list[str]) -> list[Signature]:
-    """Signatures of a file; raises any of `load`'s errors where columns do not fit."""
+def signatures_in(file: MapFile, keys: list[str]) -> list[Signature]:
+    """Signatures of a file; raises any error where columns do not fit."""
     grain = float(file.meta["grain"])
     objects, edges, places = (
         _ends(file.array(name, "<i4")) for name in ("objects", "edges", "place_counts")
@@ -241,3 +166,34 @@ def _ends(counts: NDArray[np.int32]) -> NDArray[np.int64]:
     if not counts.size or int(counts.min()) < 0:
         raise ValueError("a count is negative, or there is no scene")
     return np.concatenate([[0], np.cumsum(counts.astype(np.int64))])
+
+
+def decoys(encoders: Sequence[Encoder]) -> list[Signature]:
+    """Signatures of homes that are in no library, with vectors of these encoders.
+
+    A library of one scene could say nothing of what is rare, and every capture would be of the best of
+    its scenes. So drawn homes of many styles stand beside it (`scripts/decoys.py` makes them, of homes
+    that no figure is taken on): they tell what is usual in homes, and a capture that fits some of them
+    as well as any scene was taken elsewhere. Speaker verification calls such a set a cohort.
+
+    Vectors of labels are made of the labels; of encoders that the file has no vectors of, they are
+    zero: to these, the homes say neither yes nor no.
+    """
+    return [replace(s, vectors={e.key: _decoy_vectors(s, e) for e in encoders}) for s in _decoys()]
+
+
+@lru_cache(maxsize=1)
+def _decoys() -> tuple[Signature, ...]:
+    with as_file(files("placegraph.indoor.library").joinpath(DECOYS)) as path:
+        file = read_map(path, KIND, VERSION)
+        return tuple(signatures_in(file, [str(e["key"]) for e in file.meta["encoders"]]))
+
+
+def _decoy_vectors(signature: Signature, encoder: Encoder) -> NDArray[np.float32]:
+    if encoder.name == "labels":
+        from placegraph.indoor.encode.labels import LabelsEncoder
+
+        assert isinstance(encoder, LabelsEncoder)  # noqa: S101
+        return np.stack([encoder.vector(label) for label in signature.graph.labels])
+    zeros = np.zeros((len(signature), encoder.dimension), np.float32)
+    return signature.vectors.get(encoder.key, zeros)

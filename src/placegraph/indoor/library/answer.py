@@ -1,4 +1,4 @@
-"""A capture finds its scene: scores become a posterior with evidence."""
+"""A capture, or a text, finds its scene: scores become a posterior with evidence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
+from placegraph.indoor.language import read, score
+from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import encode
 from placegraph.indoor.library.search import patch_weights, ratio, scores
 from placegraph.indoor.pose.frames import chosen_frames
@@ -21,18 +24,37 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.language import Sentence
-    from placegraph.indoor.library.library import SceneLibrary
-    from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query
+    from placegraph.indoor.library.scenes import Scenes
     from placegraph.indoor.library.search import Scores
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""
 _EXPLAINED = 8  # objects named
+UNKNOWN = 0.05
+"""Probability that a text describes no scene of the library, before it is read."""
+
+
+def search(
+    library: Scenes,
+    query: str | Capture | Sequence[Frame],
+    *,
+    frames: slice | Sequence[int] | None = None,
+    description: str | None = None,
+    options: SearchOptions | None = None,
+    most: int = 10,
+) -> SceneEstimate:
+    """`SceneLibrary.search`."""
+    if most < 1:
+        raise OptionError(f"most is {most}; ask for at least one scene.")
+    if isinstance(query, str):
+        return search_text(library, query, most)
+    text = None if description is None else read(description)
+    return search_capture(library, query, frames, options or SearchOptions(), most, text)
 
 
 def search_capture(
-    library: SceneLibrary,
+    library: Scenes,
     capture: Capture | Sequence[Frame],
     frames: slice | Sequence[int] | None,
     options: SearchOptions,
@@ -55,7 +77,7 @@ def search_capture(
             scene=names[row],
             probability=float(probability[row]),
             score=float(found.total[row]),
-            explain=partial(_explain, library, names[row], query, options),
+            explain=partial(_explain_capture, library, names[row], query, options),
         )
         for row in order
     )
@@ -94,8 +116,8 @@ def judge(modes: tuple[SceneMode, ...], elsewhere: float) -> tuple[Status, str]:
     return Status.AMBIGUOUS, f"{best.scene} fits best ({best.probability:.0%}){others}."
 
 
-def _explain(
-    library: SceneLibrary, name: str, query: Query, options: SearchOptions
+def _explain_capture(
+    library: Scenes, name: str, query: Query, options: SearchOptions
 ) -> tuple[Evidence, ...]:
     """What each object of a scene said for it, and what was seen that it does not have."""
     index, place = library.index, library.names.index(name)
@@ -133,3 +155,46 @@ def _explain(
     if missed:
         out.append(Evidence(f"{int(missed)} patches fit nothing here", "against", lost))
     return tuple(out)
+
+
+def search_text(library: Scenes, text: str, most: int) -> SceneEstimate:
+    """Scenes that a text describes, likeliest first; `SceneLibrary.search` says more."""
+    start = perf_counter()
+    sentence = read(text)
+    if not sentence.statements:
+        ignored = "; ".join(f"{i.text!r}: {i.reason}" for i in sentence.ignored)
+        raise OptionError(
+            f"{text!r} says nothing of a place{f' ({ignored})' if ignored else ''}; name a room, "
+            "things in it, how many, or how they stand to each other."
+        )
+    scores = library.texts.scores(sentence)
+    # being in none of the scenes is as likely as the average one makes it
+    logs = np.append(scores, np.log(UNKNOWN / (1.0 - UNKNOWN) * len(scores)))
+    share = np.exp(logs - logs.max())
+    share /= share.sum()
+    names = library.names
+    modes = tuple(
+        SceneMode(
+            scene=names[row],
+            probability=float(share[row]),
+            score=float(scores[row]),
+            explain=partial(_explain_text, library, names[row], sentence),
+        )
+        for row in np.argsort(-scores, kind="stable")[:most]
+    )
+    status, reason = judge(modes, float(share[-1]))
+    left = "; ".join(f"{i.text!r} ({i.reason})" for i in sentence.ignored)
+    return SceneEstimate(
+        status=status,
+        modes=modes,
+        reason=f"{reason} Not used: {left}." if left else reason,
+        elsewhere=float(share[-1]),
+        stats={"seconds": {"text": round(perf_counter() - start, 5)}},
+    )
+
+
+def _explain_text(library: Scenes, name: str, sentence: Sentence) -> tuple[Evidence, ...]:
+    """What each statement says of a scene."""
+    signature = library.entry(name).signature
+    rooms = [a.get("room", "") for a in signature.attributes]
+    return score(sentence, signature.graph, rooms, library.texts).evidence

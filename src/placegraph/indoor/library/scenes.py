@@ -1,0 +1,223 @@
+"""The scenes of a library by name: what is known of each, and its map when it is needed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import InputError, MapError, OptionError
+from placegraph.indoor.encode import Encoder, encoder
+from placegraph.indoor.language import TextIndex
+from placegraph.indoor.library.index import Index
+from placegraph.indoor.library.signature import Signature, signature_of
+from placegraph.indoor.library.signature_file import decoys
+from placegraph.indoor.scene_map import SceneMap
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator, Sequence
+
+    from placegraph.formats.capture.capture import Capture
+
+_OPEN = 8  # maps kept open
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One scene of a library."""
+
+    signature: Signature
+    path: Path | None
+    """Map file; None where the map is only in memory."""
+    digest: str = ""
+    """SHA-256 of the file."""
+
+
+class Scenes:
+    """Scenes by name, each with a signature of kilobytes; maps are opened when they are needed.
+
+    Parameters
+    ----------
+    encoders
+        What scenes and captures are compared by: names, such as ``labels``, or encoders. A capture
+        needs something for one of them only.
+    height
+        Of the cameras above the floor [m]; those of `FilterOptions.heights` if not given.
+
+    Raises
+    ------
+    OptionError
+        There is no encoder, or none of that name, or two are alike.
+
+    """
+
+    def __init__(
+        self,
+        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "compact"),
+        *,
+        height: float | None = None,
+    ) -> None:
+        given = [encoders] if isinstance(encoders, str | Encoder) else list(encoders)
+        self.encoders = tuple(encoder(e) if isinstance(e, str) else e for e in given)
+        keys = [e.key for e in self.encoders]
+        if not keys or len(set(keys)) < len(keys):
+            raise OptionError(
+                f"encoders are {', '.join(keys) or 'none'}; give at least one, each once."
+            )
+        self.height = height
+        self._entries: dict[str, Entry] = {}
+        self._index: Index | None = None
+        self._own: Index | None = None
+        self._texts: TextIndex | None = None
+        self._open: OrderedDict[str, SceneMap] = OrderedDict()
+
+    def add(
+        self,
+        name: str,
+        scene: SceneMap | str | os.PathLike[str],
+        captures: Sequence[Capture] = (),
+    ) -> None:
+        """Add a map, or the map of a file.
+
+        Parameters
+        ----------
+        name
+            Of the scene; no slash, and not yet taken.
+        scene
+            A map, kept in memory, or its file, opened again when it is needed.
+        captures
+            Images of it, where an encoder needs some; their odometry is map_from_camera.
+
+        Raises
+        ------
+        OptionError
+            The name is none, or taken; the scene says nothing to the encoders (`signature_of`).
+        InputError, MapError
+            The file is no sound scene map.
+
+        """
+        if not name or "/" in name:
+            raise OptionError(f"name is {name!r}; give one without a slash.")
+        if name in self._entries:
+            raise OptionError(f"{name!r} is taken; remove it first, or take another name.")
+        path = None if isinstance(scene, SceneMap) else Path(scene)
+        opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
+        signature = signature_of(opened, self.encoders, captures, self.height)
+        self.insert(name, Entry(signature, path, "" if path is None else digest_of(path)))
+        if path is None:
+            self._open[name] = opened
+
+    def insert(self, name: str, entry: Entry) -> None:
+        """Add a scene whose signature is known already."""
+        self._entries[name] = entry
+        self._index = self._own = self._texts = None
+
+    def remove(self, name: str) -> None:
+        """Take a scene out; its file stays. Raises `OptionError` where there is none."""
+        self.entry(name)
+        del self._entries[name]
+        self._open.pop(name, None)
+        self._index = self._own = self._texts = None
+
+    def entry(self, name: str) -> Entry:
+        """Signature and file of a scene; `OptionError` where there is none of this name."""
+        if name not in self._entries:
+            raise OptionError(f"{name!r} is no scene of this library; it has {self._some()}.")
+        return self._entries[name]
+
+    def scene(self, name: str) -> SceneMap:
+        """Map of a scene, opened where it is not open yet.
+
+        Raises
+        ------
+        OptionError
+            There is no scene of this name.
+        InputError, MapError
+            Its file is gone, is no sound map, or another one than was added.
+
+        """
+        entry = self.entry(name)
+        if name in self._open:
+            self._open.move_to_end(name)
+            return self._open[name]
+        if entry.path is None:
+            raise InputError(
+                f"{name}: the library knows its signature alone, and no map of it; add it again by "
+                "its file."
+            )
+        if not entry.path.exists():
+            raise InputError(
+                f"{entry.path}: the map of {name!r} is not there; bring it back, or remove the scene."
+            )
+        opened = SceneMap.open(entry.path)
+        if digest_of(entry.path) != entry.digest:
+            raise MapError(
+                f"{entry.path} is another map than was added as {name!r}; remove the scene and add "
+                "it again."
+            )
+        self._open[name] = opened
+        while sum(self._entries[n].path is not None for n in self._open) > _OPEN:
+            self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
+        return opened
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all scenes, in the order in which they came."""
+        return tuple(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __repr__(self) -> str:
+        encoders = ", ".join(e.name for e in self.encoders)
+        return f"{type(self).__name__}({len(self)} scenes by {encoders})"
+
+    def _some(self) -> str:
+        names = ", ".join(list(self._entries)[:5])
+        return names + (", ..." if len(self) > 5 else "") if names else "none at all"
+
+    @property
+    def index(self) -> Index:
+        """All signatures side by side, and those of `decoys`; `OptionError` where the library is empty."""
+        if not self._entries:
+            raise OptionError("The library is empty: add a scene before you search it.")
+        if self._index is None:
+            signatures = [e.signature for e in self._entries.values()] + decoys(self.encoders)
+            self._index = Index.of(signatures, [e.key for e in self.encoders])
+        return self._index
+
+    @property
+    def own_index(self) -> Index:
+        """The scenes alone, without the homes beside them."""
+        if self._own is None:
+            scenes = self.index.owner < len(self)
+            self._own = self.index.subset(np.flatnonzero(scenes))
+        return self._own
+
+    @property
+    def texts(self) -> TextIndex:
+        """All graphs as texts ask for them; `OptionError` where the library is empty."""
+        if self._texts is None:
+            _ = self.index
+            signatures = [e.signature for e in self._entries.values()]
+            self._texts = TextIndex(
+                (s.graph for s in signatures),
+                ([a.get("room", "") for a in s.attributes] for s in signatures),
+            )
+        return self._texts
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
