@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
-from placegraph.indoor.refine.matching.network import device_for, read_state
+from placegraph.networks import device_for, read_state
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

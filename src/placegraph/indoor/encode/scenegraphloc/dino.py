@@ -82,7 +82,7 @@ class DinoFeatures:
         """
         timm = _timm()
         made = _created(timm, model, weights)
-        from placegraph.indoor.refine.matching.network import device_for
+        from placegraph.networks import device_for
 
         name = f"{model}:{_digest(made)}"
         return cls(made, name=name, block=block, device=device_for(_torch(), device))

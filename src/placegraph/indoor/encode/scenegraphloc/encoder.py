@@ -91,7 +91,7 @@ class SceneGraphLocEncoder:
     ) -> None:
         torch = _torch()
         from placegraph.indoor.encode.scenegraphloc.weights import read_weights
-        from placegraph.indoor.refine.matching.network import device_for
+        from placegraph.networks import device_for
 
         if weights is None:
             raise OptionError(

@@ -8,57 +8,26 @@ Choosing another is one word. Points have pixel centres at +0.5 everywhere.
 from __future__ import annotations
 
 import inspect
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching.matches import Matcher, Matches
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 __all__ = ["MATCHERS", "Matcher", "Matches", "matcher"]
 
-
-def _guided() -> Callable[..., Matcher]:
-    from placegraph.indoor.refine.matching.guided import GuidedMatcher
-
-    return GuidedMatcher
-
-
-def _sift() -> Callable[..., Matcher]:
-    from placegraph.indoor.refine.matching.sift import SiftMatcher
-
-    return SiftMatcher
-
-
-def _xfeat() -> Callable[..., Matcher]:
-    from placegraph.indoor.refine.matching.xfeat import XFeatMatcher
-
-    return XFeatMatcher
-
-
-def _roma() -> Callable[..., Matcher]:
-    from placegraph.indoor.refine.matching.roma import RomaMatcher
-
-    return RomaMatcher
-
-
-def _romav2() -> Callable[..., Matcher]:
-    from placegraph.indoor.refine.matching.romav2 import RomaV2Matcher
-
-    return RomaV2Matcher
-
-
-MATCHERS: dict[str, Callable[[], Callable[..., Matcher]]] = {
-    "guided": _guided,
-    "sift": _sift,
-    "xfeat": _xfeat,
-    "roma": _roma,
-    "romav2": _romav2,
+MATCHERS = {
+    "guided": "guided.GuidedMatcher",
+    "sift": "sift.SiftMatcher",
+    "xfeat": "xfeat.XFeatMatcher",
+    "roma": "roma.RomaMatcher",
+    "romav2": "roma.RomaV2Matcher",
 }
-"""What makes each matcher, imported when it is asked for. Options are keywords of the class; it has
-`weights` and `device` where it runs a network."""
+"""Module and class of each matcher, imported when it is asked for. Options are keywords of the class;
+it has `weights` and `device` where it runs a network."""
 
 
 def matcher(
@@ -95,7 +64,8 @@ def matcher(
     """
     if name not in MATCHERS:
         raise OptionError(f"matcher is {name!r}; there are {', '.join(map(repr, MATCHERS))}.")
-    make = MATCHERS[name]()
+    module, made = MATCHERS[name].split(".")
+    make = getattr(import_module(f"{__name__}.{module}"), made)
     known = inspect.signature(make).parameters
     if weights is not None:
         options["weights"] = weights
@@ -105,4 +75,5 @@ def matcher(
             raise OptionError(f"The matcher {name!r} has no option {option!r}; it has {own}.")
     if "device" in known:
         options["device"] = device
-    return make(**options)
+    found: Matcher = make(**options)
+    return found

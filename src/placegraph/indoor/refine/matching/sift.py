@@ -7,6 +7,7 @@ with the options of `SiftMatcher`.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,26 +25,9 @@ _SMALLEST = 8
 """OpenCV finds no feature in smaller images, and its pyramid may fail there [px]."""
 
 
+@dataclass(eq=False, kw_only=True)
 class SiftMatcher(ViewByView):
     """RootSIFT features, nearest to each other both ways and clearly so.
-
-    Parameters
-    ----------
-    features
-        Most features of an image, the strongest first.
-    contrast
-        Least contrast of a feature (OpenCV's `contrastThreshold`; its own default is 0.04).
-    ratio
-        Largest ratio of the distances to the nearest and to the second nearest descriptor, both
-        ways; 1 switches the test off.
-    upright
-        Features are taken not to be turned: query and view know where down is.
-    equalise
-        Clip limit of contrast-limited adaptive histogram equalisation, on 8 x 8 tiles; 0: none.
-    margin
-        Features nearer than this to where the map ends in a view are edges of nothing [px].
-    apart
-        Features nearer to each other than this are no rivals in the ratio test [px].
 
     Raises
     ------
@@ -55,43 +39,45 @@ class SiftMatcher(ViewByView):
     """
 
     name = "sift"
+    features: int = 3000
+    """Most features of an image, the strongest first."""
+    contrast: float = 0.01
+    """Least contrast of a feature (OpenCV's `contrastThreshold`; its own default is 0.04)."""
+    ratio: float = 0.95
+    """Largest ratio of the distances to the nearest and to the second nearest descriptor, both ways;
+    1 switches the test off."""
+    upright: bool = True
+    """Features are taken not to be turned: query and view know where down is."""
+    equalise: float = 0.0
+    """Clip limit of contrast-limited adaptive histogram equalisation, on 8 x 8 tiles; 0: none."""
+    margin: int = 4
+    """Features nearer than this to where the map ends in a view are edges of nothing [px]."""
+    apart: float = 3.0
+    """Features nearer to each other than this are no rivals in the ratio test [px]."""
 
-    def __init__(
-        self,
-        *,
-        features: int = 3000,
-        contrast: float = 0.01,
-        ratio: float = 0.95,
-        upright: bool = True,
-        equalise: float = 0.0,
-        margin: int = 4,
-        apart: float = 3.0,
-    ) -> None:
-        check_range(features=(features, 1, 1e6), contrast=(contrast, 0, 1), ratio=(ratio, 0, 1))
-        check_range(equalise=(equalise, 0, 100), margin=(margin, 0, 1e4), apart=(apart, 0, 1e4))
-        self.ratio = ratio
-        self.upright = upright
-        self.margin = margin
-        self.apart = apart
+    def __post_init__(self) -> None:
+        check_range(features=(self.features, 1, 1e6), contrast=(self.contrast, 0, 1))
+        check_range(ratio=(self.ratio, 0, 1), equalise=(self.equalise, 0, 100))
+        check_range(margin=(self.margin, 0, 1e4), apart=(self.apart, 0, 1e4))
         cv2 = _opencv()
         # without the precise upscale all points lie a quarter of a pixel off
         self._sift = cv2.SIFT_create(
-            nfeatures=features, contrastThreshold=contrast, enable_precise_upscale=True
+            nfeatures=self.features, contrastThreshold=self.contrast, enable_precise_upscale=True
         )
-        self._clahe = cv2.createCLAHE(equalise, (8, 8)) if equalise else None
+        self._clahe = cv2.createCLAHE(self.equalise, (8, 8)) if self.equalise else None
 
     def prepared(self, query: NDArray[np.uint8]) -> Features:
         """Features of the query."""
-        return self.features(query)
+        return self._features(query)
 
     def matched(
         self, ours: Features, view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
         """Matches of the query's features with one view; see `Matcher.match`."""
-        theirs = self.features(view).within(mask, self.margin)
+        theirs = self._features(view).within(mask, self.margin)
         return ours.matched(theirs, ratio=self.ratio, apart=self.apart)
 
-    def features(self, image: NDArray[np.uint8]) -> Features:
+    def _features(self, image: NDArray[np.uint8]) -> Features:
         """RootSIFT features of an image (H, W, 3) uint8."""
         if blank(image) or min(image.shape[:2]) < _SMALLEST:
             return Features.none(128)

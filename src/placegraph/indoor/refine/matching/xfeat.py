@@ -21,7 +21,7 @@ from placegraph.indoor.refine.matching.matches import (
     check_range,
     inside,
 )
-from placegraph.indoor.refine.matching.network import device_for, fitting, read_state, torch_for
+from placegraph.networks import device_for, fitting, read_state, torch_for
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,33 +50,9 @@ class _Cells:
         return _Cells(features, self.raw[rows], self.scales[rows])
 
 
+@dataclass(eq=False, kw_only=True)
 class XFeatMatcher(ViewByView):
     """XFeat features, nearest to each other both ways.
-
-    Parameters
-    ----------
-    weights
-        File with the weights (`xfeat.pt` of the authors); None: from their own hub, kept in
-        PyTorch's cache.
-    device
-        `cpu`, `cuda` or `auto`.
-    dense
-        Cells (XFeat*) instead of points.
-    features
-        Most features of an image, the strongest first.
-    threshold
-        Least value of a point in the network's map of points; dense features have none.
-    least
-        Smallest cosine of two descriptors that match.
-    ratio
-        Largest ratio of the distances to the nearest and to the second nearest, both ways; 1: any.
-    scale
-        The images are brought to so many times their size first: the network finds points to
-        the whole pixel, so that larger is more exact, and slower.
-    sure
-        Least certainty of the second network about where in the cell; for dense features.
-    margin
-        Features nearer than this to where the map ends in a view are edges of nothing [px].
 
     Raises
     ------
@@ -92,39 +68,40 @@ class XFeatMatcher(ViewByView):
     """
 
     name = "xfeat"
+    weights: Path | str | None = None
+    """File with the weights (`xfeat.pt` of the authors); None: from their own hub, kept in PyTorch's
+    cache."""
+    device: str = "cpu"
+    """`cpu`, `cuda` or `auto`."""
+    dense: bool = False
+    """Cells (XFeat*) instead of points."""
+    features: int = 4096
+    """Most features of an image, the strongest first."""
+    threshold: float = 0.05
+    """Least value of a point in the network's map of points; dense features have none."""
+    least: float = 0.7
+    """Smallest cosine of two descriptors that match."""
+    ratio: float = 1.0
+    """Largest ratio of the distances to the nearest and to the second nearest, both ways; 1: any."""
+    scale: float = 1.0
+    """The images are brought to so many times their size first: the network finds points to the whole
+    pixel, so that larger is more exact, and slower."""
+    sure: float = 0.25
+    """Least certainty of the second network about where in the cell; for dense features."""
+    margin: int = 4
+    """Features nearer than this to where the map ends in a view are edges of nothing [px]."""
 
-    def __init__(
-        self,
-        *,
-        weights: Path | str | None = None,
-        device: str = "cpu",
-        dense: bool = False,
-        features: int = 4096,
-        threshold: float = 0.05,
-        least: float = 0.7,
-        ratio: float = 1.0,
-        scale: float = 1.0,
-        sure: float = 0.25,
-        margin: int = 4,
-    ) -> None:
-        check_range(features=(features, 1, 1e6), threshold=(threshold, 0, 1), least=(least, -1, 1))
-        check_range(ratio=(ratio, 0, 1), scale=(scale, 0.1, 8), sure=(sure, 0, 1))
-        check_range(margin=(margin, 0, 1e4))
-        self.dense = dense
-        self.count = features
-        self.threshold = threshold
-        self.least = least
-        self.ratio = ratio
-        self.scale = scale
-        self.sure = sure
-        self.margin = margin
+    def __post_init__(self) -> None:
+        check_range(features=(self.features, 1, 1e6), threshold=(self.threshold, 0, 1))
+        check_range(least=(self.least, -1, 1), ratio=(self.ratio, 0, 1), sure=(self.sure, 0, 1))
+        check_range(scale=(self.scale, 0.1, 8), margin=(self.margin, 0, 1e4))
         self._torch = torch_for(self.name, "xfeat")
-        self._device = device_for(self._torch, device)
-        self._xfeat = _network(self._torch, weights).to(self._device).eval()
+        self._device = device_for(self._torch, self.device)
+        self._xfeat = _network(self._torch, self.weights).to(self._device).eval()
 
     def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
         """Features of the query: at points, or of its cells."""
-        return self._cells(query) if self.dense else self.features(query)
+        return self._cells(query) if self.dense else self._points(query)
 
     def matched(
         self,
@@ -135,17 +112,17 @@ class XFeatMatcher(ViewByView):
         """Matches of the query's features with one view; see `Matcher.match`."""
         if self.dense:
             return self._match_cells(ours, view, mask)
-        theirs = self.features(view).within(mask, self.margin)
+        theirs = self._points(view).within(mask, self.margin)
         matches: Matches = ours.matched(theirs, ratio=self.ratio, least=self.least)
         return matches
 
-    def features(self, image: NDArray[np.uint8]) -> Features:
+    def _points(self, image: NDArray[np.uint8]) -> Features:
         """Features at points of an image (H, W, 3) uint8."""
         if blank(image):
             return Features.none(64)
         tensor, step = self._tensor(image)
         found = self._xfeat.detectAndCompute(
-            tensor, top_k=self.count, detection_threshold=self.threshold
+            tensor, top_k=self.features, detection_threshold=self.threshold
         )[0]
         # keypoint i is pixel i of what the network sees; its centre lies at i + 0.5
         points = (_numpy(found["keypoints"]).astype(np.float64) + 0.5) * step
@@ -167,7 +144,7 @@ class XFeatMatcher(ViewByView):
         if blank(image):
             return _Cells(Features.none(64), None, np.empty((0, 2)))
         tensor, step = self._tensor(image)
-        found = self._xfeat.detectAndComputeDense(tensor, top_k=self.count)
+        found = self._xfeat.detectAndComputeDense(tensor, top_k=self.features)
         raw = found["descriptors"][0]
         scales = _numpy(found["scales"][0]).astype(np.float64)[:, None] * step
         points = _numpy(found["keypoints"][0]).astype(np.float64) * step + _CENTRE * scales

@@ -1,4 +1,4 @@
-"""What matchers with a network share: the device, and weights from a file that may be anything."""
+"""What runs networks of PyTorch: the device, and weights from a file that may be anything."""
 
 from __future__ import annotations
 
