@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.pose.tracker import Tracker
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import Matcher
-    from placegraph.indoor.refine.render import Rendering
+    from placegraph.indoor.render import Rendering
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,9 +116,9 @@ class SceneMap(Scene):
     ) -> Rendering:
         """The map as a camera at a pose (4, 4) would see it.
 
-        Parameters, result and errors: `placegraph.indoor.refine.render.render`.
+        Parameters, result and errors: `placegraph.indoor.render.render`.
         """
-        from placegraph.indoor.refine.render import render
+        from placegraph.indoor.render import render
 
         return render(self, map_from_camera, camera, samples=samples, device=device)
 

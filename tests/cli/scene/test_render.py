@@ -13,7 +13,7 @@ from placegraph.errors import OptionError
 from placegraph.formats.capture.tum import write_tum
 from placegraph.geometry import Camera, split_pose
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.refine.render import render
+from placegraph.indoor.render import render
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

@@ -6,7 +6,7 @@ import pytest
 from placegraph.geometry import Camera
 from placegraph.indoor.encode.glances import LEAST, around, towards
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.refine.render import Renderer
+from placegraph.indoor.render import Renderer
 
 CAMERA = Camera(64, 36, 46.0, 46.0, 32.0, 18.0)
 

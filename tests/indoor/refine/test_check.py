@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from placegraph.geometry import Camera
 from placegraph.indoor.refine.check import BLOCKS, Gain, depth_gain, held_back, image_gain
 from placegraph.indoor.refine.depth import Surfaces, readings
-from placegraph.indoor.refine.render import Renderer
+from placegraph.indoor.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

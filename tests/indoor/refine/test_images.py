@@ -14,7 +14,7 @@ from placegraph.indoor.refine.images import lift, look, solve_frame, solve_rig, 
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.pixels import Sights
-from placegraph.indoor.refine.render import Renderer
+from placegraph.indoor.render import Renderer
 
 OPTIONS = RefineOptions()
 LENS = Camera(320, 240, 260.0, 260.0, 160.0, 120.0)

@@ -12,7 +12,7 @@ from placegraph.indoor.refine import RefineOptions, refinement
 from placegraph.indoor.refine.images import MOST, look
 from placegraph.indoor.refine.judge import Judgement
 from placegraph.indoor.refine.matching import Matches
-from placegraph.indoor.refine.render import Renderer
+from placegraph.indoor.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)

@@ -10,7 +10,7 @@ from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.geometry import Camera
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.refine.render import Rendering
+from placegraph.indoor.render import Rendering
 from placegraph.view import write_overlay
 from placegraph.view.scene.overlay import (
     BEFORE,

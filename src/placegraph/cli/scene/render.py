@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.refine.render import Rendering
+    from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap
 
 _UNITS = 1000.0
@@ -99,7 +99,7 @@ def render(
 
     Example: placegraph scene render house.scene -o out --tum walk.tum --capture walk/ --frame 12
     """
-    from placegraph.indoor.refine.render import Renderer
+    from placegraph.indoor.render import Renderer
     from placegraph.indoor.scene_map import SceneMap
 
     source = Source(pose, tum, estimate, row, mode)

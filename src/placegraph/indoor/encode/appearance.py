@@ -117,7 +117,7 @@ class AppearanceEncoder:
 def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Mean features (N, d) of a map's objects, not centred, and how many cells (N,) show them."""
     from placegraph.indoor.likelihood.visibility import visibility
-    from placegraph.indoor.refine.render import Renderer
+    from placegraph.indoor.render import Renderer
 
     sums = np.zeros((len(scene), DIMENSION))
     cells = np.zeros(len(scene), np.int64)

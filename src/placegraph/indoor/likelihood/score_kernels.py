@@ -7,7 +7,7 @@ import numpy as np
 
 from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
-from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
+from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 from placegraph.threads import share
 

@@ -41,7 +41,7 @@ class Scorer:
         if self.device != "cpu":
             if not self.device.startswith("cuda"):
                 raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
-            from placegraph.indoor.rays.warp.scorer import WarpScorer
+            from placegraph.indoor.likelihood.warp import WarpScorer
 
             self._warp = WarpScorer(scene, self.device)
 

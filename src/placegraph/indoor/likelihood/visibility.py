@@ -29,7 +29,7 @@ from placegraph.indoor.map.panoramas_kernels import (
     look_around,
     scan_headings,
 )
-from placegraph.indoor.rays.packets import LANES
+from placegraph.indoor.rays.layout import LANES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.compiled import kernel
 from placegraph.indoor.likelihood.score_kernels import aim
-from placegraph.indoor.rays.packets import FAR, LANES, TRIANGLE
+from placegraph.indoor.rays.layout import FAR, LANES, TRIANGLE
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 
 if TYPE_CHECKING:

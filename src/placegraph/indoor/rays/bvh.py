@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-LANES = 16
-"""Rays of a packet."""
-
-
 class Bvh(NamedTuple):
     """Tree and triangles, laid out for walking.
 

@@ -88,7 +88,7 @@ class RayCaster:
             if self.backend == "embree"
             else Tracer(0, 0, 0, *bvh.build(corners, rows))
         )
-        """For compiled code (`packets.trace16`); it keeps what it needs alive."""
+        """For compiled code (`packets_kernels.trace16`); it keeps what it needs alive."""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Closest hits of rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3).

@@ -1,7 +1,7 @@
 """Embree 4 from the ``embreex`` wheel, by its C interface: no compiled extension of our own.
 
 The wheel's libraries are loaded by ctypes, the scene is set up from Python, and kernels call
-``rtcIntersect16`` by its address (`packets.trace16`). Layouts and numbers are declared by hand, so
+``rtcIntersect16`` by its address (`packets_kernels.trace16`). Layouts and numbers are declared by hand, so
 they hold for the versions named here alone, and a scene with known answers proves them first.
 """
 

@@ -1,4 +1,8 @@
-"""Layout of a packet of 16 rays: Embree's ``RTCRayHit16``, 21 rows of 16 lanes of four bytes."""
+"""Layout of a packet of 16 rays: Embree's ``RTCRayHit16``, 21 rows of 16 lanes of four bytes.
+
+Kernels fill origin, direction, near and far ends of their rays and read distance, triangle and
+barycentrics (`packets_kernels.trace16`). A packet is 64-byte aligned.
+"""
 
 LANES = 16
 ROWS = 21

@@ -32,7 +32,7 @@ T, U, V, LEFT, RIGHT, STACKED = range(17 * LANES, 23 * LANES, LANES)
 
 @kernel(error_model="numpy")
 def walk16(nodes, links, corners, rows, packet, ints, valid):
-    """Closest hits of a packet (see `packets`) with the triangles of a `Bvh`."""
+    """Closest hits of a packet (see `layout`) with the triangles of a `Bvh`."""
     s = np.empty(STACKED + STACK * LANES, np.float32)
     stack = np.empty(STACK, np.int32)
     slots = np.empty(LANES, np.int32)

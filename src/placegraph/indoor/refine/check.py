@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.refine.depth import Readings, Surfaces
-    from placegraph.indoor.refine.render import Renderer
+    from placegraph.indoor.render import Renderer
 
 SCALE = 0.03
 """Distance of a reading from the map's surface at which it counts half [m]."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.refine.render import Renderer, Rendering
+    from placegraph.indoor.render import Renderer, Rendering
 
 MOST = 5000
 """Matches of a view that are used, the surest."""

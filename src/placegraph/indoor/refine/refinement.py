@@ -21,7 +21,7 @@ from placegraph.indoor.refine.judge import BENT, Judgement, judged
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
-from placegraph.indoor.refine.render import checked_pose
+from placegraph.indoor.render import checked_pose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -17,9 +17,9 @@ from placegraph.indoor.refine.images import look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.joint import Problem, Solution, solve
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.pixels import Sights
-from placegraph.indoor.refine.render import Renderer
 from placegraph.indoor.refine.uncertainty import covariance
 from placegraph.threads import processors
+from placegraph.indoor.render import Renderer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

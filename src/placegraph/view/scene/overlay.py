@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.refine.render import Rendering
+    from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap
 
 JUMP = 0.04
@@ -84,7 +84,7 @@ def write_overlay(
     InputError
         The image is broken.
     """
-    from placegraph.indoor.refine.render import Renderer  # compiled code: not for cities
+    from placegraph.indoor.render import Renderer  # compiled code: not for cities
 
     best, refinement = estimate.best, estimate.refinement
     if best is None:

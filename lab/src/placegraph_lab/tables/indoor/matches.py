@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.refine.matching import Matcher, Matches
-    from placegraph.indoor.refine.render import Rendering
+    from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.indoor.windows import Window
 
@@ -113,7 +113,7 @@ class Query:
     @cached_property
     def renderings(self) -> list[Rendering]:
         """The map from each start."""
-        from placegraph.indoor.refine.render import render
+        from placegraph.indoor.render import render
 
         return [render(self.scene, s.map_from_camera, self.camera) for s in self.starts]
 

@@ -24,8 +24,7 @@ from placegraph.indoor.likelihood.scorer import Scorer
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.rays.warp.device import open_device
-from placegraph.indoor.rays.warp.scorer import WarpCaster
+from placegraph.indoor.rays.warp import WarpCaster, open_device
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
 from placegraph_lab.tables.indoor.maps import with_mesh

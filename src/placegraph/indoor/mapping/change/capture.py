@@ -25,7 +25,7 @@ from placegraph.indoor.mapping.change.register import inverse, moved
 from placegraph.indoor.mapping.change.slide import slid
 from placegraph.indoor.mapping.change.tally import around, summed, tally, tolerance
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.refine.render import checked_pose
+from placegraph.indoor.render import checked_pose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.indoor.mapping.change.looks_kernels import _paint
-from placegraph.indoor.refine.render import camera_rays
+from placegraph.indoor.render import camera_rays
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

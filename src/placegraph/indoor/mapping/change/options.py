@@ -62,6 +62,6 @@ class DiffOptions:
         if not (self.depth or self.colour):
             raise OptionError("depth and colour are both off; leave one on.")
         if self.b_from_a is not None:
-            from placegraph.indoor.refine.render import checked_pose
+            from placegraph.indoor.render import checked_pose
 
             object.__setattr__(self, "b_from_a", checked_pose(np.asarray(self.b_from_a)))

@@ -1,98 +1,23 @@
-"""Rays and scores on a CUDA GPU, by NVIDIA Warp (extra ``gpu``)."""
+"""Scores on a CUDA GPU, by NVIDIA Warp (extra ``gpu``)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.rays.caster import Hits, checked_mesh, checked_rays
 from placegraph.indoor.rays.layout import LANES
-from placegraph.indoor.rays.warp.device import open_device, quietly
+from placegraph.indoor.rays.warp import WarpCaster, quietly
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from placegraph.indoor.likelihood.score import Noise, View
     from placegraph.indoor.map.scene import Scene
+    from placegraph.indoor.rays.warp import WarpArray
 
 BATCH = 4_000_000
 """So many rays are scored at once; more poses take several batches, not more memory."""
-WarpArray: TypeAlias = Any
-"""An array on a device of Warp, which is imported only where it is used."""
-
-
-class WarpCaster:
-    """Closest hits with a triangle mesh, as `RayCaster` gives them.
-
-    Parameters
-    ----------
-    vertices
-        (V, 3) [m], finite; kept as float32.
-    triangles
-        (T, 3) rows of vertices.
-    device
-        ``cuda`` (the first), ``cuda:N``, or ``cpu``: one thread, meant for tests.
-
-    Raises
-    ------
-    OptionError
-        The mesh is not one (see `RayCaster`), or there is no such device.
-    MissingExtraError
-        Warp is not installed.
-    """
-
-    def __init__(self, vertices: ArrayLike, triangles: ArrayLike, *, device: str = "cuda") -> None:
-        corners, rows = checked_mesh(vertices, triangles)
-        self.warp, self.device = open_device(device)
-        from placegraph.indoor.rays.warp import ray_kernels as warp_kernels
-
-        self._kernels = warp_kernels
-        wp = self.warp
-        with quietly(wp):
-            wp.load_module(warp_kernels, device=self.device)
-            # by the surface area heuristic: the quicker build that is Warp's choice on a GPU
-            # makes trees whose rays take longer
-            self.mesh = wp.Mesh(
-                points=self.vectors(corners),
-                indices=self.array(rows.ravel()),
-                bvh_constructor="sah",
-            )
-
-    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        """Closest hits of rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3)."""
-        start, along = checked_rays(origins, directions)
-        with np.errstate(invalid="ignore", over="ignore"):
-            lengths = np.linalg.norm(along.astype(np.float64), axis=1)
-            sane = np.isfinite(start).all(axis=1) & np.isfinite(lengths) & (lengths > 0.0)
-        unit = np.where(sane[:, None], along / np.where(sane, lengths, 1.0)[:, None], 0.0)
-        start = np.where(sane[:, None], start, 0.0)
-        hits = Hits.empty(len(along))
-        columns = [self.array(column) for column in _columns(hits)]
-        self.warp.launch(
-            self._kernels.cast,
-            len(along),
-            [self.mesh.id, self.vectors(start), self.vectors(unit), *columns],
-            device=self.device,
-        )
-        for column, result in zip(_columns(hits), columns, strict=True):
-            column[:] = result.numpy()
-        hits.distance[:] = hits.distance / np.where(sane, lengths, 1.0)
-        return hits
-
-    def array(self, values: NDArray[Any]) -> WarpArray:
-        """A numpy array on the device."""
-        kind = self.warp.dtype_from_numpy(values.dtype)
-        return self.warp.array(values, dtype=kind, device=self.device)
-
-    def vectors(self, values: NDArray[Any]) -> WarpArray:
-        """Rows of (N, 3) as vectors on the device."""
-        rows = np.ascontiguousarray(values, np.float32)
-        return self.warp.array(rows, dtype=self.warp.vec3, device=self.device)
-
-
-def _columns(hits: Hits) -> tuple[Any, ...]:
-    return hits.triangle, hits.distance, hits.u, hits.v
 
 
 class WarpScorer:
@@ -115,12 +40,12 @@ class WarpScorer:
 
     def __init__(self, scene: Scene, device: str = "cuda") -> None:
         self._caster = WarpCaster(scene.mesh.vertices, scene.mesh.triangles, device=device)
-        from placegraph.indoor.rays.warp import score_kernels as warp_score_kernels
+        from placegraph.indoor.likelihood import warp_kernels
 
-        self._kernels = warp_score_kernels
+        self._kernels = warp_kernels
         with quietly(self._caster.warp):
-            self._caster.warp.load_module(warp_score_kernels, device=self._caster.device)
-        self._surface = warp_score_kernels.Surface()
+            self._caster.warp.load_module(warp_kernels, device=self._caster.device)
+        self._surface = warp_kernels.Surface()
         for name in scene.surface._fields:
             setattr(self._surface, name, self._caster.array(getattr(scene.surface, name)))
         self._last: tuple[View, Any] | None = None

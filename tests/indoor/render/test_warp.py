@@ -5,9 +5,9 @@ import pytest
 
 from placegraph.errors import PlacegraphError
 from placegraph.geometry import Camera
-from placegraph.indoor.rays.warp.device import open_device
-from placegraph.indoor.rays.warp.render import WarpRenderer
-from placegraph.indoor.refine.render import Eye, Renderer, Rendering, camera_rays, pattern
+from placegraph.indoor.rays.warp import open_device
+from placegraph.indoor.render.renderer import Eye, Renderer, Rendering, camera_rays, pattern
+from placegraph.indoor.render.warp import WarpRenderer
 
 pytest.importorskip("warp", reason="needs NVIDIA Warp, the extra gpu")
 

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.rays.warp.device import quietly
-from placegraph.indoor.rays.warp.scorer import WarpCaster
+from placegraph.indoor.rays.warp import WarpCaster, quietly
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.refine.render import Rendering
-    from placegraph.indoor.refine.render_kernels import Eye
+    from placegraph.indoor.render.render import Rendering
+    from placegraph.indoor.render.render_kernels import Eye
 
 
 class WarpRenderer:
@@ -39,16 +38,15 @@ class WarpRenderer:
     def __init__(self, scene: Scene, device: str = "cuda") -> None:
         mesh = scene.mesh
         self._caster = WarpCaster(mesh.vertices, mesh.triangles, device=device)
-        from placegraph.indoor.rays.warp import render_kernels as warp_render_kernels
-        from placegraph.indoor.rays.warp import score_kernels as warp_score_kernels
+        from placegraph.indoor.render import warp_kernels
 
-        self._kernels = warp_render_kernels
+        self._kernels = warp_kernels
         with quietly(self._caster.warp):
-            self._caster.warp.load_module(warp_render_kernels, device=self._caster.device)
-        surface = warp_score_kernels.Surface()
+            self._caster.warp.load_module(warp_kernels, device=self._caster.device)
+        surface = warp_kernels.Surface()
         for name in scene.surface._fields:
             setattr(surface, name, self._caster.array(getattr(scene.surface, name)))
-        self._world = warp_render_kernels.World()
+        self._world = warp_kernels.World()
         self._world.mesh = self._caster.mesh.id
         self._world.surface = surface
         self._world.vertices = self._caster.mesh.points

@@ -13,9 +13,8 @@ from PIL import Image
 from placegraph.errors import OptionError
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_from_quaternion
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.rays.warp import device as warp_device
-from placegraph.indoor.refine.render import (
+from placegraph.indoor.rays import RayCaster, warp
+from placegraph.indoor.render.renderer import (
     SAMPLES,
     Renderer,
     camera_rays,
@@ -365,7 +364,7 @@ def test_samples_that_are_none(room, samples):
 def test_devices_that_are_none(room, monkeypatch):
     with pytest.raises(OptionError, match="'auto', 'cpu' or 'cuda'"):
         Renderer(room, device="abacus")
-    monkeypatch.setattr(warp_device, "_has_driver", lambda: False)
+    monkeypatch.setattr(warp, "_has_driver", lambda: False)
     with pytest.raises(OptionError, match="no CUDA driver"):
         render(room, np.eye(4), CAMERA, device="cuda")
     assert Renderer(room).device == "cpu"

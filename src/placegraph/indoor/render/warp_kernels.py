@@ -1,9 +1,8 @@
-"""The loops of `indoor.render_kernels` for NVIDIA Warp: the same equations, a thread a pixel."""
+"""The loops of `render_kernels` for NVIDIA Warp: the same equations, a thread a pixel."""
 
 import warp as wp
 
-from placegraph.indoor.rays.warp.score_kernels import Surface
-from placegraph.indoor.refine import render_kernels
+from placegraph.indoor.render import render_kernels
 
 FARTHEST = wp.constant(wp.float32(3.0e38))
 WIDEST = wp.constant(wp.float32(render_kernels.WIDEST))
@@ -12,6 +11,20 @@ SHARP = wp.constant(wp.float32(render_kernels.SHARP))
 CONTRAST = wp.constant(render_kernels.CONTRAST)
 CREASE = wp.constant(wp.float32(render_kernels.CREASE))
 JUMP = wp.constant(wp.float32(render_kernels.JUMP))
+
+
+@wp.struct
+class Surface:
+    """`surface.Surface`."""
+
+    triangles: wp.array2d(dtype=wp.int32)
+    object_of: wp.array(dtype=wp.int32)
+    colours: wp.array2d(dtype=wp.uint8)
+    uv: wp.array2d(dtype=wp.float32)
+    texture_of: wp.array(dtype=wp.int32)
+    texels_per_metre: wp.array(dtype=wp.float32)
+    levels: wp.array3d(dtype=wp.int32)
+    texels: wp.array2d(dtype=wp.uint8)
 
 
 @wp.struct

@@ -14,7 +14,7 @@ import numpy as np
 
 from placegraph.compiled import kernel
 from placegraph.indoor.map.surface import Surface  # noqa: TC001  # mypy reads the fields
-from placegraph.indoor.rays.packets import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
+from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import Tracer, new_packet, trace16
 
 if TYPE_CHECKING:

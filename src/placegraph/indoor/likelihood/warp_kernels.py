@@ -7,6 +7,8 @@ then over the frame (`finish`), so that the same poses get the same scores every
 
 import warp as wp
 
+from placegraph.indoor.render.warp_kernels import Surface
+
 FARTHEST = wp.constant(wp.float32(3.0e38))
 LANES = wp.constant(16)
 SUMS = wp.constant(18)
@@ -29,20 +31,6 @@ class Noise:
     depth_weight: float
     colour_weight: float
     depth_clip: float
-
-
-@wp.struct
-class Surface:
-    """`surface.Surface`."""
-
-    triangles: wp.array2d(dtype=wp.int32)
-    object_of: wp.array(dtype=wp.int32)
-    colours: wp.array2d(dtype=wp.uint8)
-    uv: wp.array2d(dtype=wp.float32)
-    texture_of: wp.array(dtype=wp.int32)
-    texels_per_metre: wp.array(dtype=wp.float32)
-    levels: wp.array3d(dtype=wp.int32)
-    texels: wp.array2d(dtype=wp.uint8)
 
 
 @wp.struct

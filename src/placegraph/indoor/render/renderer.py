@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.refine.render_kernels import TILE, Eye, Picture, World, draw, smooth
 from placegraph.threads import share
+from placegraph.indoor.render.render_kernels import TILE, Eye, Picture, World, draw, smooth
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -139,7 +139,7 @@ class Renderer:
             self._world = World(tracer, scene.surface, mesh.vertices, coloured)
             self._draw = self._by_cpu
         elif self.device.startswith("cuda"):
-            from placegraph.indoor.rays.warp.render import WarpRenderer
+            from placegraph.indoor.render.warp import WarpRenderer
 
             self._draw = WarpRenderer(scene, self.device).draw
         else:

@@ -1,1 +1,0 @@
-"""Rays, scores and renderings on a CUDA device, by NVIDIA Warp."""
