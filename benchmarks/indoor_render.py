@@ -21,8 +21,8 @@ import typer
 from placegraph.formats.capture.camera import read_camera
 from placegraph.geometry import Camera
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.rays.embree import processors
 from placegraph.indoor.render import Renderer, camera_rays
+from placegraph.threads import processors
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.metrics import dumps
 from placegraph_lab.tables.indoor.speed import no_cuda

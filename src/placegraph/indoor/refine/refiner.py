@@ -18,8 +18,8 @@ from placegraph.indoor.refine.joint import Problem, Solution, solve
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.pixels import Sights
 from placegraph.indoor.refine.uncertainty import covariance
-from placegraph.threads import processors
 from placegraph.indoor.render import Renderer
+from placegraph.threads import processors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.threads import share
 from placegraph.indoor.render.render_kernels import TILE, Eye, Picture, World, draw, smooth
+from placegraph.threads import share
 
 if TYPE_CHECKING:
     from collections.abc import Callable
