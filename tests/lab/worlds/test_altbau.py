@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from placegraph.demo import FLAT, WAY
 from placegraph.formats.capture.capture import open_capture
 from placegraph.geometry import Camera
 from placegraph.indoor.build import build_scene
+from placegraph_lab.worlds.demo import FLAT, WAY
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.demo import ON_THE_WAY
+from placegraph.demo.town import ON_THE_WAY
 from placegraph.estimate import Status
 from placegraph.outdoor.map.build import build_city
 from placegraph_lab.worlds.town.town import Town

@@ -1,0 +1,28 @@
+"""The demo: a town, a flat and some homes that ship with placegraph, and someone lost in them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from placegraph.demo.flat import lost_in_a_flat
+from placegraph.demo.town import lost_in_a_town
+from placegraph.demo.world import unpack
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+PAGES = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", "changes.png")
+
+
+def run_demo(out: Path, say: Callable[[str], None]) -> None:
+    """Locate sentences and a way in the town, a film in the flat; leave maps and pictures in `out`.
+
+    What is built and localized is copied to `out/world` first: ordinary files, as a user's own.
+    """
+    world = unpack(out / "world")
+    commands = lost_in_a_town(world, out, say) + lost_in_a_flat(world, out, say)
+    say(f"\nLook at {', '.join(f'{out}/{page}' for page in PAGES)}.")
+    say("\nThe same by hand:")
+    for command in commands:
+        say(f"  placegraph {command}")

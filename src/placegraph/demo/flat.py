@@ -1,0 +1,155 @@
+"""The demo's flat: a film, what changed before it was taken, and a library of homes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.demo.town import say_evidence
+from placegraph.demo.world import FLAT
+from placegraph.geometry import vector_from_rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import PoseEstimate
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.indoor.scene_map import SceneMap
+
+ROOMS = ("a kitchen with two sinks", "a bedroom with a bookcase, and a plant next to the sofa")
+
+
+def lost_in_a_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+    """Build the flat, localize a film of a walk through it, say what changed, find it among homes.
+
+    Returns the commands that do the same.
+    """
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.formats.capture.tum import read_tum
+    from placegraph.indoor.mapping.build import build_scene
+    from placegraph.view import draw_scene
+
+    glb, file, walk = world / f"{FLAT}.glb", out / f"{FLAT}.scene", world / "walk"
+    scene = build_scene(glb, file)
+    draw_scene(scene, out / f"{FLAT}.png")
+    say(f"\nBuilt {scene} from a flat drawn in ASCII.")
+    capture = open_capture(walk)
+    say(f"Rendered {capture}; since the map was made, an armchair was moved and a chair is gone.")
+    truth = read_tum(walk / "trajectory.tum").poses
+    estimate = _film(scene, capture, truth, out, say)
+    newer = _changes(scene, capture, estimate, out, say)
+    _library(world, out, capture, say)
+    library = out / "homes.library"
+    return [
+        f"scene build {glb} -o {file}",
+        f"scene localize {file} {walk}",
+        f"scene diff {file} {walk} -o {out / 'changes.json'}",
+        f"scene update {file} {out / 'changes.json'} -o {newer}",
+        f"library build {file} {world / 'home*.scene'} -o {library}",
+        f"library search {library} {walk}",
+        f'library search {library} "{ROOMS[0]}"',
+    ]
+
+
+def _film(
+    scene: SceneMap,
+    capture: Capture,
+    truth: NDArray[np.float64],
+    out: Path,
+    say: Callable[[str], None],
+) -> PoseEstimate:
+    """Localize the film, draw it, and say how far off it is; truth: (T, 4, 4)."""
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.view import write_overlay, write_plan, write_plan_animation
+
+    estimate = scene.localize(capture, options=FilterOptions(record=True), seed=0)
+    write_plan(scene, estimate, out / "walk.png", truth=truth, camera=capture.camera)
+    write_plan_animation(scene, estimate, out / "walk.gif", truth=truth, camera=capture.camera)
+    write_overlay(scene, estimate, capture, out / "overlay.png")
+    _say_pose(estimate, say)
+    _say_truth(estimate, truth, say)
+    return estimate
+
+
+def _changes(
+    scene: SceneMap,
+    capture: Capture,
+    estimate: PoseEstimate,
+    out: Path,
+    say: Callable[[str], None],
+) -> Path:
+    """Say what the film shows to have changed, and write the map that has taken it over."""
+    from placegraph.view.scene.diff_plan import write_diff
+
+    found = scene.diff(capture, estimate)
+    say("What changed since the map was made, as the walk shows it:")
+    for change in found.changes:
+        say(
+            f"  {change.kind} {change.name or change.label}, {change.confidence:.0%} sure: {change.reason}"
+        )
+    write_diff(scene, found, out / "changes.png")
+    newer, path = scene.updated(found), out / f"{FLAT}_now.scene"
+    newer.save(path)
+    say(f"{path} has taken it over: {len(newer)} objects instead of {len(scene)}.")
+    return path
+
+
+def _library(world: Path, out: Path, capture: Capture, say: Callable[[str], None]) -> None:
+    """Find the flat among others, by the film and by a sentence."""
+    from placegraph.indoor.library import SceneLibrary
+
+    library = SceneLibrary()
+    library.add(FLAT, out / f"{FLAT}.scene")
+    for path in sorted(world.glob("home*.scene")):
+        library.add(path.stem, path)
+    library.save(out / "homes.library")
+    size = (out / "homes.library").stat().st_size
+    say(f"\n{library} in {size / 1000:.0f} kB: which of them was the film taken in?")
+    found = library.search(capture)
+    say(f"  {found.status.name}: {found.reason}")
+    for text in ROOMS:
+        told = library.search(text)
+        say(f"  “{text}”: {told.status.name}: {told.reason}")
+
+
+def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:
+    """Where the last frame was taken, why, and what became of the refinement."""
+    say(f"{estimate.status.name}: {estimate.reason}")
+    for mode in estimate.modes[:3]:
+        say(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
+    say_evidence(estimate, say)
+    if estimate.refinement is not None:
+        say(f"  {estimate.refinement.reason}")
+
+
+def _say_truth(
+    estimate: PoseEstimate, truth: NDArray[np.float64], say: Callable[[str], None]
+) -> None:
+    """How far all frames were off before the refinement and after it; truth: (T, 4, 4)."""
+    refinement = estimate.refinement
+    if refinement is None:
+        say(f"  off by {_errors(estimate.trajectory, truth)}")
+        return
+    say("Errors of all frames, median and largest (the truth is known because we drew it):")
+    say(f"  coarse   {_errors(refinement.coarse_trajectory, truth)}")
+    say(f"  refined  {_errors(estimate.trajectory, truth)}")
+
+
+def _errors(poses: NDArray[np.float64], truth: NDArray[np.float64]) -> str:
+    """Median and largest error of poses (T, 4, 4) in words."""
+    way = 100.0 * np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1)
+    between = np.swapaxes(poses[:, :3, :3], 1, 2) @ truth[:, :3, :3]
+    turn = np.degrees(np.linalg.norm(vector_from_rotation(between), axis=1))
+    return (
+        f"{np.median(way):4.1f} cm and {np.median(turn):.2f}°, "
+        f"{way.max():4.1f} cm and {turn.max():.2f}°"
+    )
+
+
+def _pose(pose: NDArray[np.float64]) -> str:
+    x, y, z, yaw = pose.tolist()
+    return f"x {x:.2f} m, y {y:.2f} m, z {z:.2f} m, yaw {np.degrees(yaw):.1f}°"

@@ -1,0 +1,76 @@
+"""The demo's town: three sentences and a way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from placegraph.demo.world import TOWN
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from typing import Any
+
+    from placegraph.estimate import Estimate
+    from placegraph.outdoor.city import CityMap
+
+SENTENCES = {
+    "clear": "I'm on Lange Straße. A bakery is north of me, a tram stop is south of me, "
+    "and the church is to the southeast.",
+    "ambiguous": "I am standing on a square. There is a fountain north of me and a café to my east.",
+    "impossible": "A lighthouse is north of me and a zoo is to the south.",
+}
+ON_THE_WAY = (
+    SENTENCES["ambiguous"],
+    "I walked about 100 metres south.",
+    "There is a library to my east.",
+)
+"""Said one after the other: the way tells the two squares apart."""
+
+
+def lost_in_a_town(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+    """Build the town and locate what was said in it; return the commands that do the same."""
+    from placegraph.outdoor.map.build import build_city
+    from placegraph.view import draw_city, write_page, write_picture
+
+    osm, file = world / f"{TOWN}.osm", out / f"{TOWN}.city"
+    city = build_city(osm, file)
+    draw_city(city, out / f"{TOWN}.png")
+    say(f"Built {city} from a town drawn in ASCII.")
+    for name, text in SENTENCES.items():
+        estimate = city.locate(text)
+        question = estimate.next_question(city) if estimate.status.name == "AMBIGUOUS" else None
+        write_page(
+            city,
+            estimate,
+            out / f"{name}.html",
+            title=text,
+            question=question.text if question else None,
+        )
+        write_picture(city, estimate, out / f"{name}.png")
+        say(f"\n“{text}”\n{estimate.status.name}: {estimate.reason}")
+        for mode in estimate.modes[:3]:
+            say(f"  {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
+        say_evidence(estimate, say)
+        if question:
+            say(f"  To be sure: {question.text}")
+    _way(city, say)
+    return [f"city build {osm} -o {file}", f'city locate {file} "{SENTENCES["clear"]}"']
+
+
+def _way(city: CityMap, say: Callable[[str], None]) -> None:
+    """Follow somebody who could be at either of two places, until their way tells which."""
+    tracker = city.track()
+    say("\nSomebody speaks, walks on, and speaks again:")
+    for text in ON_THE_WAY:
+        estimate = tracker.tell(text)
+        say(f"  “{text}”\n    {estimate.status.name}: {estimate.reason}")
+    for mode in tracker.estimate.modes[:1]:
+        say(f"    {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
+
+
+def say_evidence(estimate: Estimate[Any], say: Callable[[str], None]) -> None:
+    """Every statement, and what spoke for or against it."""
+    for e in estimate.evidence:
+        things = ", ".join(o.name or o.label for o in e.objects)
+        say(f"    {e.verdict:7} {e.statement}  [{things or e.note}]")

@@ -1,0 +1,50 @@
+"""The files that ship for the demo are those that the lab draws."""
+
+import lzma
+import zipfile
+
+import numpy as np
+import pytest
+
+from placegraph.demo.world import DATA, unpack
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.worlds.demo import HOMES, write_demo_world
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    write_demo_world(folder)
+    return folder
+
+
+def content(path):
+    """Of a file, whatever the compression's version."""
+    if path.name.endswith(".zip"):
+        with zipfile.ZipFile(path) as archive:
+            return {name: archive.read(name) for name in archive.namelist()}
+    return lzma.decompress(path.read_bytes()) if path.name.endswith(".xz") else path.read_bytes()
+
+
+def test_the_same_files_ship(drawn):
+    assert {p.name for p in DATA.iterdir()} == {p.name for p in drawn.iterdir()}
+    for path in drawn.iterdir():
+        if path.suffix != ".scene":
+            assert content(DATA / path.name) == content(path), path.name
+
+
+@pytest.mark.parametrize("number", range(1, HOMES + 1))
+def test_the_same_homes_ship(drawn, number):
+    """Compared as maps, since a map's file is compressed inside."""
+    ours, theirs = (SceneMap.open(folder / f"home{number}.scene") for folder in (DATA, drawn))
+    assert ours.labels == theirs.labels
+    assert np.array_equal(ours.mesh.vertices, theirs.mesh.vertices)
+    assert np.array_equal(ours.mesh.triangles, theirs.mesh.triangles)
+    assert all(map(np.array_equal, ours.mesh.textures, theirs.mesh.textures))
+
+
+def test_what_ships_is_unpacked_to_ordinary_files(tmp_path):
+    world = unpack(tmp_path / "world")
+    assert len(list((world / "walk/rgb").glob("*.jpg"))) == 18
+    assert (world / "altbau.glb").read_bytes()[:4] == b"glTF"
+    assert not list(world.glob("*.xz")) + list(world.glob("*.zip"))
