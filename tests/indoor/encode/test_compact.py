@@ -217,10 +217,10 @@ def test_the_key_says_which_weights(weights, tmp_path, compact):
 
 
 def test_a_file_that_is_missing_or_foreign(tmp_path, room_world):
-    with pytest.raises(InputError, match="train_compact"):
+    with pytest.raises(InputError, match="compact train"):
         CompactEncoder(tmp_path / "none.weights")
     (tmp_path / "text").write_text("weights")
-    with pytest.raises(MapError, match="train_compact"):
+    with pytest.raises(MapError, match="compact train"):
         CompactEncoder(tmp_path / "text")
     with pytest.raises(MapError, match="scene"):
         CompactEncoder(room_world.folder / "flat.scene")
@@ -232,7 +232,7 @@ def test_a_file_cut_short(share, weights, tmp_path_factory):
     path = tmp_path_factory.mktemp("cut") / "cut.weights"
     content = weights.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises((MapError, InputError), match="train_compact"):
+    with pytest.raises((MapError, InputError), match="compact train"):
         CompactEncoder(path)
 
 

@@ -9,7 +9,7 @@ from placegraph.indoor.library.signature_file import decoys
 
 @pytest.mark.parametrize("name", ["labels", "appearance", "compact"])
 def test_homes_have_vectors_of_the_encoders_as_they_are(name):
-    """Where this fails, an encoder has changed: run scripts/decoys.py again."""
+    """Where this fails, an encoder has changed: run `placegraph-lab decoys` again."""
     made = encoder(name)
     homes = decoys([made])
     assert len(homes) >= 24

@@ -3,8 +3,10 @@
 import osmium
 import pytest
 from osmium.osm.mutable import Node, Relation, Way
+from typer.testing import CliRunner
 
 from placegraph.geometry import LocalPlane
+from placegraph_lab.tables.run import load
 from placegraph_lab.worlds.town.town import Town
 
 PLANE = LocalPlane(10.0, 50.0)
@@ -34,3 +36,13 @@ def write_world(tmp_path):
 def town(tmp_path_factory):
     """The shipped town as an OSM file."""
     return Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("town") / "town.osm")
+
+
+@pytest.fixture(scope="session")
+def measure():
+    """Run a table by its name and options, as on the command line."""
+
+    def run(name, *options):
+        return CliRunner().invoke(load(name).app(), list(map(str, options)))
+
+    return run

@@ -56,11 +56,12 @@ def test_nan_is_refused(tmp_path):
 
 
 def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):
-    monkeypatch.setattr(journal, "PACKAGE", tmp_path)
-    (tmp_path / "indoor").mkdir()
+    tmp_path /= "placegraph"
+    monkeypatch.setattr(journal, "PACKAGES", (tmp_path,))
+    (tmp_path / "indoor").mkdir(parents=True)
     (tmp_path / "indoor/a.py").write_text("x = 1")
     (tmp_path / "other.py").write_text("y = 1")
-    patterns = ("indoor/**/*.py", "indoor/a.py")
+    patterns = ("placegraph/indoor/**/*.py", "placegraph/indoor/[ab].py")
     before = fingerprint(patterns)
     (tmp_path / "other.py").write_text("y = 2")
     assert fingerprint(patterns) == before
@@ -68,3 +69,5 @@ def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):
     changed = fingerprint(patterns)
     (tmp_path / "indoor/a.py").rename(tmp_path / "indoor/b.py")
     assert len({before, changed, fingerprint(patterns)}) == 3
+    with pytest.raises(ValueError, match="matches no file"):
+        fingerprint(("placegraph/outdoor/*.py",))

@@ -1,13 +1,8 @@
 """The vocabulary: which tags are named, which words name them, and the tables behind both."""
 
-import hashlib
 import json
-import lzma
-import runpy
-import sys
 import time
 from importlib.resources import files
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -18,7 +13,6 @@ from placegraph.outdoor.language.vocabulary import LONGEST, Vocabulary
 from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, weighted
 from placegraph.outdoor.language.vocabulary.text import folded, normal, singular
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "make_vocabulary.py"
 DATA = files("placegraph.outdoor").joinpath("data")
 
 
@@ -600,77 +594,6 @@ def test_a_lexicon_weakens_shared_terms():
     assert not lexicon.starts("mü")
     assert lexicon.names("en") == {"shop=a": "bar"}
     assert lexicon.names("de") == {}
-
-
-# --- the script
-
-
-@pytest.fixture
-def package(tmp_path):
-    """Write a tiny npm package with the layout of the real one."""
-    root = tmp_path / "package"
-    translations = root / "dist" / "translations"
-    translations.mkdir(parents=True)
-    presets = {
-        "amenity/cafe": {"tags": {"amenity": "cafe"}},
-        "leisure/pitch/tennis": {"tags": {"leisure": "pitch", "sport": "tennis"}},
-        "amenity/clinic/x": {"tags": {"amenity": "clinic", "healthcare:speciality": "x"}},
-        "type/route": {"tags": {"type": "route"}},
-        "@templates/poi": {"tags": {"@template": "poi"}},
-    }
-    (root / "dist" / "presets.min.json").write_text(json.dumps(presets))
-    (root / "LICENSE.md").write_text("ISC\n")
-    english = {
-        "amenity/cafe": {"name": "Cafe", "aliases": "Café Bar\nTea Room", "terms": "latte,tea"},
-        "leisure/pitch/tennis": {"name": "Tennis Court / Field (outdoor)"},
-        "amenity/clinic/x": {"name": "X Clinic", "terms": "<translate>"},
-        "type/route": {"name": "Route"},
-    }
-    german = {"amenity/cafe": {"name": "Kaffeeklause", "terms": "kaffee,ein sehr langer Ausdruck"}}
-    script = runpy.run_path(str(SCRIPT))
-    for language in (*script["ENGLISH"], *script["WORLD"]):
-        texts = {"en": english, "de": german}.get(language, {})
-        body = {language: {"presets": {"presets": texts}}}
-        (translations / f"{language}.min.json").write_text(json.dumps(body))
-    return root
-
-
-def make(package, output, monkeypatch):
-    output.mkdir()
-    monkeypatch.setattr(sys, "argv", ["make_vocabulary.py", str(package), "-o", str(output)])
-    runpy.run_path(str(SCRIPT), run_name="__main__")
-    return {path.name: path.read_bytes() for path in output.iterdir()}
-
-
-def test_the_script_is_deterministic_and_right(package, tmp_path, monkeypatch, capsys):
-    first = make(package, tmp_path / "one", monkeypatch)
-    second = make(package, tmp_path / "two", monkeypatch)
-    assert {k: hashlib.sha256(v).digest() for k, v in first.items()} == {
-        k: hashlib.sha256(v).digest() for k, v in second.items()
-    }
-    assert set(first) == {"english.tsv.xz", "world.tsv.xz", "LICENSE-id-tagging-schema.md"}
-    assert "words" in capsys.readouterr().out
-    english = Lexicon(lzma.decompress(first["english.tsv.xz"]).decode())
-    assert english.senses("cafe") == {"amenity=cafe": 1.0}
-    assert english.senses("tea room") == {"amenity=cafe": 0.95}
-    assert english.senses("latte") == {"amenity=cafe": 0.7}
-    assert english.senses("tennis field") == {"leisure=pitch": 0.34, "sport=tennis": 0.85}
-    assert english.names("en")["leisure=pitch@0.4 sport=tennis"] == "tennis court"
-    assert english.senses("x clinic") == {"amenity=clinic": 0.6}
-    assert english.senses("route") == {}
-    world = Lexicon(lzma.decompress(first["world.tsv.xz"]).decode())
-    assert set(world.words()) == {"kaffeeklause", "kaffee"}
-    (tmp_path / "one" / "LICENSE-id-tagging-schema.md").unlink()
-    mine = Vocabulary.load(tmp_path / "one")
-    assert labels(mine.senses("Kaffeeklause")) == ["amenity=cafe"]
-    assert world.names("de") == {"amenity=cafe": "kaffeeklause"}
-
-
-def test_the_script_refuses_another_folder(tmp_path, monkeypatch):
-    (tmp_path / "x").mkdir()
-    monkeypatch.setattr(sys, "argv", ["make_vocabulary.py", str(tmp_path / "x")])
-    with pytest.raises(SystemExit, match="unpacked npm package"):
-        runpy.run_path(str(SCRIPT), run_name="__main__")
 
 
 def test_landmarks_of_people_are_known(shared, vocabulary):

@@ -11,21 +11,38 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import placegraph
+import placegraph_lab
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGES = tuple(Path(p.__file__).parent for p in (placegraph, placegraph_lab))
+INDOOR = (
+    "placegraph/*.py", "placegraph/formats/**/*.py", "placegraph/indoor/**/*.py",
+    "placegraph/indoor/**/data/*",
+)  # fmt: skip
+"""Code of the library that decides what indoor answers and maps are."""
 
 
 def fingerprint(patterns: Iterable[str]) -> str:
-    """Sixteen hexadecimal digits of the package's files that match, by name and content.
+    """Sixteen hexadecimal digits of the files that match, by name and content.
 
-    `patterns` are globs below `src/placegraph`: `indoor/**/*.py`.
+    `patterns` are globs that begin with a package: `placegraph/indoor/**/*.py`. `ValueError` where
+    one matches no file, so that code which has moved is not silently left out.
     """
     digest = hashlib.sha256()
-    for path in sorted({p for pattern in patterns for p in PACKAGE.glob(pattern)}):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0")
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    found: dict[str, Path] = {}
+    for pattern in patterns:
+        package, _, below = pattern.partition("/")
+        root = next(path for path in PACKAGES if path.name == package)
+        here = {p.relative_to(root.parent).as_posix(): p for p in root.glob(below) if p.is_file()}
+        if not here:
+            raise ValueError(f"{pattern} matches no file of {root}.")
+        found |= here
+    for name in sorted(found):
+        digest.update(name.encode() + b"\0")
+        digest.update(hashlib.sha256(found[name].read_bytes()).digest())
     return digest.hexdigest()[:16]
 
 

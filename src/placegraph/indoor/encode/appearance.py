@@ -69,7 +69,7 @@ _USUAL = np.array(
     ],
     np.float32,
 )  # fmt: skip
-"""Mean vector of the objects of a drawn flat, what all surfaces share: `scripts/usual_appearance.py`."""
+"""Mean vector of the objects of a drawn flat, what all surfaces share: `placegraph-lab appearance`."""
 
 
 class AppearanceEncoder:

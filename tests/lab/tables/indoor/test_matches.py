@@ -1,6 +1,5 @@
 """Whether a match is right, and what a single view's pose is worth, where the truth is known."""
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -8,8 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from placegraph.errors import MissingExtraError
 from placegraph.formats.capture.capture import Capture
@@ -36,6 +33,7 @@ from placegraph_lab.tables.indoor.matches import (
 from placegraph_lab.tables.indoor.matches_report import report, to_dict
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.named import indoor_matchers as script
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = Camera(120, 80, 80.0, 80.0, 60.0, 40.0)
@@ -231,11 +229,8 @@ def test_nothing_found_can_be_written(scene):
     assert "office, covered" in report([Trial("none", tuple(found), (0.1,), (0.1,))])
 
 
-def test_the_script_writes_what_it_prints(monkeypatch, scene, rng, tmp_path):
+def test_the_script_writes_what_it_prints(measure, monkeypatch, scene, rng, tmp_path):
     pytest.importorskip("poselib", reason="needs PoseLib: pip install poselib")
-    spec = importlib.util.spec_from_file_location("bench", ROOT / "benchmarks/indoor_matchers.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     asked = [Start("true", TRUTH)]
     options = []
 
@@ -249,11 +244,9 @@ def test_the_script_writes_what_it_prints(monkeypatch, scene, rng, tmp_path):
         "queries",
         lambda _, place, seed: [_query(scene, asked)] * 2 if (place, seed) == ("house", 3) else [],
     )
-    app = typer.Typer()
-    app.command()(script.main)
     out = tmp_path / "out.json"
-    arguments = ["--only", "sift ratio=0.8 upright=False; xfeat", "--seed", "3", "--out", str(out)]
-    result = CliRunner().invoke(app, arguments)
+    only = "sift ratio=0.8 upright=False; xfeat"
+    result = measure("indoor_matchers", "--only", only, "--seed", 3, "--out", out)
     assert result.exit_code == 0, result.output
     assert [name for name, _ in options] == ["sift", "xfeat"]
     assert options[0][1] == {"device": "cpu", "ratio": 0.8, "upright": False}

@@ -1,13 +1,10 @@
 """Rows of the refinement's benchmark, and what is asked for them; the refiner is a stand-in."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.formats.capture.capture import Capture
@@ -18,6 +15,7 @@ from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, ask, refine_jobs
 from placegraph_lab.tables.indoor.starts import disturbed
 from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.named import indoor_refine as script
 
 ROOT = Path(__file__).resolve().parents[2]
 JOBS = {job.name: job for job in refine_jobs()}
@@ -132,43 +130,39 @@ def test_a_disturbed_start_is_the_same_for_all_and_the_truth_is_not_told(window)
 
 
 @pytest.fixture
-def script(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
+def asked(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
     """The benchmark, its maps replaced by names and its refiner by one that knows the truth."""
-    spec = importlib.util.spec_from_file_location("bench", ROOT / "benchmarks/indoor_refine.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.asked = []
+    asked = []
 
     def fake(job, scene, window, *, matcher, seed, device):
         assert scene == job.place
-        module.asked.append((job.name, window.name, seed))
+        asked.append((job.name, window.name, seed))
         return ask(job, Scene(window.truth), window, matcher=matcher, seed=seed, device=device)
 
-    monkeypatch.setattr(module, "ask", fake)
+    monkeypatch.setattr(script, "ask", fake)
     monkeypatch.setattr("placegraph_lab.tables.indoor.refine.encoder_of", lambda *_: None)
     monkeypatch.setattr("placegraph_lab.tables.indoor.bench.covered", lambda _, window: window)
-    monkeypatch.setattr(module.Bench, "scene", lambda _, name: name)
-    return module
+    monkeypatch.setattr(script.Bench, "scene", lambda _, name: name)
+    return asked
 
 
-def call(script, folder, *options):
-    app = typer.Typer()
-    app.command()(script.main)
-    arguments = ["--cache", str(folder / "cache"), "--out", str(folder / "out.json"), *options]
-    return CliRunner().invoke(app, arguments)
+@pytest.fixture
+def call(measure, tmp_path):
+    places = ("--cache", tmp_path / "cache", "--out", tmp_path / "out.json")
+    return lambda *options: measure("indoor_refine", *places, *options)
 
 
-def test_the_script_goes_on_where_it_was_cut(script, tmp_path):
+def test_the_script_goes_on_where_it_was_cut(asked, call, tmp_path):
     options = ("--only", "house disturbed: depth, auto; house found: all, auto")
-    first = call(script, tmp_path, *options, "--windows", "10,25")
+    first = call(*options, "--windows", "10,25")
     assert first.exit_code == 0, first.output
-    assert len(script.asked) == 2 * (40 + 8 + 2)  # and one of each length to warm up
-    assert {seed for _, _, seed in script.asked} == {0, 1}
-    script.asked.clear()
+    assert len(asked) == 2 * (40 + 8 + 2)  # and one of each length to warm up
+    assert {seed for _, _, seed in asked} == {0, 1}
+    asked.clear()
     journal = tmp_path / "cache/indoor_refine.jsonl"
     journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:-3]))
-    again = call(script, tmp_path, *options, "--windows", "10,25")
-    assert len(script.asked) == 3 + 1
+    again = call(*options, "--windows", "10,25")
+    assert len(asked) == 3 + 1
     heading = "#### House, from 0.2 m and 10 degrees off, 10 frames"
     assert heading in first.stdout
     assert heading in again.stdout
@@ -182,16 +176,16 @@ def test_the_script_goes_on_where_it_was_cut(script, tmp_path):
     assert row["normalised_errors"]["refined"]["count"] == 40
 
 
-def test_a_quick_run_is_short_and_unknown_rows_are_refused(script, tmp_path):
-    quick = call(script, tmp_path, "--quick", "--matchers", "auto,none", "--only", "house found: *")
+def test_a_quick_run_is_short_and_unknown_rows_are_refused(asked, call):
+    quick = call("--quick", "--matchers", "auto,none", "--only", "house found: *")
     assert quick.exit_code == 0, quick.output
-    assert len(script.asked) < 200
-    refused = call(script, tmp_path, "--only", "gold")
+    assert len(asked) < 200
+    refused = call("--only", "gold")
     assert refused.exit_code == 2
     assert "no row is named" in refused.output
 
 
-def test_matchers_are_made_once(script):
+def test_matchers_are_made_once():
     made = script.Matchers(None)
     assert made["auto"] == "auto"
     assert made["sift"] is made["sift"]

@@ -1,14 +1,10 @@
 """The benchmark of encoders: what each is asked with, what it writes, and what it is worth in a room."""
 
-import importlib.util
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from placegraph.formats.capture.capture import open_capture
 from placegraph.geometry import Camera
@@ -33,6 +29,7 @@ from placegraph_lab.tables.indoor.semantics import (
 )
 from placegraph_lab.tables.indoor.semantics_report import Row, report
 from placegraph_lab.tables.indoor.windows import Window, true_poses
+from placegraph_lab.tables.named import indoor_semantics as script
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
@@ -160,11 +157,8 @@ def test_the_report_is_of_the_papers_shape():
 
 
 @pytest.fixture
-def script(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
+def asked(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
     """The script, its maps replaced by names and its answers by numbers."""
-    spec = importlib.util.spec_from_file_location("b", ROOT / "benchmarks/indoor_semantics.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     asked = []
 
     def fake(case, scene, window, *, seed, device):  # noqa: ARG001
@@ -172,37 +166,40 @@ def script(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
         asked.append((case.name, window.name, seed))
         return answer(0.05, 1.0)
 
-    monkeypatch.setattr(module, "ask", fake)
-    monkeypatch.setattr(module, "available", list)
-    monkeypatch.setattr(module.SemanticBench, "scene", lambda _, name: name)
-    return SimpleNamespace(main=module.main, asked=asked)
+    monkeypatch.setattr(script, "ask", fake)
+    monkeypatch.setattr(script, "available", list)
+    monkeypatch.setattr(script.SemanticBench, "scene", lambda _, name: name)
+    return asked
 
 
-def run(script, folder, *options):
-    app = typer.Typer()
-    app.command()(script.main)
-    arguments = ["--cache", str(folder / "cache"), "--out", str(folder / "out.json"), *options]
-    result = CliRunner().invoke(app, arguments)
-    return result.exit_code, result.output
+@pytest.fixture
+def run(measure, tmp_path):
+    def go(*options):
+        places = ("--cache", tmp_path / "cache", "--out", tmp_path / "out.json")
+        result = measure("indoor_semantics", *places, *options)
+        return result.exit_code, result.output
+
+    return go
 
 
-def test_it_goes_on_where_it_was_cut(script, tmp_path):
+def test_it_goes_on_where_it_was_cut(asked, run, tmp_path):
     options = ("--only", "house: labels: *", "--every", "13")
-    code, text = run(script, tmp_path, *options)
+    code, text = run(*options)
     assert code == 0, text
-    windows = len({window for _, window, _ in script.asked})
-    assert len(script.asked) == 4 * (windows + 1)
+    windows = len({window for _, window, _ in asked})
+    assert len(asked) == 4 * (windows + 1)
     written = json.loads((tmp_path / "out.json").read_text())
     assert [r["terms"] for r in written["rows"]] == list(TERMS)
     assert written["every"] == 13
-    script.asked.clear()
-    assert run(script, tmp_path, *options) == (0, text)
-    assert not script.asked
-    run(script, tmp_path, *options, "--fresh")
-    assert len(script.asked) == 4 * (windows + 1)
+    asked.clear()
+    assert run(*options) == (0, text)
+    assert not asked
+    run(*options, "--fresh")
+    assert len(asked) == 4 * (windows + 1)
 
 
-def test_rows_that_are_none(script, tmp_path):
-    code, text = run(script, tmp_path, "--only", "house: nonsense")
+@pytest.mark.usefixtures("asked")
+def test_rows_that_are_none(run):
+    code, text = run("--only", "house: nonsense")
     assert code == 2
     assert "no row is named" in text

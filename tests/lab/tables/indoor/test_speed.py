@@ -1,13 +1,9 @@
 """Costs of scoring: every ray is counted, maps of any size are the same map."""
 
-import importlib.util
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from placegraph.errors import PlacegraphError
 from placegraph.indoor.map.mesh import Mesh
@@ -25,6 +21,7 @@ from placegraph_lab.tables.indoor.speed import (
     resized,
     scattered_poses,
 )
+from placegraph_lab.tables.named import indoor_speed as script
 
 
 def bumpy(n, objects):
@@ -90,17 +87,7 @@ def test_a_command_that_fails_is_no_start():
         cold_start(["no-such-command"], times=1)
 
 
-@pytest.fixture
-def script():
-    """The benchmark itself."""
-    path = Path(__file__).resolve().parents[2] / "benchmarks/indoor_speed.py"
-    spec = importlib.util.spec_from_file_location("indoor_speed_script", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_tables_name_the_paper_and_the_reason(script, monkeypatch, scene, tmp_path):
+def test_tables_name_the_paper_and_the_reason(monkeypatch, scene, tmp_path):
     monkeypatch.setattr(script, "costs", lambda *_: [Cost("cpu", 20_000, 1000, 640, 0.04, 0.03)])
     text, rows = script.scoring(scene, tmp_path, "there is no GPU")
     assert "16.0" in text.splitlines()[2]  # million rays a second
@@ -113,16 +100,14 @@ def test_tables_name_the_paper_and_the_reason(script, monkeypatch, scene, tmp_pa
         "scoring_share": 0.5, "peak_bytes": 4e8,
     }  # fmt: skip
     monkeypatch.setattr(script, "apart", lambda *_: measured)
-    text, rows = script.methods({"house": tmp_path, "small": tmp_path}, [tmp_path], "none")
+    text, rows = script.methods({"house": tmp_path, "small": tmp_path}, [tmp_path], "none", print)
     assert len(rows) == len(script.METHODS) + 2
     assert "10.0 ms" in text  # a frame and pass
     assert "2.90 s" in text
     assert "1.60 s" in text
 
 
-def test_a_part_must_exist(script):
-    app = typer.Typer()
-    app.command()(script.main)
-    result = CliRunner().invoke(app, ["--only", "colour"])
+def test_a_part_must_exist(measure):
+    result = measure("indoor_speed", "--only", "colour")
     assert result.exit_code == 2
     assert "tracking" in result.output

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -42,8 +41,6 @@ from placegraph_lab.tables.kitti.kitti360pose import (
 )
 from placegraph_lab.tables.kitti.matchers import EditDistance, Transformer, TripleBag
 from placegraph_lab.tables.kitti.relational import REACH, Relational
-
-BENCHMARK = Path(__file__).parents[2] / "benchmarks/outdoor_kitti360pose.py"
 
 
 @pytest.fixture(scope="module")
@@ -415,7 +412,18 @@ def test_tables(data, fold, relational):
 
 
 def test_the_whole_benchmark(folder, tmp_path):
-    command = [sys.executable, BENCHMARK, folder, "--out", tmp_path / "a.json", "--slow", "3"]
+    command = [
+        sys.executable,
+        "-m",
+        "placegraph_lab",
+        "table",
+        "outdoor_kitti360pose",
+        folder,
+        "--out",
+        tmp_path / "a.json",
+        "--slow",
+        "3",
+    ]
     command += ["--cache", tmp_path, "--queries", "10", "--readings", "honest"]
     command += ["--matchers", "triple bag,edit distance,relational"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603

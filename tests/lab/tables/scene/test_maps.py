@@ -1,14 +1,11 @@
 """Maps of many sizes: built by the command line, measured once, compared window by window."""
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from placegraph.errors import PlacegraphError
 from placegraph.indoor.build import build_scene
@@ -17,6 +14,7 @@ from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.refine_metrics import Refined
 from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.named import scene_maps as script
 from placegraph_lab.tables.scene import maps as scene_maps
 from placegraph_lab.tables.scene import maps_recall as scene_maps_recall
 from placegraph_lab.tables.scene.maps import FULL, LABELLED, VERTICES, Maps, Place, Run, Size
@@ -223,26 +221,17 @@ def replaced(asking, **options):
 
 
 @pytest.fixture
-def script(maps, asking, monkeypatch):
+def faked(maps, asking, monkeypatch):
     """The benchmark itself."""
-    spec = importlib.util.spec_from_file_location("bench", ROOT / "benchmarks/scene_maps.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "Maps", lambda *_: maps)
-    monkeypatch.setattr(module, "Asking", lambda *_, **__: asking)
-    return module
+    monkeypatch.setattr(script, "Maps", lambda *_: maps)
+    monkeypatch.setattr(script, "Asking", lambda *_, **__: asking)
 
 
-def invoke(script, *options):
-    app = typer.Typer()
-    app.command()(script.main)
-    return CliRunner().invoke(app, list(options))
-
-
-def test_it_prints_and_writes_what_it_measured(script, tmp_path):
+@pytest.mark.usefixtures("faked")
+def test_it_prints_and_writes_what_it_measured(measure, tmp_path):
     out = tmp_path / "out.json"
-    result = invoke(
-        script, "--only", "none: *; house found: *", "--sizes", "default,error 10 mm",
+    result = measure(
+        "scene_maps", "--only", "none: *; house found: *", "--sizes", "default,error 10 mm",
         "--cache", str(tmp_path), "--out", str(out), "--weights", str(tmp_path / "none.tflite"),
     )  # fmt: skip
     assert result.exit_code == 0, result.output
@@ -265,16 +254,17 @@ def test_it_prints_and_writes_what_it_measured(script, tmp_path):
     assert written["refined"][0]["after"]["recall"]["0.1 m, 5 deg"] == 0.5
 
 
+@pytest.mark.usefixtures("faked")
 @pytest.mark.parametrize(
     ("options", "said"), [(("--sizes", "huge"), "tiny"), (("--only", "depth"), "house found")]
 )
-def test_what_is_asked_for_must_exist(script, options, said):
-    result = invoke(script, *options)
+def test_what_is_asked_for_must_exist(measure, options, said):
+    result = measure("scene_maps", *options)
     assert result.exit_code == 2
     assert said in result.output
 
 
-def test_sizes_fit_their_place(script):
+def test_sizes_fit_their_place():
     house = [s.name for s in script.sizes_of("house", [])]
     assert house[0] == "full"
     assert "coarse" in house

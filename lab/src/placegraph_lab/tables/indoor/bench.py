@@ -8,10 +8,50 @@ from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.windows import HALVES, covered, house_windows, office_windows
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
     from pathlib import Path
+    from typing import Any, Self
 
     from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.indoor.windows import Window
+    from placegraph_lab.tables.run import Run
+
+
+class Asker:
+    """Asks about windows that nobody asked about yet, with a bar; a context manager.
+
+    Answers are written down at once, so that a run that is cut goes on where it was.
+    """
+
+    def __init__(self, run: Run, *, fresh: bool) -> None:
+        self._journal = run.journal(fresh=fresh)
+        self._bar = run.progress()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def answers(
+        self,
+        title: str,
+        windows: Sequence[Window],
+        keys: Sequence[str],
+        once: Callable[[Window, int], dict[str, Any]],
+        seed: int,
+    ) -> list[dict[str, Any]]:
+        """Answers of all windows, by their keys; before the first, one is asked to compile."""
+        task = self._bar.add_task(title, total=len(self._journal.missing(keys)))
+        rows = self._journal.filled(
+            keys,
+            lambda i: once(windows[i], seed),
+            warm=lambda: once(windows[0], seed + 1),
+            tick=lambda: self._bar.advance(task),
+        )
+        self._bar.remove_task(task)
+        return rows
 
 
 class Bench:

@@ -7,11 +7,14 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
+import typer
+
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.options import FilterOptions
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder
 from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import HALVES
+from placegraph_lab.tables.journal import INDOOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,11 +25,7 @@ if TYPE_CHECKING:
 
 Labels = Literal["instances", "classes", "none"]
 
-ANSWERING = (
-    "geometry.py", "estimate.py", "formats/*.py", "indoor/**/*.py", "evaluate/label_noise.py",
-    "evaluate/indoor_windows.py", "evaluate/indoor_metrics.py", "evaluate/indoor_maps.py",
-    "evaluate/decimate*.py",
-)  # fmt: skip
+ANSWERING = (*INDOOR, "placegraph_lab/tables/indoor/*.py")
 """Code that decides what the answers are."""
 QUICK_EVERY = 13
 """Frames between windows of the house for a first impression."""
@@ -155,13 +154,21 @@ Row = TypeVar("Row", bound=Named)
 
 
 def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
-    """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is."""
-    return [
+    """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is.
+
+    Refused where no name is.
+    """
+    there = list(jobs)
+    found = [
         j
-        for j in jobs
+        for j in there
         if not only
         or any(j.name == o or (o.endswith("*") and j.name.startswith(o[:-1])) for o in only)
     ]
+    if not found:
+        names = "; ".join(j.name for j in there)
+        raise typer.BadParameter(f"no row is named {'; '.join(only)!r}; there are {names}")
+    return found
 
 
 def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> MapEncoder | None:

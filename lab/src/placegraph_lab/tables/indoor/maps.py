@@ -18,18 +18,12 @@ from placegraph.indoor.mapping.simplify.simplify import simplify
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.journal import fingerprint
+from placegraph_lab.tables.journal import INDOOR, fingerprint
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-MAKING = (
-    "geometry.py", "graph.py", "store.py", "columns.py", "formats/*.py", "indoor/mesh.py",
-    "indoor/textures.py", "indoor/scene*.py", "indoor/build.py", "indoor/floor.py",
-    "indoor/relations.py", "indoor/rooms*.py", "indoor/fuse/*.py", "indoor/segment/*.py",
-    "indoor/atlas/*.py", "indoor/sources.py", "indoor/clean.py", "indoor/detail.py",
-    "indoor/simplify*.py", "evaluate/decimate.py",
-)  # fmt: skip
+MAKING = (*INDOOR, "placegraph_lab/tables/indoor/decimate.py")
 """Code that decides what the maps are."""
 COARSE = 20_000
 """Triangles of the coarse house."""

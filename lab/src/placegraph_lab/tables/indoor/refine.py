@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph_lab.tables.indoor.gicp import align
-from placegraph_lab.tables.indoor.jobs import ANSWERING, BARE, SEMANTIC, Job, encoder_of
+from placegraph_lab.tables.indoor.jobs import BARE, SEMANTIC, Job, encoder_of
 from placegraph_lab.tables.indoor.refine_metrics import Refined, measure_pose, measure_refined
 from placegraph_lab.tables.indoor.starts import start_of, without_depth
 
@@ -29,11 +29,6 @@ if TYPE_CHECKING:
 
 Start = Literal["found", "disturbed"]
 
-REFINING = (
-    *ANSWERING, "evaluate/indoor_refine.py", "evaluate/indoor_refine_metrics.py",
-    "evaluate/indoor_starts.py", "evaluate/indoor_gicp.py", "evaluate/indoor_jobs.py",
-)  # fmt: skip
-"""Code that decides what the answers are."""
 MATCHERS = ("auto", "none", "guided", "sift", "xfeat")
 """What refines, if nothing else is asked for; `none` is depth alone."""
 PAPER = ", paper's recipe"

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +23,7 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.warp import WarpCaster, open_device
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.apart import peak
 from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
 from placegraph_lab.tables.indoor.maps import with_mesh
 from placegraph_lab.tables.indoor.metrics import mean_particles
@@ -284,18 +282,6 @@ def tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
         "updates": len(before) + len(after),
         "peak_bytes": peak(),
     }
-
-
-def peak() -> int:
-    """Largest memory of this process so far [bytes]."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def apart(work: Callable[..., dict[str, Any]], *arguments: object) -> dict[str, Any]:
-    """Run a function in a fresh process, so that its peak memory is its own."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(work, *arguments).result()
 
 
 def cold_start(command: Sequence[str], times: int = 3) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph_lab.tables.journal import fingerprint
+from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
     LENGTHS,
@@ -26,10 +26,10 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
     NOISY,
     ROWS,
     all_encoded,
-    code_of,
     encoder_of,
     replay,
 )
+from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -41,11 +41,7 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
     from placegraph_lab.tables.retrieval.retrieval_vectors import Encoded
 
-SEARCHING = (
-    "indoor/library/*.py", "indoor/library/data/*", "indoor/relations.py", "indoor/rooms*.py",
-    "indoor/panoramas.py", "indoor/visibility.py", "indoor/sequence.py",
-    "evaluate/scene_retrieval.py",
-)  # fmt: skip
+SEARCHING = (*INDOOR, "placegraph_lab/tables/retrieval/*.py", *RENDERING)
 """Code that decides what answers are."""
 WHOLE = ("paper", "ours")
 """Methods that are asked in every pool; the others, ablations, are asked among 50."""
@@ -102,7 +98,7 @@ class Study:
     def row(self, name: str) -> Row:
         """Ask about every walk with one encoder; raises as `encoder_of` does."""
         encoders, walks = self._known(name)
-        code = fingerprint((*SEARCHING, *(glob for part in ROWS[name] for glob in code_of(part))))
+        code = fingerprint(SEARCHING)
         base = f"{code} {' '.join(e.key for e in encoders)} {name} {len(self.places)}"
         answers: dict[tuple[str, str, int], list[Answer]] = {}
         by_place: dict[str, list[Encoded]] = {}

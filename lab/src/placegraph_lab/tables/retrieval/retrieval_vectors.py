@@ -47,18 +47,15 @@ ROWS: dict[str, tuple[str, ...]] = {
     "appearance": ("appearance",),
 }
 """Rows of the tables: what is said of frames, by one encoder or by two."""
+ENCODING = (
+    "placegraph/indoor/encode/**/*.py",
+    "placegraph/indoor/encode/**/data/*",
+    "placegraph_lab/tables/indoor/label_noise.py",
+    "placegraph_lab/tables/retrieval/retrieval_noise.py",
+    *RENDERING,
+)
+"""Code and data that decide what patches say."""
 _ENCODER = {NOISY: "labels", THINGS: "labels"}
-_CODE = {
-    "labels": ("labels.py", "grid.py", "word*.py", "confusion.py", "data/*.*"),
-    "appearance": ("appearance*.py", "grid.py"),
-    "compact": ("compact/*.*",),
-}
-
-
-def code_of(part: str) -> tuple[str, ...]:
-    """Globs of the code and data that decide what patches say."""
-    own = tuple(f"indoor/encode/{name}" for name in _CODE[_ENCODER.get(part, part)])
-    return (*own, "evaluate/label_noise.py", "evaluate/scene_retrieval_noise.py", *RENDERING)
 
 
 def encoder_of(part: str) -> Encoder:
@@ -175,7 +172,7 @@ def encoded(
     name = hashlib.sha256(
         "\n".join((row, encoder.key, walk.name, *vocabulary)).encode()
     ).hexdigest()[:24]
-    path = cache / f"scene_retrieval_vectors_{fingerprint(code_of(row))}" / f"{name}.npz"
+    path = cache / f"scene_retrieval_vectors_{fingerprint(ENCODING)}" / f"{name}.npz"
     if not path.exists():
         _write(path, noisy(encoder, row, vocabulary, walk), walk)
     with np.load(path) as file:

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from placegraph_lab.worlds.flat.interior import Interior
 
 RENDERING = (
-    "geometry.py", "synthetic/flat*.py", "synthetic/homes*.py", "synthetic/interior.py",
-    "synthetic/walks.py", "synthetic/drawing.py", "synthetic/trace.py",
-    "evaluate/scene_retrieval_walks.py",
-)  # fmt: skip
+    "placegraph/geometry.py",
+    "placegraph_lab/worlds/**/*.py",
+    "placegraph_lab/tables/retrieval/retrieval_walks.py",
+)
 """Code that decides what homes and walks are."""
 LENGTH = 50
 """Frames of a walk through a home."""

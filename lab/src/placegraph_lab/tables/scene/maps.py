@@ -23,7 +23,7 @@ from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.maps import COARSE, with_mesh
-from placegraph_lab.tables.journal import fingerprint
+from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.scene.maps_surface import Apart, compare
 
 if TYPE_CHECKING:
@@ -32,9 +32,10 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.journal import Journal
 
 MAKING = (
-    "geometry.py", "graph.py", "store.py", "columns.py", "formats/*.py", "indoor/**/*.py",
-    "cli/scene_build.py", "evaluate/decimate.py", "evaluate/scene_maps*.py",
-)  # fmt: skip
+    *INDOOR,
+    "placegraph_lab/tables/indoor/decimate.py",
+    "placegraph_lab/tables/scene/maps*.py",
+)
 """Code that decides what the maps are, and how they are measured."""
 EMBEDDING = 512
 """Length of the embeddings whose bytes are measured."""

@@ -11,7 +11,7 @@ import numpy as np
 from placegraph_lab.tables.indoor import refine as indoor_refine
 from placegraph_lab.tables.indoor.jobs import ANSWERING, Job, ask, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import Answer, rounded, score
-from placegraph_lab.tables.indoor.refine import REFINING, RefineJob, refine_jobs
+from placegraph_lab.tables.indoor.refine import RefineJob, refine_jobs
 from placegraph_lab.tables.indoor.refine_metrics import Refined, refine_score
 from placegraph_lab.tables.indoor.windows import (
     COVERED,
@@ -116,7 +116,7 @@ class Asking:
     ) -> None:
         self.maps, self.every, self.office_every = maps, every, office_every
         self.seed, self.device = seed, device
-        self._codes = fingerprint(ANSWERING), fingerprint(REFINING)
+        self._codes = (fingerprint(ANSWERING),) * 2
         self._windows: dict[tuple[str, int], list[Window]] = {}
 
     def windows(self, place: str, length: int) -> list[Window]:

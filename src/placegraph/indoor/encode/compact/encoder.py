@@ -34,7 +34,7 @@ class CompactEncoder:
     Parameters
     ----------
     weights
-        A weights file of `scripts/train_compact.py`; those that come with placegraph if not given.
+        A weights file of `placegraph-lab compact train`; those that come with placegraph if not given.
 
     Raises
     ------

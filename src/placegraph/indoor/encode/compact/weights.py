@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 KIND = "compact-encoder"
 VERSION = 1
-_MEND = "train weights by scripts/train_compact.py, or use those that come with placegraph."
+_MEND = "train weights by `placegraph-lab compact train`, or use those that come with placegraph."
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Lexicons: compact sorted word lists made from the iD presets by scripts/make_vocabulary.py."""
+"""Lexicons: compact sorted word lists made from the iD presets by `placegraph-lab vocabulary`."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def read_lexicon(table: Traversable | Path) -> Lexicon:
         return Lexicon(read_text(table))
     except ValueError as error:
         raise InputError(
-            f"{table}: {error}. Make it anew by scripts/make_vocabulary.py, or delete it."
+            f"{table}: {error}. Make it anew by `placegraph-lab vocabulary`, or delete it."
         ) from error
 
 

@@ -1,0 +1,84 @@
+"""The command line `placegraph-lab`: tables, and what placegraph's shipped files are made with."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from placegraph.errors import PlacegraphError
+from placegraph_lab.cli.compact import app as compact
+from placegraph_lab.cli.table import app as tables
+
+Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
+ROOT = Path(__file__).parents[4]
+"""Of the repository, where the lab is used from."""
+
+app = typer.Typer(
+    name="placegraph-lab",
+    help="What placegraph is made and measured with.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.add_typer(tables, name="table")
+app.add_typer(compact, name="compact")
+
+
+def main() -> None:
+    """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
+    try:
+        app()
+    except PlacegraphError as error:
+        Console(stderr=True, soft_wrap=True).print(
+            f"placegraph-lab: {error}", style="red", markup=False, highlight=False
+        )
+        sys.exit(error.exit_code)
+
+
+@app.command("demo-world")
+def demo_world(out: Folder = ROOT / "src/placegraph/demo/data") -> None:
+    """Draw the town, the flat, the film and the homes of `placegraph demo`."""
+    from placegraph_lab.worlds.demo import write_demo_world
+
+    write_demo_world(out)
+
+
+@app.command("vocabulary", hidden=True)
+def vocabulary(
+    package: Annotated[
+        Path, typer.Argument(help="Unpacked npm package @openstreetmap/id-tagging-schema.")
+    ],
+    out: Folder = ROOT / "src/placegraph/outdoor/language/vocabulary/data",
+) -> None:
+    """Make the lexicons of placegraph's vocabulary from the iD presets."""
+    from placegraph_lab.make.vocabulary import write_lexicons
+
+    write_lexicons(package, out, typer.echo)
+
+
+@app.command("decoys", hidden=True)
+def decoys(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Library file to write.")] = (
+        ROOT / "src/placegraph/indoor/library/data/decoys.library"
+    ),
+) -> None:
+    """Make the homes that stand beside every library."""
+    from placegraph_lab.make.decoys import write_decoys
+
+    write_decoys(out, typer.echo)
+
+
+@app.command("appearance", hidden=True)
+def appearance(
+    homes: Annotated[int, typer.Option(min=0, max=1000, help="Procedural homes.")] = 0,
+    flat: Annotated[str, typer.Option(help="A drawn flat.")] = "altbau",
+    times: Annotated[int, typer.Option(min=0, help="How often the flat is furnished.")] = 4,
+) -> None:
+    """Print what all surfaces have in common, for the encoder `appearance`."""
+    from placegraph_lab.make.appearance import print_usual
+
+    print_usual(homes, flat, times, typer.echo)

@@ -1,0 +1,64 @@
+"""Make `_USUAL` of placegraph.indoor.encode.appearance: what all surfaces have in common.
+
+It is the mean over places, each counting alike, of the mean vector of their objects. Places are for
+development alone: a drawn flat that ships with placegraph, furnished some times over, and, if wanted,
+procedural homes of the seeds 0, 1, ... below 1000, from which tables begin. Neither the house nor
+the office is looked at. By default the flat stands alone: homes share a few styles, whose mean is
+further from that of other places.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.encode import appearance
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import home, scene_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from placegraph_lab.worlds.flat.interior import Interior
+
+_A_LINE = 11  # numbers
+
+
+def interiors(homes: int, flat: str, times: int) -> Iterator[Interior]:
+    """Homes of the first seeds, then a flat furnished some times."""
+    for seed in range(homes):
+        rng = np.random.default_rng(seed)
+        yield home(rng).furnish(rng)
+    for seed in range(times):
+        yield Flat.load(flat).furnish(np.random.default_rng(seed))
+
+
+def usual(places: Iterator[Interior]) -> NDArray[np.float64]:
+    """Mean vector (d,) of the objects that can be seen, a mean over places, not of unit length."""
+    means = []
+    for interior in places:
+        vectors, cells = appearance.surfaces(scene_of(interior))
+        if cells.any():
+            means.append(vectors[cells > 0].mean(axis=0, dtype=np.float64))
+    return np.asarray(np.mean(means, axis=0), np.float64)
+
+
+def lines(numbers: NDArray[np.float64]) -> str:
+    """Rows of an array as the module has them."""
+    words = [f"{number:.3f}," for number in numbers.tolist()]
+    rows = [words[i : i + _A_LINE] for i in range(0, len(words), _A_LINE)]
+    return "\n".join("        " + " ".join(f"{word:>7}" for word in row).lstrip() for row in rows)
+
+
+def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -> None:
+    """Say the lines that belong into appearance.py, and how far they are from those there."""
+    if not homes + times:
+        raise OptionError("homes and times are 0; choose a home or a flat to look at.")
+    found = usual(interiors(homes, flat, times))
+    before = appearance._USUAL  # noqa: SLF001  # what is replaced
+    say(lines(found))
+    say(f"# off from those of appearance.py by {np.abs(found - before).max():.4f} at most")

@@ -1,0 +1,37 @@
+"""The homes that stand beside every library (`indoor/library/decoys.py`).
+
+They are drawn from seeds that no table and no training uses.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.library import SceneLibrary
+from placegraph_lab.worlds.home.home import home, scene_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+COUNT = 32
+FIRST_SEED = 700_000
+ENCODERS = ("labels", "appearance", "compact")
+
+
+def write_decoys(out: Path, say: Callable[[str], None]) -> None:
+    """Draw, map and sign the homes, and write their library."""
+    library = SceneLibrary(ENCODERS)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+        for i in range(COUNT):
+            rng = np.random.default_rng(FIRST_SEED + i)
+            path = Path(folder) / f"home {i}.scene"
+            scene_of(home(rng).furnish(rng), name=path.stem).save(path)
+            library.add(path.stem, path)
+            say(f"{path.stem} {len(library.entry(path.stem).signature)}")
+        library.save(out)
+    say(f"{out}: {out.stat().st_size:,} bytes")

@@ -1,0 +1,96 @@
+"""Which matches of photographs with renderings of the map are right? House and office.
+
+    placegraph-lab table indoor_matchers
+    placegraph-lab table indoor_matchers --only "sift; xfeat scale=1.5" --part odd
+
+Prints Markdown tables and writes every row as JSON. A matcher is a name and options, such as
+`xfeat dense=True`. The matchers' defaults were chosen on even queries; all are reported, and
+`--part odd` asks those that nobody tuned on. `docs/benchmarks.md` explains the protocol.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+
+from placegraph.indoor.refine.matching import matcher
+from placegraph_lab.tables.indoor.bench import Bench
+from placegraph_lab.tables.indoor.matches import Query, Trial, ask, starts
+from placegraph_lab.tables.indoor.matches_report import report, to_dict
+from placegraph_lab.tables.indoor.windows import HALVES
+from placegraph_lab.tables.run import (
+    Device,
+    OfficeEvery,
+    Run,
+    Seed,
+    option,
+    parts,
+    spoken,
+    table,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from placegraph.indoor.refine.matching import Matcher
+
+MATCHERS = "sift; sift upright=False; xfeat; xfeat least=0.82; xfeat dense=True"
+EVERY, OFFICE_EVERY = 5, 6
+
+
+class Part(StrEnum):
+    """Which queries of each place are asked."""
+
+    ALL = "all"
+    EVEN = "even"
+    ODD = "odd"
+
+    @property
+    def rows(self) -> slice:
+        """Of the place's queries."""
+        return {"all": slice(None), "even": slice(0, None, 2), "odd": slice(1, None, 2)}[self.value]
+
+
+def made(spec: str, weights: Path, device: str) -> Matcher:
+    """Matcher of a name and options: `sift ratio=0.8`."""
+    name, chosen = spoken(spec)
+    if name == "xfeat":
+        chosen["weights"] = weights
+    return matcher(name, device=device, **chosen)
+
+
+def queries(bench: Bench, place: str, seed: int) -> list[Query]:
+    """Single frames of a place, with the poses to render from."""
+    rng = np.random.default_rng(seed)
+    scene = bench.scene(place)
+    return [Query(w, scene, tuple(starts(w.truth, rng))) for w in bench.windows(place, 1)]
+
+
+@table()
+def indoor_matchers(
+    run: Run,
+    only: Annotated[str, option("Matchers, with semicolons between.")] = MATCHERS,
+    every: Annotated[int, option("Frames of the house from query to query.")] = EVERY,
+    office_every: OfficeEvery = OFFICE_EVERY,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    *,
+    part: Annotated[Part, option("Queries: even ones tune, odd ones test.")] = Part.ALL,
+) -> None:
+    """Which matches of photographs with renderings of the map are right? House and office."""
+    specs = parts(only, ";")
+    weights = run.shared / "weights/xfeat.pt"
+    matchers = {spec: made(spec, weights, device) for spec in specs}
+    bench = Bench(run.data, run.cache, every, office_every)
+    told: dict[str, list[Trial]] = {spec: [] for spec in specs}
+    for place in ("house", *HALVES):
+        for query in run.track(queries(bench, place, seed)[part.rows], place):
+            for spec, its in matchers.items():
+                told[spec].append(ask(spec, its, [query], seed=seed))
+            query.forget()
+    trials = [Trial.joined(spec, found) for spec, found in told.items()]
+    print(report(trials))
+    whole = only == MATCHERS and part is Part.ALL
+    run.save({"part": part.value, "rows": [to_dict(t) for t in trials]}, whole=whole)

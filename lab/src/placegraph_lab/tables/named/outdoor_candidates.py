@@ -1,0 +1,175 @@
+"""Does time grow with the map? Table IV of the paper: 447 to 1,000,000 cells, with candidates and without.
+
+    placegraph-lab table outdoor_candidates
+    placegraph-lab table outdoor_candidates --quick
+
+Parts of Vancouver around one held-out place, the whole of it, and copies of it in memory. The
+queries come from the smallest part and are the same at every size. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from placegraph_lab.tables.apart import peak
+from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, tile
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, open_city
+from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask, cell_centers
+from placegraph_lab.tables.outdoor.metrics import score
+from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
+from placegraph_lab.tables.run import (
+    Quick,
+    Run,
+    Seed,
+    option,
+    parts,
+    table,
+)
+from placegraph_lab.tables.tables import markdown, number, share
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.queries import Query
+
+PAPER = {447: (1.06, 0.03), 1616: (3.34, 0.07), 3409: (6.67, 0.13), 5225: (10.71, 0.17)}
+"""Table IV: seconds without and with candidates, by cells."""
+PAPER_RATIO = 71.94
+"""How much steeper the paper's line is without candidates."""
+LARGER = (52_911, 200_000, 1_000_000)
+HIT = 50.0
+
+
+def sized(city: CityMap, cells: int, middle: Floats, seed: int) -> CityMap:
+    """Part of a city, or copies of it, of about so many cells."""
+    if cells <= len(city.cells):
+        return crop(city, cells, middle)
+    copies = round(cells / len(city.cells))
+    return tile(city, copies, np.random.default_rng(seed))
+
+
+def measure(
+    city: CityMap, queries: Sequence[Query], *, without: int, candidates: int
+) -> dict[str, Any]:
+    """Times of one size; `without` says how many queries run without candidates."""
+    start = time.perf_counter()
+    encoded = city.encoded
+    store = encoded.store
+    prepared = time.perf_counter() - start
+    for query in queries[:5]:
+        run(encoded, query.text, candidates)
+        city.locate(query.text)
+    runs = [run(encoded, q.text, candidates) for q in queries]
+    slow = [run(encoded, q.text, None) for q in queries[:without]]
+    default = score(ask(LocateMatcher(city), city, queries))
+    at = cell_centers(city)
+    return {
+        "cells": len(city.cells),
+        "objects": len(city.objects),
+        "prepare_s": prepared,
+        "vectors": len(store),
+        "with_s": medians(runs),
+        "without_s": medians(slow) if slow else None,
+        "with_recall": found_within(city, queries, [at[r.rows[0]] for r in runs], HIT),
+        "without_recall": found_within(city, queries[:without], [at[r.rows[0]] for r in slow], HIT)
+        if slow
+        else None,
+        "default_p50_s": default.p50,
+        "default_p95_s": default.p95,
+        "default_recall": default.within[HIT][1],
+        "peak_bytes": peak(),
+    }
+
+
+def slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Seconds a cell at the paper's sizes, and how much steeper the line without candidates is."""
+    small = [r for r in rows if r["cells"] in PAPER and r["without_s"]]
+    if len(small) < 2:
+        return {}
+    cells = [r["cells"] for r in small]
+    with_, without = (slope(cells, [r[k]["total"] for r in small]) for k in ("with_s", "without_s"))
+    return {
+        "with": with_,
+        "without": without,
+        "default": slope(cells, [r["default_p50_s"] for r in small]),
+    }
+
+
+def printed(rows: Sequence[dict[str, Any]]) -> str:
+    """Markdown of all sizes."""
+    header = ["cells", "paper: without", "with", "without candidates", "with: all", *STAGES]
+    header += ["default, p50", "p95", "@1 50 m: without", "with", "default", "prepared in", "peak"]
+    lines = []
+    for row in rows:
+        theirs = PAPER.get(row["cells"], (None, None))
+        slow, fast = row["without_s"], row["with_s"]
+        lines.append(
+            [
+                number(row["cells"]),
+                *(number(t, 2, "s") for t in theirs),
+                number(1e3 * slow["total"], 1, "ms") if slow else "–",
+                number(1e3 * fast["total"], 2, "ms"),
+                *(number(1e3 * fast[s], 2) for s in STAGES),
+                number(1e3 * row["default_p50_s"], 1, "ms"),
+                number(1e3 * row["default_p95_s"], 1, "ms"),
+                share(row["without_recall"]),
+                share(row["with_recall"]),
+                share(row["default_recall"]),
+                number(row["prepare_s"], 1, "s"),
+                number(1e-6 * row["peak_bytes"], 0, "MB"),
+            ]
+        )
+    return markdown(header, lines)
+
+
+@table("GOTLoc, Table IV")
+def outdoor_candidates(
+    run: Run,
+    city: Annotated[str, option("City that is cut and copied.")] = "vancouver",
+    sizes: Annotated[str, option("Cells with commas, rising.")] = "",
+    queries: Annotated[int, option("Queries.")] = 100,
+    without: Annotated[int, option("Pairs of a size without candidates.")] = 2_000_000,
+    candidates: Annotated[int, option("Candidates.")] = 10,
+    seed: Seed = 0,
+    *,
+    quick: Quick = False,
+) -> None:
+    """Does time grow with the map? 447 to 1,000,000 cells, with candidates and without."""
+    if quick:
+        queries, without = 10, 20_000
+    wanted = [int(n) for n in parts(sizes)] or [*PAPER, *(() if quick else LARGER)]
+    whole = open_city(city, run.osm, run.cache)
+    middle = busiest_tile(whole, unseen=True)
+    smallest = crop(whole, min(*wanted, len(whole.cells)), middle)
+    unseen = in_held_out_tiles(whole)
+
+    def where(lonlat: Floats) -> Any:  # noqa: ANN401  # a mask
+        inside = np.array([smallest.cells.at(*at) is not None for at in lonlat.tolist()])
+        return inside & unseen(lonlat)
+
+    asked = make_queries(run.osm / EXTRACTS[city], n=queries, seed=seed, anywhere=True, where=where)
+    run.one_core()
+    rows = []
+    for n in wanted:
+        run.say(f"{n:,} cells")
+        few = max(1, min(queries, without // n))
+        rows.append(
+            measure(sized(whole, n, middle, seed), asked, without=few, candidates=candidates)
+        )
+    print(printed(rows))
+    found = slopes(rows)
+    if found:
+        flat = found["with"] <= 0.0  # measured times scatter by more than they grow
+        ratio = "flat" if flat else f"{found['without'] / found['with']:,.0f} times"
+        print(
+            f"\nSlope at the paper's sizes: {1e6 * found['without']:.2f} µs a cell without "
+            f"candidates, {1e6 * found['with']:.3f} with them: {ratio} (paper: {PAPER_RATIO} "
+            f"times). Default: {1e6 * found['default']:.3f} µs."
+        )
+    run.save({"paper_s": PAPER, "slopes_s_per_cell": found, "rows": rows})

@@ -1,0 +1,139 @@
+"""Table II on KITTI360Pose: retrieval of the cell, and localization, for every matcher.
+
+    placegraph-lab table outdoor_kitti360pose k360_30-10_scG_pd10_pc4_spY_all
+
+DATA is the published folder, or what `placegraph city convert-kitti360pose` made of it. Prints
+Markdown tables with the published figures beside, writes every number as JSON.
+`docs/howto-kitti360pose.md` explains the protocol.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from placegraph.errors import PlacegraphError
+from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose
+from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.tables.kitti.kitti360pose import (
+    MATCHERS,
+    SLOW,
+    Result,
+    Split,
+    evaluate,
+    localization_table,
+    retrieval_table,
+    size_table,
+)
+from placegraph_lab.tables.kitti.relational import Relational
+from placegraph_lab.tables.run import (
+    Run,
+    Seed,
+    known,
+    option,
+    parts,
+    table,
+)
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.network.network import GraphTransformer
+
+
+def opened(path: Path, run: Run) -> Kitti360Pose:
+    """Data of a converted file, or of a folder, which is converted once."""
+    if not path.is_dir():
+        return Kitti360Pose.open(path)
+    out = run.cache / f"{path.resolve().name}.k360"
+    newest = max((p.stat().st_mtime for p in path.glob("*/*.pkl")), default=0.0)
+    if not out.exists() or out.stat().st_mtime < newest:
+        run.cache.mkdir(parents=True, exist_ok=True)
+        with run.progress() as tick:
+            task = tick.add_task("converting", total=None)
+            convert_kitti360pose(
+                path, out, progress=lambda step, n: tick.update(task, description=f"{step} {n:,}")
+            )
+    return Kitti360Pose.open(out)
+
+
+@dataclass(frozen=True)
+class Asking:
+    """Which matchers are asked, and how often."""
+
+    names: list[str]
+    network: GraphTransformer | None
+    queries: int
+    slow: int
+    candidates: int
+    seed: int
+
+    def results(self, split: Split, run: Run) -> list[Result]:
+        """Results of the matchers on a split; one that cannot run here is passed over, with a reason."""
+        within = Relational.of(split.data, split.cells)
+        results = []
+        for name in self.names:
+            rng = np.random.default_rng(self.seed)
+            try:
+                matcher, called = split.matcher(
+                    name, rng, network=self.network, candidates=self.candidates
+                )
+            except (PlacegraphError, ImportError) as error:
+                run.say(f"{name} is left out: {error}")
+                continue
+            most = self.slow if name in SLOW else self.queries
+            poses = split.poses
+            if most and most < len(poses):
+                poses = np.sort(rng.choice(poses, most, replace=False))
+            matcher.scores(split.pairs(called)[0][0])  # warm
+            with run.progress() as tick:
+                task = tick.add_task(f"{split.name}, {split.reading}, {name}", total=len(poses))
+                found = evaluate(
+                    split, name, matcher, called, poses=poses.tolist(), within=within,
+                    progress=lambda n, task=task: tick.update(task, completed=n),  # type: ignore[misc]
+                )  # fmt: skip
+            results.append(found)
+        return results
+
+
+@table("GOTLoc, Tables II, V")
+def outdoor_kitti360pose(
+    run: Run,
+    dataset: Annotated[Path, typer.Argument(help="Published folder, or a converted file.")],
+    splits: Annotated[str, option("With commas; a drive does too.")] = "validation,test",
+    matchers: Annotated[str, option("With commas; all where not given.")] = "",
+    readings: Annotated[
+        str, option("honest: only what the text says; paper: positions known.")
+    ] = "honest,paper",
+    *,
+    queries: Annotated[int, option("Poses a split at most; 0 for all.")] = 0,
+    slow: Annotated[int, option("Poses for edit distance at most.")] = 200,
+    candidates: Annotated[int, option("Cells that edit distance looks at.")] = 20,
+    edge_distance: Annotated[float, option("Objects nearer are joined [m].")] = 15.0,
+    seed: Seed = 0,
+    weights: Annotated[Path | None, option("Of the network, not the shipped ones.")] = None,
+) -> None:
+    """Retrieval of the cell, and localization, on KITTI360Pose, for every matcher."""
+    network = None
+    if weights is not None:
+        from placegraph.outdoor.network.network import GraphTransformer
+
+        network = GraphTransformer.open(weights)
+    names = known(parts(matchers), MATCHERS, "matcher")
+    chosen = known(parts(readings), ("honest", "paper"), "reading")
+    kitti = opened(dataset, run)
+    run.one_core()
+    asking = Asking(names, network, queries, slow, candidates, seed)
+    results: list[Result] = []
+    for name in splits.split(","):
+        for reading in chosen:
+            split = Split.of(kitti, name, reading, edge_distance=edge_distance)  # type: ignore[arg-type]
+            results += asking.results(split, run)
+    print(f"### Retrieval of the exact cell (Table II)\n\n{retrieval_table(results)}\n")
+    for name in splits.split(","):
+        print(f"### Localization within 5/10/15 m, {name}\n\n{localization_table(results, name)}\n")
+    scene = SPLITS["test"][0] if SPLITS["test"][0] in kitti.scenes else kitti.scenes[0]
+    print(f"### Size of the map (Table V)\n\n{size_table(kitti, scene)}\n")
+    run.save({"data": kitti.source, "results": [r.to_dict() for r in results]})

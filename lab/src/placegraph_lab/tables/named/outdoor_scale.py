@@ -1,0 +1,132 @@
+"""Does time grow slower than the map? Copies of one city side by side, labels shuffled.
+
+    placegraph-lab table outdoor_scale --copies 1,10,100
+
+The queries come from the first copy, which keeps its labels, and are the same on every map.
+Every build and every round of queries runs in a fresh process. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from placegraph_lab.tables.apart import apart, peak
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS
+from placegraph_lab.tables.outdoor.metrics import measure, score
+from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.tiling import tile
+from placegraph_lab.tables.run import (
+    Quick,
+    Run,
+    Seed,
+    option,
+    table,
+)
+from placegraph_lab.tables.tables import markdown, number, share
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from placegraph_lab.tables.outdoor.queries import Query
+
+
+def build(osm: Path, city: Path, small: Path) -> dict[str, float]:
+    """Build a map, after a small one has loaded and compiled what is needed."""
+    import placegraph as pg
+
+    pg.build_city(small, city)
+    start = time.perf_counter()
+    made = pg.build_city(osm, city)
+    seconds = time.perf_counter() - start
+    return {
+        "build_s": seconds,
+        "cells": len(made.cells),
+        "objects": len(made.objects),
+        "bytes": city.stat().st_size,
+        "build_peak_bytes": peak(),
+    }
+
+
+def ask(city: Path, queries: Sequence[Query]) -> dict[str, Any]:
+    """Open a map and give it all texts, after every tenth has warmed it."""
+    import placegraph as pg
+
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    pg.CityMap.open(city)  # what is imported once does not count
+    start = time.perf_counter()
+    opened = pg.CityMap.open(city)
+    open_s = time.perf_counter() - start
+    start = time.perf_counter()
+    opened.locate(queries[0].text)
+    first_s = time.perf_counter() - start
+    answers = []
+    for round_ in range(2):
+        for q in queries[:: 10 if round_ == 0 else 1]:
+            start = time.perf_counter()
+            estimate = opened.locate(q.text)
+            seconds = time.perf_counter() - start
+            if round_:
+                answers.append(measure(estimate, q.longitude, q.latitude, seconds=seconds))
+    result = score(answers)
+    return {
+        "open_s": open_s,
+        "first_query_s": first_s,
+        "p50_s": result.p50,
+        "p95_s": result.p95,
+        "recall_at_1_within_50_m": result.within[50.0][1],
+        "query_peak_bytes": peak(),
+    }
+
+
+@table()
+def outdoor_scale(
+    run: Run,
+    city: Annotated[str, option("City that is copied.")] = "monaco",
+    copies: Annotated[str, option("Numbers of copies with commas.")] = "1,10,100",
+    queries: Annotated[int, option("Queries.")] = 200,
+    seed: Seed = 0,
+    *,
+    quick: Quick = False,
+) -> None:
+    """Does time grow slower than the map? Copies of one city side by side, labels shuffled."""
+    if quick:
+        copies, queries = "1,2", 20
+    osm = run.osm / EXTRACTS[city]
+    run.cache.mkdir(parents=True, exist_ok=True)
+    asked = make_queries(osm, n=queries, seed=seed)
+    rows: list[dict[str, Any]] = []
+    for n in (int(c) for c in copies.split(",")):
+        run.say(f"{n} x: writing, building, asking")
+        tiled, made = run.cache / f"tiled_{n}.osm.pbf", run.cache / f"tiled_{n}.city"
+        tile(osm, tiled, n, np.random.default_rng(seed))
+        rows.append({"copies": n} | apart(build, tiled, made, osm) | apart(ask, made, asked))
+    header = ["copies", "objects", "cells", "build", "cells/s", "build peak", "file"]
+    header += ["bytes/cell", "open", "first query", "p50", "p95", "query peak", "@1 50 m"]
+    print(markdown(header, [line(row) for row in rows]))
+    run.save({"extract": osm.name, "rows": rows})
+
+
+def line(row: dict[str, Any]) -> list[str]:
+    """Row of the table."""
+    mega = 1e-6
+    return [
+        f"{row['copies']} x",
+        number(row["objects"]),
+        number(row["cells"]),
+        number(row["build_s"], 1, "s"),
+        number(row["cells"] / row["build_s"]),
+        number(row["build_peak_bytes"] * mega, 0, "MB"),
+        number(row["bytes"] * mega, 2, "MB"),
+        number(row["bytes"] / row["cells"]),
+        number(1e3 * row["open_s"], 0, "ms"),
+        number(1e3 * row["first_query_s"], 0, "ms"),
+        number(1e3 * row["p50_s"], 1, "ms"),
+        number(1e3 * row["p95_s"], 1, "ms"),
+        number(row["query_peak_bytes"] * mega, 0, "MB"),
+        share(row["recall_at_1_within_50_m"]),
+    ]

@@ -1,0 +1,250 @@
+"""Which vector store? Build time, query time, memory and recall against map size.
+
+    placegraph-lab table outdoor_vectors --sizes 447,1616,3409,5225,50000,1000000
+
+Clustered random unit vectors of 64 numbers; a query is a stored vector that noise has turned away,
+as a text is near its cell but never on it. One thread. faiss and usearch are measured where they
+are installed; placegraph needs neither. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+
+from placegraph.vectors import EmbeddedStore
+from placegraph_lab.tables.run import (
+    Quick,
+    Run,
+    Seed,
+    option,
+    parts,
+    table,
+)
+from placegraph_lab.tables.tables import markdown, number
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float32]
+    Search = Callable[[Floats, int], NDArray[np.int64]]
+    """One query (D,) and n to ids (n,)."""
+    Build = Callable[[Floats], tuple[Search, int]]
+    """Vectors (C, D) to the search and its memory in bytes."""
+
+DIMENSION = 64
+NEIGHBOURS = (10, 50)
+SEVERAL = 100_000
+"""Up to this size every kind of graph is built, beyond it one: it takes ten minutes."""
+
+
+def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Floats, Floats]:
+    """Vectors in clusters of about 100, most of their variance in a third of the directions."""
+    spread = np.exp(-np.arange(DIMENSION) / 20).astype(np.float32)
+
+    def noise(n: int) -> Floats:
+        return rng.standard_normal((n, DIMENSION), np.float32) * spread / np.linalg.norm(spread)
+
+    def unit(rows: Floats) -> Floats:
+        return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
+
+    centers = unit(noise(max(8, count // 100)))
+    vectors = unit(centers[rng.integers(len(centers), size=count)] + 0.6 * noise(count))
+    asked = unit(vectors[rng.integers(count, size=queries)] + 0.6 * noise(queries))
+    return vectors, asked
+
+
+def of_city(name: str, run: Run, queries: int, seed: int) -> tuple[Floats, Floats]:
+    """Cells of a real map, and texts spoken in it, as the shipped network embeds them."""
+    from placegraph.outdoor.language import describe
+    from placegraph.outdoor.network.graphs import TextGraphs
+    from placegraph.outdoor.network.network import GraphTransformer
+    from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
+    from placegraph_lab.tables.outdoor.queries import make_queries
+
+    told = make_queries(run.osm / EXTRACTS[name], n=queries, seed=seed)
+    texts = [describe(q.text) for q in told]
+    asked = GraphTransformer.default().embed_texts(TextGraphs.of(texts))
+    return open_city(name, run.osm, run.cache).embeddings, asked
+
+
+def plain_numpy(vectors: Floats) -> tuple[Search, int]:
+    """Product with all rows, then the best of them."""
+
+    def search(query: Floats, n: int) -> NDArray[np.int64]:
+        cosines = vectors @ query
+        best = np.argpartition(cosines, -n)[-n:]
+        return best[np.argsort(-cosines[best])]
+
+    return search, vectors.nbytes
+
+
+def ours(bits: int, *, lists: bool) -> Build:
+    """`EmbeddedStore` of so many bits, exact or in lists."""
+
+    def build(vectors: Floats) -> tuple[Search, int]:
+        positions = np.zeros((len(vectors), 2))
+        store = EmbeddedStore.of(
+            np.arange(len(vectors)), vectors, positions, bits=bits, lists=lists
+        )
+        held = [store.rows, store.ids, store.positions, *(store.lists or ())]
+        return lambda query, n: store.search(query[None], n).ids[0], sum(a.nbytes for a in held)
+
+    return build
+
+
+def usearch_graph(dtype: str) -> Build:
+    """HNSW of usearch."""
+
+    def build(vectors: Floats) -> tuple[Search, int]:
+        from usearch.index import Index
+
+        index = Index(
+            ndim=DIMENSION, metric="cos", dtype=dtype, connectivity=16, expansion_add=128,
+            expansion_search=128,
+        )  # fmt: skip
+        index.add(np.arange(len(vectors)), vectors, threads=1)
+        return lambda query, n: index.search(query, n, threads=1).keys, index.memory_usage
+
+    return build
+
+
+def faiss_index(kind: str) -> Build:
+    """faiss: every row, HNSW, or inverted lists as ours."""
+
+    def build(vectors: Floats) -> tuple[Search, int]:
+        import faiss
+
+        faiss.omp_set_num_threads(1)
+        if kind == "HNSW":
+            index = faiss.IndexHNSWFlat(DIMENSION, 16, faiss.METRIC_INNER_PRODUCT)
+            index.hnsw.efConstruction = index.hnsw.efSearch = 128
+        elif kind == "lists":
+            count = int(2 * len(vectors) ** 0.5)
+            flat = faiss.IndexFlatIP(DIMENSION)
+            index = faiss.IndexIVFFlat(flat, DIMENSION, count, faiss.METRIC_INNER_PRODUCT)
+            index.train(vectors[:: max(1, len(vectors) // (40 * count))])
+            index.nprobe = 256
+        else:
+            index = faiss.IndexFlatIP(DIMENSION)
+        index.add(vectors)
+        return lambda query, n: index.search(query[None], n)[1][0], faiss.serialize_index(
+            index
+        ).nbytes
+
+    return build
+
+
+def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
+    """Name and builder of what is measured on so many vectors."""
+    yield "numpy, float32", plain_numpy
+    yield "ours, exact, float32", ours(32, lists=False)
+    yield "ours, exact, 16 bits", ours(16, lists=False)
+    yield "ours, exact, 8 bits", ours(8, lists=False)
+    large = count >= 50_000
+    if large:
+        yield "ours, lists, 16 bits", ours(16, lists=True)
+        yield "ours, lists, 8 bits", ours(8, lists=True)
+    if find_spec("faiss"):
+        yield "faiss, exact", faiss_index("exact")
+        if large:
+            yield "faiss, lists", faiss_index("lists")
+        if large and count <= min(graphs, SEVERAL):
+            yield "faiss, HNSW", faiss_index("HNSW")
+    if find_spec("usearch") and count <= graphs:
+        yield "usearch, HNSW, float16", usearch_graph("f16")
+        if count <= SEVERAL:
+            yield "usearch, HNSW, 8 bits", usearch_graph("i8")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one contender did on one size."""
+
+    count: int
+    name: str
+    build_s: float
+    bytes: int
+    ms: dict[int, float]
+    """Median of a query, by n."""
+    recall: dict[int, float]
+    """Share of the exact neighbours found, by n."""
+
+
+def race(
+    name: str, build: Build, vectors: Floats, queries: Floats, wanted: NDArray[np.int64]
+) -> Row:
+    """Build and ask, after both have been tried on a few vectors (compilation)."""
+    warm, _ = build(vectors[:400])
+    warm(queries[0], 10)
+    start = time.perf_counter()
+    search, size = build(vectors)
+    build_s = time.perf_counter() - start
+    ms, recall = {}, {}
+    for n in NEIGHBOURS:
+        times, hits = [], 0
+        for query, best in zip(queries, wanted[:, :n], strict=True):
+            start = time.perf_counter()
+            found = search(query, n)
+            times.append(time.perf_counter() - start)
+            hits += len(np.intersect1d(found, best))
+        ms[n], recall[n] = 1e3 * float(np.median(times)), hits / (n * len(queries))
+    return Row(len(vectors), name, build_s, size, ms, recall)
+
+
+def printed(rows: list[Row]) -> str:
+    """Markdown of one size."""
+    header = ["store", "build", "MB", "top 10", "recall", "top 50", "recall"]
+    lines = []
+    for row in rows:
+        line = [row.name, number(row.build_s, 2, "s"), number(row.bytes / 1e6, 1)]
+        for n in NEIGHBOURS:
+            line += [number(row.ms[n], 3, "ms"), f"{row.recall[n]:.3f}"]
+        lines.append(line)
+    return markdown(header, lines)
+
+
+@table()
+def outdoor_vectors(
+    run: Run,
+    sizes: Annotated[str, option("Numbers of vectors with commas.")] = (
+        "447,1616,3409,5225,50000,1000000"
+    ),
+    queries: Annotated[int, option("Queries of each size.")] = 200,
+    graphs: Annotated[
+        int, option("Largest size that graphs (HNSW) are built for: minutes.")
+    ] = 1_000_000,
+    city: Annotated[str, option("City whose cells are measured, too.")] = "",
+    seed: Seed = 0,
+    *,
+    quick: Quick = False,
+) -> None:
+    """Which vector store? Build time, query time, memory and recall against map size."""
+    if quick:
+        sizes, queries = "447", 20
+    rows: list[Row] = []
+    worlds: list[Callable[[], tuple[Floats, Floats]]] = [
+        partial(clustered, np.random.default_rng(seed), int(s), queries) for s in parts(sizes)
+    ]
+    if city:
+        worlds.append(partial(of_city, city, run, queries, seed))
+    for world in worlds:
+        vectors, asked = world()
+        count = len(vectors)
+        wanted = np.stack(
+            [np.argsort(-(vectors @ q), kind="stable")[: max(NEIGHBOURS)] for q in asked]
+        )
+        done: list[Row] = []
+        for name, build in contenders(count, graphs):
+            run.say(f"{count:,}: {name}")
+            done.append(race(name, build, vectors, asked, wanted))
+        print(f"### {count:,} vectors\n\n{printed(done)}\n", flush=True)
+        rows += done
+    run.save({"dimension": DIMENSION, "rows": [asdict(row) for row in rows]}, whole=not quick)

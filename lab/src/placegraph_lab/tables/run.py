@@ -1,0 +1,216 @@
+"""How a table is run: from `placegraph-lab table NAME` to Markdown on stdout and rows as JSON.
+
+A table is a function of a `Run` and of options of its own, decorated by `table`, in a module of its
+name in `placegraph_lab.tables.named`. Its first line says what it measures.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import os
+import pkgutil
+import subprocess
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, track
+
+from placegraph_lab.tables import named
+from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.machine import machine
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from typing import TypeVar
+
+    Item = TypeVar("Item")
+
+LAB = Path(__file__).parents[3]
+"""Folder of the lab in the repository."""
+
+
+def option(text: str) -> Any:  # noqa: ANN401
+    """Option of a table, with its help."""
+    return typer.Option(help=text)
+
+
+Seed = Annotated[int, option("Of all that is drawn; the same seed, the same rows.")]
+Device = Annotated[str, option("auto, cpu or cuda.")]
+Quick = Annotated[bool, option("A first impression: few rows, few queries.")]
+Fresh = Annotated[bool, option("Ask everything anew, not only what is missing.")]
+Every = Annotated[int, option("Frames from one window of the house to the next.")]
+OfficeEvery = Annotated[int, option("The same for the office.")]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a table: where its data lie, and where its rows go."""
+
+    name: str
+    shared: Path
+    """Folder with `data` and `weights`."""
+    cache: Path
+    """For maps and answers."""
+    out: Path | None = None
+    """JSON file; `results/NAME.json` of the lab if not given."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """The table's own, as they were given."""
+
+    @property
+    def data(self) -> Path:
+        """House, office, `osm` and `text`."""
+        return self.shared / "data"
+
+    @property
+    def osm(self) -> Path:
+        """Extracts of OpenStreetMap."""
+        return self.data / "osm"
+
+    @cached_property
+    def console(self) -> Console:
+        """Of the person who waits: stderr."""
+        return Console(stderr=True)
+
+    def say(self, text: str) -> None:
+        """Tell the person who waits."""
+        typer.echo(text, err=True)
+
+    def progress(self) -> Progress:
+        """Bars that vanish when they are full."""
+        return Progress(console=self.console, transient=True)
+
+    def track(
+        self, items: Iterable[Item], title: str = "", total: float | None = None
+    ) -> Iterable[Item]:
+        """Items, with a bar."""
+        return track(items, title, total=total, console=self.console, transient=True)
+
+    def one_core(self) -> None:
+        """Use one core from here on, where the system can say so."""
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+    def journal(self, *, fresh: bool = False) -> Journal:
+        """Answers of earlier runs; none if `fresh`."""
+        self.cache.mkdir(parents=True, exist_ok=True)
+        path = self.cache / f"{self.name}.jsonl"
+        if fresh:
+            path.unlink(missing_ok=True)
+        return Journal(path)
+
+    def save(self, record: dict[str, Any], *, whole: bool = True) -> None:
+        """Write rows as JSON, with machine, commit and options.
+
+        `whole`: False of a part of the table, which is written only where `--out` says so.
+        """
+        out = self.out or (LAB / "results" / f"{self.name}.json" if whole else None)
+        if out is None:
+            return
+        head = {"table": self.name, "machine": machine(), "commit": _commit()}
+        text = json.dumps(head | self.options | record, indent=1, allow_nan=False, default=str)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text + "\n", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that can be run by its name."""
+
+    measure: Callable[..., None]
+    paper: str = ""
+    """What it stands beside in the papers."""
+
+    @property
+    def name(self) -> str:
+        """As on the command line."""
+        return self.measure.__name__
+
+    @property
+    def asks(self) -> str:
+        """What it measures, in a sentence."""
+        return (inspect.getdoc(self.measure) or "").partition("\n")[0]
+
+    def app(self) -> typer.Typer:
+        """Command of this table alone: its own options, and those of a `Run`."""
+        own = list(inspect.signature(self.measure, eval_str=True).parameters.values())[1:]
+        shared = list(inspect.signature(_shared, eval_str=True).parameters.values())
+
+        def command(**given: Any) -> None:  # noqa: ANN401
+            where = {p.name: given.pop(p.name) for p in shared}
+            run = Run(self.name, where["data"], where["cache"], where["out"], given)
+            self.measure(run, **given)
+
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        parameters = [p.replace(kind=keyword) for p in (*own, *shared)]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {p.name: p.annotation for p in parameters}
+        command.__doc__ = self.measure.__doc__
+        app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
+        app.command(self.name)(command)
+        return app
+
+
+def table(paper: str = "") -> Callable[[Callable[..., None]], Table]:
+    """Make a function of a `Run` a table; `paper` says what it stands beside."""
+    return lambda measure: Table(measure, paper)
+
+
+def names() -> list[str]:
+    """Names of all tables."""
+    return sorted(m.name for m in pkgutil.iter_modules(named.__path__))
+
+
+def load(name: str) -> Table:
+    """Table of a name; `KeyError` where there is none."""
+    if name not in names():
+        raise KeyError(name)
+    found: Table = getattr(import_module(f"{named.__name__}.{name}"), name)
+    return found
+
+
+def parts(text: str, mark: str = ",") -> list[str]:
+    """What stands between marks."""
+    return [part.strip() for part in text.split(mark) if part.strip()]
+
+
+def known(given: Sequence[str], there: Iterable[str], what: str) -> list[str]:
+    """Return the names given; all there are where none is, refused where one is not there."""
+    every = list(there)
+    unknown = sorted(set(given) - set(every))
+    if unknown:
+        raise typer.BadParameter(f"{unknown[0]!r} is no {what}; there are {'; '.join(every)}")
+    return list(given) or every
+
+
+def spoken(spec: str) -> tuple[str, dict[str, Any]]:
+    """Name and options of what is said like `sift ratio=0.8`."""
+    name, *options = spec.split()
+    pairs = (option.partition("=") for option in options)
+    return name, {key: ast.literal_eval(value) for key, _, value in pairs}
+
+
+def _shared(
+    data: Annotated[Path, option("Folder with `data` and `weights`.")] = Path("../shared"),
+    cache: Annotated[Path, option("Folder for maps and answers.")] = Path(".benchmark-cache"),
+    out: Annotated[
+        Path | None, option("JSON file; a part of a table is written only where this is given.")
+    ] = None,
+) -> None:
+    """Options of every table."""
+
+
+def _commit() -> str:
+    """Commit of the code; empty outside a repository."""
+    command = ["git", "-C", str(LAB), "describe", "--always", "--dirty", "--abbrev=12"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()
