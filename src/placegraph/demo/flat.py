@@ -30,7 +30,7 @@ def lost_in_a_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[s
     """
     from placegraph.formats.capture.capture import open_capture
     from placegraph.formats.capture.tum import read_tum
-    from placegraph.indoor.mapping.build import build_scene
+    from placegraph.indoor.build import build_scene
     from placegraph.view import draw_scene
 
     glb, file, walk = world / f"{FLAT}.glb", out / f"{FLAT}.scene", world / "walk"

@@ -37,7 +37,7 @@ def test_the_same_files_ship(drawn):
 def test_the_same_homes_ship(drawn, number):
     """Compared as maps, since a map's file is compressed inside."""
     ours, theirs = (SceneMap.open(folder / f"home{number}.scene") for folder in (DATA, drawn))
-    assert ours.labels == theirs.labels
+    assert ours.graph.labels == theirs.graph.labels
     assert np.array_equal(ours.mesh.vertices, theirs.mesh.vertices)
     assert np.array_equal(ours.mesh.triangles, theirs.mesh.triangles)
     assert all(map(np.array_equal, ours.mesh.textures, theirs.mesh.textures))

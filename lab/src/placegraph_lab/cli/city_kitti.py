@@ -25,7 +25,7 @@ def convert_kitti360pose(
 ) -> None:
     """Convert KITTI360Pose from its pickles.
 
-    Nothing of them is ever run. For the tables: benchmarks/outdoor_kitti360pose.py.
+    Nothing of them is ever run. For the tables: placegraph-lab table outdoor_kitti360pose.
 
     Example: placegraph city convert-kitti360pose k360_30-10_scG_pd10_pc4_spY_all -o kitti.k360
     """

@@ -80,7 +80,7 @@ class Drawing:
         self, homes: int, flats: Sequence[str], maps: Sequence[Path], map_worlds: int
     ) -> Iterator[tuple[str, Callable[[], World]]]:
         """Names of worlds, and what makes them."""
-        from placegraph.indoor.mapping.build import build_scene
+        from placegraph.indoor.build import build_scene
 
         for number in range(homes):
             yield f"home_{number:04d}", partial(self.of_home, number)

@@ -1,4 +1,4 @@
-"""The homes that stand beside every library (`indoor/library/decoys.py`).
+"""The homes that stand beside every library (`indoor/library/signature_file.py`).
 
 They are drawn from seeds that no table and no training uses.
 """

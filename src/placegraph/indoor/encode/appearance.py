@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 DIMENSION = 64
 TEMPERATURE = 0.12
-"""Calibrated on the shared house and on drawn homes (`benchmarks/patch_accuracy.py`)."""
+"""Calibrated on the shared house and on drawn homes (table `patch_accuracy` of the lab)."""
 _CAMERA = Camera(256, 144, 184.0, 184.0, 128.0, 72.0)
 """Size that all images are brought to, and what the map is rendered with: 70 degrees wide."""
 _CELL = 2  # [px]

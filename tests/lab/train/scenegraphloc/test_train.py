@@ -163,7 +163,7 @@ def _drawn(rng, kinds, name):
 
 
 def test_a_short_training_tells_patches_of_rooms_never_learned(rng):
-    """On rooms drawn in numbers; on rendered homes benchmarks/scene_train.py shows it."""
+    """On rooms drawn in numbers; on rendered homes the table scene_train shows it."""
     from placegraph_lab.train.scenegraphloc.trainer import Trainer, judge
 
     kinds = rng.normal(size=(9, 17))

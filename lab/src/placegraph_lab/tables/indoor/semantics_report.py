@@ -1,4 +1,4 @@
-"""Tables of `benchmarks/indoor_semantics.py`, in the shape of the paper's Tables 7 and 8."""
+"""Tables of `placegraph-lab table indoor_semantics`, in the shape of the paper's Tables 7 and 8."""
 
 from __future__ import annotations
 

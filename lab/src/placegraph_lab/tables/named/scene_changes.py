@@ -10,7 +10,7 @@ and it goes on where it was cut.
 
 from __future__ import annotations
 
-from placegraph.indoor.mapping.build import build_scene
+from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.run import (
     Fresh,
