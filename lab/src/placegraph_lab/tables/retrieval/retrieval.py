@@ -20,9 +20,9 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import vectors_of
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.index import Index
-from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import encode
+from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.search import scores
 from placegraph.indoor.library.signature import signature_of
 
