@@ -158,7 +158,7 @@ def study() -> Flat:
 @pytest.fixture(scope="session")
 def make_city(tmp_path_factory):
     """City of a town drawn in ASCII; the same drawing is built once."""
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
     from placegraph_lab.worlds.town.town import Town
 
     known = {}

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.matching import matcher
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.maps import open_map
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.city import CityMap, build_city
     from placegraph.outdoor.language import describe
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.vectors import Region, open_store
 
 __version__ = "0.1.0"
 
@@ -36,12 +36,13 @@ _HOME = {
     "Frame": "placegraph.formats.capture.capture",
     "RefineOptions": "placegraph.indoor.refine",
     "Refinement": "placegraph.estimate",
+    "Region": "placegraph.vectors",
     "SceneGraph": "placegraph.graph",
     "SceneLibrary": "placegraph.indoor.library",
     "SceneMap": "placegraph.indoor.scene_map",
     "SearchOptions": "placegraph.indoor.library",
     "Status": "placegraph.estimate",
-    "build_city": "placegraph.outdoor.map.build",
+    "build_city": "placegraph.outdoor.city",
     "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.language",
     "encoder": "placegraph.indoor.encode",
@@ -49,6 +50,7 @@ _HOME = {
     "merge_scenes": "placegraph.indoor.mapping.merge",
     "open_capture": "placegraph.formats.capture.capture",
     "open_map": "placegraph.maps",
+    "open_store": "placegraph.vectors",
     "rank_scenes": "placegraph.indoor.language",
 }
 
@@ -59,6 +61,7 @@ __all__ = [
     "Frame",
     "RefineOptions",
     "Refinement",
+    "Region",
     "SceneGraph",
     "SceneLibrary",
     "SceneMap",
@@ -74,6 +77,7 @@ __all__ = [
     "merge_scenes",
     "open_capture",
     "open_map",
+    "open_store",
     "rank_scenes",
 ]
 

@@ -254,9 +254,7 @@ class CityEstimate(Estimate[Place]):
 
     def next_question(self, city: CityMap) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""
-        from placegraph.outdoor.search.ask import next_question
-
-        return next_question(self, city)
+        return city.ask(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""

@@ -27,7 +27,7 @@ def osm(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def city(osm):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     path = osm.with_name("town.city")
     build_city(osm, path)

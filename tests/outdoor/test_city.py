@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 import placegraph as pg
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.maps import open_map
-from placegraph.outdoor.city import KIND, VERSION, CityMap
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.map.city import KIND, VERSION
 from placegraph.store import read_map, write_map
 
 TEXT = "I am next to a bench. A bakery is north of me. A church is east of the bakery."

@@ -456,7 +456,7 @@ def test_threads_give_the_same_answers(monaco):
 
 
 def test_a_map_may_be_rebuilt_while_it_is_open(hafenstadt, tmp_path):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     osm, path = hafenstadt.write_osm(tmp_path / "town.osm"), tmp_path / "a.city"
     build_city(osm, path)

@@ -8,7 +8,6 @@ from hypothesis.extra.numpy import arrays
 
 from placegraph.errors import OptionError
 from placegraph.maps import open_map
-from placegraph.outdoor.network.embed import map_fingerprint
 from placegraph.vectors import Origin, Region, Vectors
 from placegraph.vectors.content import GRAIN, checked_queries, unit
 
@@ -96,8 +95,8 @@ def test_origins_tell_what_differs():
 def test_a_map_keeps_its_fingerprint_and_another_has_another(
     harbour, harbour_file, make_city, hafenstadt
 ):
-    mark = map_fingerprint(harbour)
-    assert map_fingerprint(open_map(harbour_file)) == mark
-    assert map_fingerprint(make_city(hafenstadt, cell_size=40.0)) != mark
-    assert map_fingerprint(make_city(hafenstadt, edge_distance=40.0)) != mark
+    mark = harbour.fingerprint
+    assert open_map(harbour_file).fingerprint == mark
+    assert make_city(hafenstadt, cell_size=40.0).fingerprint != mark
+    assert make_city(hafenstadt, edge_distance=40.0).fingerprint != mark
     assert len(mark) == 32

@@ -8,6 +8,7 @@ from placegraph.vectors import (
     EmbeddedStore,
     Origin,
     Region,
+    Vectors,
     drop_store,
     list_stores,
     load_store,
@@ -45,7 +46,7 @@ def finds_the_same(store, columns, queries):
 
 def test_both_back_ends_find_the_same(milvus, columns, queries):
     origin = Origin("a map", "a model")
-    with load_store(milvus.uri, *columns, name="Fürst, 2025", origin=origin) as store:
+    with load_store(milvus.uri, Vectors.of(*columns), name="Fürst, 2025", origin=origin) as store:
         finds_the_same(store, columns, queries)
     with open_store(milvus.uri, origin=origin) as store:
         assert (len(store), store.dimension, store.origin) == (COUNT, DIMENSION, origin)
@@ -65,7 +66,7 @@ def test_a_load_survives_the_server(milvus, columns, queries, capfd):
             milvus.kill()
 
     def again(**options):
-        return load_store(milvus.uri, *columns, name="town", origin=origin, **options)
+        return load_store(milvus.uri, Vectors.of(*columns), name="town", origin=origin, **options)
 
     with pytest.raises(ServiceError, match=f"at {milvus.uri} failed to insert"):
         again(progress=dies_between_two_batches, timeout=2.0)

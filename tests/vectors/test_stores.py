@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError, StoreError
-from placegraph.outdoor.network.embed import cell_positions, embed_city, map_fingerprint
+from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.vectors import (
     EmbeddedStore,
     MilvusStore,
     Origin,
+    Vectors,
     load_store,
     open_store,
 )
@@ -29,7 +30,10 @@ class Scatter:
 
     fingerprint: str = "scattered"
 
-    def embed_places(self, places):
+    def word_vectors(self, words):
+        return np.zeros((len(words), 1), np.float32)
+
+    def embed_places(self, places, _vectors):
         return np.random.default_rng(len(places)).standard_normal((len(places), 64))
 
 
@@ -53,13 +57,13 @@ def test_addresses_of_files_and_of_servers():
 
 def test_positions_are_the_centres_of_the_cells(harbour):
     wanted = [(cell.longitude, cell.latitude) for cell in harbour.cells.values()]
-    np.testing.assert_allclose(cell_positions(harbour.cells), wanted, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(harbour.cells.lonlat, wanted, rtol=0, atol=1e-12)
 
 
 def test_a_city_is_embedded_into_a_file(harbour, tmp_path):
     path = tmp_path / "town.vectors"
-    made = embed_city(harbour, path, name="town", model=Scatter())
-    origin = Origin(map_fingerprint(harbour), "scattered")
+    made = EncodedCity(harbour, Scatter()).keep(path, name="town")
+    origin = Origin(harbour.fingerprint, "scattered")
     with open_store(path, origin=origin) as opened:
         assert isinstance(opened, EmbeddedStore)
         assert opened.ids.tolist() == harbour.cells.points.tolist()
@@ -70,7 +74,9 @@ def test_a_city_is_embedded_into_a_file(harbour, tmp_path):
 
 def test_embeddings_that_are_there_are_used(harbour, tmp_path):
     rows = np.eye(len(harbour.cells))[::-1]
-    made = embed_city(harbour, tmp_path / "a", name="a", model=Scatter(), embeddings=rows)
+    encoded = EncodedCity(harbour, Scatter())
+    vars(encoded)["embeddings"] = rows
+    made = encoded.keep(tmp_path / "a", name="a")
     cells = made.search(np.eye(len(rows))[:1], 1).ids
     assert cells.tolist() == [[harbour.cells.points[-1]]]
 
@@ -78,8 +84,8 @@ def test_embeddings_that_are_there_are_used(harbour, tmp_path):
 @pytest.mark.usefixtures("reach")
 def test_both_back_ends_by_one_call(rng, cloud, tmp_path):
     columns, origin = cloud(rng, 50), Origin("m", "n")
-    a = load_store(tmp_path / "a.vectors", *columns, name="a", origin=origin, bits=32)
-    b = load_store(URI, *columns, name="a", origin=origin)
+    a = load_store(tmp_path / "a.vectors", Vectors.of(*columns), name="a", origin=origin, bits=32)
+    b = load_store(URI, Vectors.of(*columns), name="a", origin=origin)
     assert (type(a), type(b)) == (EmbeddedStore, MilvusStore)
     for opened in (open_store(tmp_path / "a.vectors", origin=origin), open_store(URI, name="a")):
         assert (len(opened), opened.origin) == (50, origin)

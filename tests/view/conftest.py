@@ -5,8 +5,8 @@ import pytest
 
 from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.language.check import Ignored
+from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
-from placegraph.outdoor.map.build import build_city
 from placegraph_lab.worlds.town.town import Town
 
 TOWN = """

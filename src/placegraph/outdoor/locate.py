@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.city import City
     from placegraph.outdoor.network.encoded import EncodedCity
     from placegraph.outdoor.search.ask import Answer
     from placegraph.vectors import Region, VectorStore
@@ -58,7 +58,7 @@ SHARPNESS = {"transformer": 1.0, "edit-distance": 1.0, "embedding": 20.0}
 
 
 def locate(
-    city: CityMap,
+    city: City,
     text: str | Description,
     *,
     top: int = 5,
@@ -139,9 +139,7 @@ def _status(found: Posterior, peaks: list[Mode], matching: Matching) -> tuple[St
     return status, reason
 
 
-def _found(
-    query: Query, city: CityMap, prior: Prior, matching: Matching
-) -> tuple[Posterior, float]:
+def _found(query: Query, city: City, prior: Prior, matching: Matching) -> tuple[Posterior, float]:
     """Posterior of a query, and how finely its positions lie [m]."""
     by = matching.by
     if by == "auto":
@@ -161,7 +159,7 @@ def _found(
     return search(query, city, prior, rows=rows, reach=reach, encoded=network), SPACING
 
 
-def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching, by: By) -> Posterior:
+def _by_cells(query: Query, city: City, prior: Prior, matching: Matching, by: By) -> Posterior:
     """Posterior over the centres of cells that one of the paper's matchers has ranked."""
     encoded = matching.encoded or city.encoded
     rows, scores = rank_cells(
@@ -176,7 +174,7 @@ def _by_cells(query: Query, city: CityMap, prior: Prior, matching: Matching, by:
     return posterior(centers, log_odds + np.log(len(rows)), log_prior, -np.inf)
 
 
-def read(city: CityMap, text: str | Description, *, heading: float | None = None) -> Description:
+def read(city: City, text: str | Description, *, heading: float | None = None) -> Description:
     """Understand a text in the words of a city: its names count, whatever the vocabulary says."""
     if isinstance(text, Description):
         return text
@@ -187,7 +185,7 @@ def read(city: CityMap, text: str | Description, *, heading: float | None = None
 
 
 def _off_the_map(
-    city: CityMap, prior: Prior, near: Sequence[float] | None, region: Region | None
+    city: City, prior: Prior, near: Sequence[float] | None, region: Region | None
 ) -> str:
     """Say why the speaker cannot be anywhere on the map; an empty string where they can."""
     if prior.near is not None and not len(city.views.near(prior.near, 4.0 * prior.radius + REACH)):
@@ -205,9 +203,7 @@ def _number(value: object) -> float:
         return float("nan")
 
 
-def _position(
-    city: CityMap, lonlat: Sequence[float] | None, name: str
-) -> NDArray[np.float64] | None:
+def _position(city: City, lonlat: Sequence[float] | None, name: str) -> NDArray[np.float64] | None:
     if lonlat is None:
         return None
     numbers = [_number(x) for x in lonlat] if np.iterable(lonlat) else []
@@ -252,7 +248,7 @@ def _why_nothing(description: Description, query: Query) -> str:
     )
 
 
-def _place(mode: Mode, city: CityMap, query: Query) -> Place:
+def _place(mode: Mode, city: City, query: Query) -> Place:
     longitude, latitude = (float(x) for x in city.plane.to_lonlat(mode.position))
     return Place(
         longitude,
@@ -290,7 +286,7 @@ def _opposed(a: Statement, b: Statement) -> bool:
     return float(angle_between(a.bearing, other)) > 2.0
 
 
-def _support(found: Posterior, city: CityMap) -> NDArray[np.float64]:
+def _support(found: Posterior, city: City) -> NDArray[np.float64]:
     heaviest = np.argsort(-found.probabilities, kind="stable")[:MOST_SUPPORT]
     lonlat = city.plane.to_lonlat(found.positions[heaviest])
     return np.column_stack([lonlat, found.probabilities[heaviest]])

@@ -75,7 +75,7 @@ class EmbeddedStore:
         bits: int = 16,
         lists: bool | None = None,
     ) -> Self:
-        """Store of vectors.
+        """Store of these rows; as `of_rows` of `Vectors.of`.
 
         Parameters
         ----------
@@ -85,6 +85,33 @@ class EmbeddedStore:
             (C, D) of any length but zero; their direction is kept.
         positions
             (C, 2) longitude and latitude [deg]; None: what the rows stand for has none.
+        origin, bits, lists
+            As for `of_rows`.
+
+        Raises
+        ------
+        OptionError
+            Columns do not fit together, or are no numbers.
+
+        """
+        content = Vectors.of(ids, vectors, positions)
+        return cls.of_rows(content, origin=origin, bits=bits, lists=lists)
+
+    @classmethod
+    def of_rows(
+        cls,
+        content: Vectors,
+        *,
+        origin: Origin | None = None,
+        bits: int = 16,
+        lists: bool | None = None,
+    ) -> Self:
+        """Store of rows that have been checked.
+
+        Parameters
+        ----------
+        content
+            What to store.
         origin
             What the vectors were made from.
         bits
@@ -96,12 +123,11 @@ class EmbeddedStore:
         Raises
         ------
         OptionError
-            Columns do not fit together, or are no numbers.
+            There is no such number of bits.
 
         """
         if bits not in BITS:
             raise OptionError(f"bits is {bits}; choose one of {', '.join(map(str, BITS))}.")
-        content = Vectors.of(ids, vectors, positions)
         inverted = make_lists(content.vectors) if _in_lists(len(content), lists) else None
         order = slice(None) if inverted is None else inverted.order
         rows, steps = _coded(content.vectors[order], bits)

@@ -6,14 +6,13 @@ import os
 from typing import TYPE_CHECKING
 
 from placegraph.vectors import milvus
-from placegraph.vectors.content import Origin, Vectors, VectorStore
 from placegraph.vectors.embedded import EmbeddedStore
 from placegraph.vectors.server import SCHEMES, Server
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike
+    from placegraph.vectors.content import Origin, Vectors, VectorStore
 
 Address = str | os.PathLike[str]
 
@@ -64,9 +63,7 @@ def open_store(
 
 def load_store(
     where: Address,
-    ids: ArrayLike,
-    vectors: ArrayLike,
-    positions: ArrayLike,
+    content: Vectors,
     *,
     name: str,
     origin: Origin,
@@ -81,8 +78,8 @@ def load_store(
     ----------
     where
         As for `open_store`. A file is replaced in one step.
-    ids, vectors, positions
-        (C,), (C, D) and (C, 2) longitude and latitude [deg]; see `EmbeddedStore.of`.
+    content
+        What to store.
     name
         Of the store on a server, such as ``monaco``; a file has none.
     origin
@@ -98,14 +95,13 @@ def load_store(
 
     Raises
     ------
-    Errors of `EmbeddedStore.of` and `save`, or of `load_milvus`.
+    Errors of `EmbeddedStore.of_rows` and `save`, or of `load_milvus`.
 
     """
     if not is_uri(where):
-        store = EmbeddedStore.of(ids, vectors, positions, origin=origin, bits=bits)
+        store = EmbeddedStore.of_rows(content, origin=origin, bits=bits)
         store.save(where)
         return store
-    content = Vectors.of(ids, vectors, positions)
     server = Server.connect(str(where), timeout)
     try:
         return milvus.load_milvus(

@@ -12,7 +12,7 @@ LINES = "I am on Speicherweg. The museum is south of me.\n\nI walked 60 m east.\
 
 @pytest.fixture(scope="module")
 def city(tmp_path_factory):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     folder = tmp_path_factory.mktemp("track")
     build_city(Town.load("hafenstadt").write_osm(folder / "town.osm"), folder / "town.city")

@@ -22,9 +22,10 @@ from hypothesis import strategies as st
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.formats.place import overpass
 from placegraph.formats.place.osm import AREA, NODE, POINT, RELATION, WAY, read_osm
-from placegraph.formats.place.overpass import FetchSummary, fetch_osm
+from placegraph.formats.place.overpass import FetchSummary
+from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.map.extract import keys_read
 
 DATA = Path(__file__).parent / "data"
 PLACES = json.loads((DATA / "nominatim_muehlenend.json").read_text(encoding="utf-8"))
@@ -109,6 +110,11 @@ def closed_port():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return free.getsockname()[1]
+
+
+def fetch_osm(place, out, **options):
+    """Fetch what a city map is made of, or other `keys`."""
+    return overpass.fetch_osm(place, out, **{"keys": keys_read()} | options)
 
 
 def raw(path):

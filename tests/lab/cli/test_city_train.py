@@ -18,7 +18,7 @@ TEXT = "I am on Speicherweg. The museum is south of me."
 
 @pytest.fixture(scope="module")
 def city(tmp_path_factory):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     folder = tmp_path_factory.mktemp("train")
     build_city(Town.load("hafenstadt").write_osm(folder / "town.osm"), folder / "town.city")
@@ -151,13 +151,12 @@ def test_locate_by_other_weights_and_matchers(run, city, weights):
 
 def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):
     from placegraph.maps import open_map
-    from placegraph.outdoor.network.embed import embed_city
     from placegraph.outdoor.network.encoded import EncodedCity
     from placegraph.outdoor.network.network import GraphTransformer
 
     network = GraphTransformer.open(weights)
     vectors = tmp_path / "town.vectors"
-    embed_city(open_map(city), vectors, name="town", model=network).close()
+    EncodedCity(open_map(city), network).keep(vectors, name="town").close()
     locate = ("city", "locate", city, TEXT, "--json")
     found = run(*locate, "--weights", weights, "--store", vectors)
     assert found.code == 0

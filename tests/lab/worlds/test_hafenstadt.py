@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.demo.town import ON_THE_WAY
 from placegraph.estimate import Status
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import build_city
 from placegraph_lab.worlds.town.town import Town
 
 CLEAR = (

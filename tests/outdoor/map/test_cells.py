@@ -282,7 +282,7 @@ def test_a_column_beyond_the_grid_is_not_the_next_row(harbour):
 
 def test_ids_are_stable_over_opening_and_building(harbour, harbour_file, hafenstadt, tmp_path):
     from placegraph.maps import open_map
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     again = build_city(hafenstadt.write_osm(tmp_path / "t.osm"), tmp_path / "t.city")
     for other in (again, open_map(harbour_file)):

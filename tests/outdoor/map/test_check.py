@@ -49,7 +49,7 @@ def test_all_alike(build_world):
 
 
 def test_twice(tmp_path):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     tag = '<tag k="amenity" v="bench"/><tag k="name" v="B"/>'
     nodes = "".join(
@@ -64,7 +64,7 @@ def test_twice(tmp_path):
 
 
 def test_clipped(write_world, tmp_path):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     ways = [([0, 1, 500 + i], {"highway": "path"}) for i in range(10)]
     path = write_world(mixed(), ways)

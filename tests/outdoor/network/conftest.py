@@ -77,7 +77,7 @@ def speakers(harbour, vocabulary):
 @pytest.fixture(scope="session")
 def pool(speakers):
     """Examples from the shipped town."""
-    from placegraph.outdoor.network.pool import fill
+    from placegraph_lab.train.city.pool import fill
 
     return fill(speakers[0], 24, np.random.default_rng(5))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.network.batches import (
+    Fits,
     entries,
     pair_batch,
     place_batch,
@@ -66,7 +67,7 @@ def test_words_of_nodes_stand_where_their_nodes_do(places):
 def test_how_rare_a_mention_is():
     starts, tokens = np.array([0, 0, 1, 3]), np.array([0, 1, 2], np.int32)
     counts = np.array([1, 60, 40])
-    fits = word_fits(starts, tokens, np.ones(3, np.float32), counts, 100)
+    fits = word_fits(Fits(starts, tokens, np.ones(3, np.float32)), counts, 100)
     assert fits.rarity == pytest.approx([0.0, -np.log(0.01) / 10.0, 0.0])  # 0 of all who may be all
 
 
@@ -76,7 +77,7 @@ def paired(harbour, pool):
     assert (views >= 0).all()
     places = PlaceGraphs.of_views(harbour, views.ravel())
     fits = pool.fits
-    words = word_fits(fits.starts, fits.tokens, fits.weights, *harbour.word_counts)
+    words = word_fits(fits, *harbour.word_counts)
     rows, every = np.arange(3), np.arange(len(places))
     return places, words, pair_batch(pool.texts, places, rows, every, (every // 6, every), words)
 

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.network.labels import Bags, of_name
+from placegraph.outdoor.map.objects import of_name
+from placegraph.outdoor.network.labels import Bags
 from placegraph.outdoor.network.labels_kernels import BUCKETS
 
 # Weights that were shipped mean these rows: a change here makes all of them worthless.

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.batches import word_fits
+from placegraph.outdoor.network.batches import fits_of, word_fits
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.pool import fits_of
 
 BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountain", "natural=tree"
 
@@ -17,7 +16,7 @@ BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountai
 @pytest.fixture(scope="module")
 def words(harbour, pool):
     fits = pool.fits
-    return word_fits(fits.starts, fits.tokens, fits.weights, *harbour.word_counts)
+    return word_fits(fits, *harbour.word_counts)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +95,7 @@ def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, 
         text = said(*(statements[i] for i in order))
         graphs = TextGraphs.of([text])
         fits = fits_of(graphs, [compile_query(text, harbour)])
-        words = word_fits(fits.starts, fits.tokens, fits.weights, *harbour.word_counts)
+        words = word_fits(fits, *harbour.word_counts)
         found.append((network.embed_texts(graphs), network.match(graphs, 0, places, some, words)))
     (first, ours), (second, theirs) = found
     assert second == pytest.approx(first, abs=1e-5)

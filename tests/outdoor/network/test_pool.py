@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.pool import AT, HARD, NEARBY, OTHERS, fill
+from placegraph.outdoor.search.rerank import HARD
 from placegraph.outdoor.search.viewpoints import Prior, candidates
+from placegraph_lab.train.city.pool import AT, NEARBY, OTHERS, fill
 
 
 def test_what_is_right_follows_from_distance(pool, harbour):

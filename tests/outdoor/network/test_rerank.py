@@ -7,8 +7,8 @@ import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.network.pool import HARD as MOST
 from placegraph.outdoor.search import rerank as module
+from placegraph.outdoor.search.rerank import HARD as MOST
 from placegraph.outdoor.search.rerank import rerank
 from placegraph.outdoor.search.viewpoints import Prior, candidates
 

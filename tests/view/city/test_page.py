@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 
 from placegraph.estimate import Status
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import build_city
 from placegraph.view import write_page
 from placegraph.view.city.page import _json
 from placegraph.view.city.page_panel import factor

@@ -8,7 +8,7 @@ from PIL import Image, ImageColor
 
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import build_city
 from placegraph.view import draw_city, write_picture
 from placegraph.view.city.picture import length_words, round_length
 from placegraph.view.draw.style import PALETTE

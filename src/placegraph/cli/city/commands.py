@@ -62,8 +62,8 @@ def build(
     """
     from time import perf_counter
 
+    from placegraph.outdoor.city import build_city
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.map.build import build_city
 
     words = Vocabulary.load(vocabulary) if vocabulary else None
     start = perf_counter()
@@ -306,12 +306,14 @@ def fetch(
     from dataclasses import asdict
 
     from placegraph.formats.place.overpass import fetch_osm
+    from placegraph.outdoor.map.extract import keys_read
 
     with progress_bar(hidden=quiet or as_json) as progress:
         task = progress.add_task("finding")
         summary = fetch_osm(
             place,
             out,
+            keys=keys_read(),
             overpass_url=overpass_url,
             progress=lambda step, n: progress.update(task, description=f"{step} {n:,}"),
         )

@@ -49,7 +49,6 @@ def embed(
     from time import perf_counter
 
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.embed import embed_city
     from placegraph.vectors.server import check_uri, shown
 
     if (out is None) == (store is None):
@@ -62,8 +61,8 @@ def embed(
     start = perf_counter()
     with progress_bar(hidden=quiet or as_json) as progress:
         task = progress.add_task("embedding")
-        made = embed_city(
-            city, store or out or "", name=name or map_file.stem, bits=bits, resume=resume,
+        made = city.encoded.keep(
+            store or out or "", name=name or map_file.stem, bits=bits, resume=resume,
             progress=lambda step, done, total: progress.update(
                 task, description=f"{step} {done:,} of {total:,} cells"
             ),

@@ -78,7 +78,7 @@ def fetch_osm(
     place: str,
     out_path: str | PathLike[str],
     *,
-    keys: Iterable[str] | None = None,
+    keys: Iterable[str],
     overpass_url: str | None = None,
     progress: Progress | None = None,
 ) -> FetchSummary:
@@ -93,8 +93,8 @@ def fetch_osm(
     out_path
         File to write; its ending is one of `SUFFIXES`.
     keys
-        Elements with one of these keys are fetched, and what they consist of. Where not given, all
-        that `build_city` reads: the keys of the shipped vocabulary, and `name`.
+        Elements with one of these keys are fetched, and what they consist of; `keys_read` has all
+        that `build_city` reads.
     overpass_url
         Overpass server, up to and without `/interpreter`; that of `osmnx.settings` if not given.
     progress
@@ -165,11 +165,7 @@ def _check(place: str, out: Path) -> Path:
     return out
 
 
-def _keys(keys: Iterable[str] | None) -> list[str]:
-    if keys is None:
-        from placegraph.outdoor.language.vocabulary import Vocabulary
-
-        keys = {*Vocabulary.default().keys, "name"}
+def _keys(keys: Iterable[str]) -> list[str]:
     chosen = sorted({keys} if isinstance(keys, str) else set(keys))
     if not chosen:
         raise OptionError("keys is empty; name at least one key, such as 'highway'.")

@@ -44,16 +44,3 @@ class Statements(NamedTuple):
     """P(statement | anywhere)."""
     crowd: float
     """Added to the number of pairs in sight: who sees few things is no more likely to be heard."""
-
-
-class Scene(NamedTuple):
-    """Columns of the map that kernels read."""
-
-    kind: NDArray[np.uint8]
-    part_starts: NDArray[np.int32]
-    point_starts: NDArray[np.int32]
-    points: NDArray[np.float32]
-    center: NDArray[np.float32]
-    token_starts: NDArray[np.int32]
-    token_values: NDArray[np.int32]
-    token_weights: NDArray[np.float32]

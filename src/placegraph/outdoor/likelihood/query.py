@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.city import City
 
 SLIP = 0.08
 """Share of stated directions that are simply wrong."""
@@ -111,7 +111,7 @@ class Query:
         return table
 
 
-def compile_query(description: Description, city: CityMap, *, on_a_way: bool = False) -> Query:
+def compile_query(description: Description, city: City, *, on_a_way: bool = False) -> Query:
     """Compile a description against a map (Eq. 3-4 meet Eq. 7-8).
 
     `on_a_way` says that it describes the way to a place for somebody elsewhere: then more things
@@ -154,7 +154,7 @@ def compile_query(description: Description, city: CityMap, *, on_a_way: bool = F
 def _far(
     used: list[Statement],
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
-    city: CityMap,
+    city: City,
     *,
     on_a_way: bool,
 ) -> Far | None:
@@ -219,7 +219,7 @@ def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
     return frozenset(at | {SPEAKER})
 
 
-def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap) -> int:
+def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: City) -> int:
     """Number of objects (with repetitions) that a mention stands for."""
     starts, _ = city.token_objects
     tokens = tokens[weights > KIND_ONLY]
@@ -227,7 +227,7 @@ def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap
 
 
 def _members(
-    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: CityMap, *, most: int
+    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: City, *, most: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Objects of a mention and how well it fits them; none where there are more than `most`."""
     starts, objects = city.token_objects
@@ -242,7 +242,7 @@ def _members(
     return found[order][first], fits[order][first]
 
 
-def _tokens(mention: Mention, city: CityMap) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Tokens that a mention may stand for on this map, and how well they fit."""
     weights: dict[int, float] = {}
     by_kind = KIND_ONLY if mention.name else 1.0

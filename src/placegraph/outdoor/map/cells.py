@@ -117,6 +117,11 @@ class Cells(Mapping[str, Cell]):
             [column, row]
         )
 
+    @property
+    def lonlat(self) -> NDArray[np.float64]:
+        """Centres (C, 2) of all cells, longitude and latitude [deg], rows as `points`."""
+        return self.plane.to_lonlat(self.centers(np.arange(len(self.points))))
+
     def centers(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """Centres (K, 2) of the cells in `rows` of `points`, east and north [m]."""
         row, column = np.divmod(self.points[rows], self.grid.columns)

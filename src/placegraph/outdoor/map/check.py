@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.city import City
 
 WIDEST = 60_000.0
 """Cities wider than this are distorted by their plane [m]."""
 
 
-def findings(city: CityMap) -> list[str]:
+def findings(city: City) -> list[str]:
     """Sentences about what is odd in a map that could be opened (so: sound in its bytes and columns)."""
     objects, found = city.objects, []
     span = np.ptp(objects.points, axis=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 POINT, LINE, AREA = 0, 1, 2
 """Kinds of geometry."""
+GRAIN = 0.5
+"""Coordinates are stored in these steps [m]."""
 
 
 @dataclass(frozen=True)
@@ -102,3 +104,21 @@ class CityObjects:
         """Lines or rings of object i, each (n, 2) east, north [m]."""
         bounds = self.point_starts[self.part_starts[i] : self.part_starts[i + 1] + 1]
         return [self.points[a:b] for a, b in itertools.pairwise(bounds)]
+
+
+class CityColumns(NamedTuple):
+    """Columns of `CityObjects` and of their tokens, for compiled code."""
+
+    kind: NDArray[np.uint8]
+    part_starts: NDArray[np.int32]
+    point_starts: NDArray[np.int32]
+    points: NDArray[np.float32]
+    center: NDArray[np.float32]
+    token_starts: NDArray[np.int32]
+    token_values: NDArray[np.int32]
+    token_weights: NDArray[np.float32]
+
+
+def of_name(name: str) -> str:
+    """The word that stands for a proper name."""
+    return "~" + " ".join(name.split()).casefold()

@@ -12,6 +12,9 @@ from placegraph.outdoor.network.batches_kernels import _agreement, _holds
 from placegraph.outdoor.network.relations_kernels import CHANNELS, place_relations, text_relations
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 
 
@@ -193,6 +196,31 @@ def agreements(
     )  # fmt: skip
 
 
+class Fits(NamedTuple):
+    """How well words of the map's vocabulary fit the nodes of N text nodes, as CSR."""
+
+    starts: Rows
+    """(N + 1,)"""
+    tokens: NDArray[np.int32]
+    weights: Floats
+
+
+def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> Fits:
+    """Words of the map that each text node may stand for, as relational matching reads them."""
+    starts, tokens, weights = [0], [], []
+    for q, query in enumerate(queries):
+        for mention in texts.mentions[texts.starts[q] : texts.starts[q + 1]]:
+            a, b = query.mentions.starts[mention - 2 : mention] if mention >= 2 else (0, 0)
+            tokens.append(query.mentions.tokens[a:b])
+            weights.append(query.mentions.weights[a:b])
+            starts.append(starts[-1] + int(b - a))
+    return Fits(
+        np.array(starts, np.int64),
+        np.concatenate([np.zeros(0, np.int32), *tokens]),
+        np.concatenate([np.zeros(0, np.float32), *weights]),
+    )
+
+
 class WordFits(NamedTuple):
     """How well words of a map fit N text nodes, as CSR, and how rare these are there."""
 
@@ -205,10 +233,9 @@ class WordFits(NamedTuple):
     """(N,) minus log share of the map's things that a node may be, / 10; 0 of the speaker."""
 
 
-def word_fits(
-    starts: Rows, tokens: NDArray[np.int32], weights: Floats, counts: Rows, total: int
-) -> WordFits:
+def word_fits(fits: Fits, counts: Rows, total: int) -> WordFits:
     """`WordFits` from how well words fit, and how many (counts (T,)) of the `total` things bear them."""
+    starts, tokens, weights = fits
     mass = np.concatenate(([0.0], np.cumsum(weights * counts[tokens])))
     share = (mass[starts[1:]] - mass[starts[:-1]]) / max(1, total)
     rarity = -np.log(np.clip(share, 1e-5, 1.0)) / 10.0

@@ -6,25 +6,28 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.network.batches import WordFits, word_fits
+from placegraph.outdoor.network.batches import WordFits, fits_of, word_fits
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-from placegraph.outdoor.network.pool import fits_of
+from placegraph.vectors import EmbeddedStore, Origin, Vectors, load_store
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
     from placegraph.outdoor.network.network import GraphTransformer, Matches
-    from placegraph.vectors import Origin, VectorStore
+    from placegraph.vectors import VectorStore
+    from placegraph.vectors.stores import Address
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedCity:
     """A city read by a network; everything is derived on first use."""
 
-    city: CityMap
+    city: City
     network: GraphTransformer
 
     @cached_property
@@ -45,19 +48,34 @@ class EncodedCity:
     @cached_property
     def origin(self) -> Origin:
         """What embeddings of this city by this network are told by from others."""
-        from placegraph.outdoor.network.embed import map_fingerprint
-        from placegraph.vectors import Origin
-
-        return Origin(map_fingerprint(self.city), self.network.fingerprint)
+        return Origin(self.city.fingerprint, self.network.fingerprint)
 
     @cached_property
     def store(self) -> VectorStore:
         """The embeddings, ready to be searched."""
-        from placegraph.outdoor.network.embed import cell_positions
-        from placegraph.vectors import EmbeddedStore
+        return EmbeddedStore.of_rows(self._rows(), origin=self.origin)
 
-        cells, origin = self.city.cells, self.origin
-        return EmbeddedStore.of(cells.points, self.embeddings, cell_positions(cells), origin=origin)
+    def keep(
+        self,
+        where: Address,
+        *,
+        name: str,
+        bits: int = 16,
+        resume: bool = False,
+        progress: Callable[[str, int, int], None] | None = None,
+        timeout: float = 10.0,
+    ) -> VectorStore:
+        """Embed the cells and keep the vectors in a store; arguments and errors as of `load_store`."""
+        if progress is not None:
+            progress("embedding", 0, len(self.city.cells))
+        return load_store(
+            where, self._rows(), name=name, origin=self.origin,
+            bits=bits, resume=resume, progress=progress, timeout=timeout,
+        )  # fmt: skip
+
+    def _rows(self) -> Vectors:
+        cells = self.city.cells
+        return Vectors.of(cells.points, self.embeddings, cells.lonlat)
 
     def text(self, query: Query) -> EncodedText:
         """A query as the network reads it."""
@@ -66,7 +84,7 @@ class EncodedCity:
         texts = TextGraphs.of([replace(query.description, statements=said)])
         fits = fits_of(texts, [query])
         counts, total = self.city.word_counts
-        return EncodedText(texts, word_fits(fits.starts, fits.tokens, fits.weights, counts, total))
+        return EncodedText(texts, word_fits(fits, counts, total))
 
     def match(self, text: EncodedText, places: PlaceGraphs, rows: NDArray[np.int64]) -> Matches:
         """Match a text with places of this city (Eq. 14-17)."""

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.map.raster import sightings
 from placegraph.outdoor.network.graphs_kernels import MOST_THINGS, REACH, _gather, _nearest_things
-from placegraph.outdoor.network.labels import of_name
 from placegraph.outdoor.network.relations_kernels import (
     ALONG,
     CHANNELS,
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.graph import SceneGraph
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description, Mention
+    from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.raster import Sightings
 
 
@@ -187,7 +187,7 @@ class PlaceGraphs:
         return len(self.starts) - 1
 
     @classmethod
-    def of_cells(cls, city: CityMap) -> PlaceGraphs:
+    def of_cells(cls, city: City) -> PlaceGraphs:
         """Graphs around all cells of a city, rows as `city.cells.points`.
 
         They reach beyond the cell's edge: who stands at it speaks of what lies beyond.
@@ -200,20 +200,20 @@ class PlaceGraphs:
         return cls.of_sightings(city, seen, rows)
 
     @classmethod
-    def of_views(cls, city: CityMap, rows: NDArray[np.int64]) -> PlaceGraphs:
+    def of_views(cls, city: City, rows: NDArray[np.int64]) -> PlaceGraphs:
         """Graphs around viewpoints `rows` (K,) of a city."""
         views = city.views
         return cls._gathered(city, views.starts, views.objects, views.offsets, rows)
 
     @classmethod
-    def of_sightings(cls, city: CityMap, seen: Sightings, rows: NDArray[np.int64]) -> PlaceGraphs:
+    def of_sightings(cls, city: City, seen: Sightings, rows: NDArray[np.int64]) -> PlaceGraphs:
         """Graphs around the points `rows` (K,) of what is seen there."""
         return cls._gathered(city, seen.starts, seen.objects, seen.offsets, rows)
 
     @classmethod
     def _gathered(
         cls,
-        city: CityMap,
+        city: City,
         starts: NDArray[np.int64],
         objects: NDArray[np.int32],
         offsets: NDArray[np.float32],

@@ -46,8 +46,3 @@ class Bags:
         """Vectors (W, d) of the words, from the table (BUCKETS, d)."""
         rows = table[self.buckets] * self.weights[:, None]
         return np.add.reduceat(rows, self.starts[:-1], axis=0) if len(rows) else rows[:0]
-
-
-def of_name(name: str) -> str:
-    """The word that stands for a proper name."""
-    return "~" + " ".join(name.split()).casefold()

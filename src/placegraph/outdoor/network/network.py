@@ -156,7 +156,7 @@ class GraphTransformer:
                 raise ValueError(f"{name} has shape {self.arrays[name].shape} instead of {wanted}")
 
     def word_vectors(self, words: tuple[str, ...]) -> Floats:
-        """Vectors (W, d) of labels, names (`labels.of_name`) and any other words."""
+        """Vectors (W, d) of labels, names (`of_name`) and any other words."""
         if not words:
             return np.zeros((0, self.shape.width), np.float32)
         return Bags.of(words, self.shape.subwords).vectors(self.arrays["table"])

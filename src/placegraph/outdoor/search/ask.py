@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.estimate import CityEstimate
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.vocabulary import Vocabulary
+    from placegraph.outdoor.map.city import City
 
 YES, NO, UNKNOWN = "yes", "no", "don't know"
 NONE = "none of these"
@@ -129,7 +129,7 @@ def _stated(description: Description, thing: Thing, text: str, *, negated: bool)
 
 
 def next_question(
-    estimate: CityEstimate, city: CityMap, vocabulary: Vocabulary | None = None
+    estimate: CityEstimate, city: City, vocabulary: Vocabulary | None = None
 ) -> Question | None:
     """Question with the largest expected information gain over the estimate's places, or None.
 
@@ -142,7 +142,7 @@ def next_question(
 
 
 def possible_questions(
-    estimate: CityEstimate, city: CityMap, vocabulary: Vocabulary | None = None
+    estimate: CityEstimate, city: City, vocabulary: Vocabulary | None = None
 ) -> list[Question]:
     """All questions about what is around the estimate's places that were not asked yet."""
     if vocabulary is None:
@@ -174,7 +174,7 @@ class _Around:
     """(K,)"""
 
     @classmethod
-    def of(cls, city: CityMap, positions: NDArray[np.float64]) -> _Around:
+    def of(cls, city: City, positions: NDArray[np.float64]) -> _Around:
         """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
         views, objects = city.views, city.objects
         nearest = [int(next(iter(views.near(p, STRIDE)), 0)) for p in positions]

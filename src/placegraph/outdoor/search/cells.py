@@ -18,8 +18,8 @@ from placegraph.outdoor.search.rerank import rerank
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.map.city import City
     from placegraph.outdoor.network.encoded import EncodedCity
     from placegraph.vectors import Region, VectorStore
 
@@ -47,7 +47,7 @@ class Ranking(NamedTuple):
 
 
 def retrieve(
-    city: CityMap,
+    city: City,
     description: Description,
     *,
     matcher: Matcher = "relational",
@@ -111,7 +111,7 @@ def is_count(value: object) -> bool:
 
 
 def check_sources(
-    city: CityMap,
+    city: City,
     *,
     store: VectorStore | None,
     region: Region | None,
@@ -142,18 +142,17 @@ def check_sources(
     refuse_other("The store", known, wanted)
 
 
-def _reads(encoded: object, city: CityMap) -> bool:
+def _reads(encoded: object, city: City) -> bool:
     """Whether it is this city, or the same one opened twice, as a network reads it."""
-    from placegraph.outdoor.network.embed import map_fingerprint
     from placegraph.outdoor.network.encoded import EncodedCity
 
     return isinstance(encoded, EncodedCity) and (
-        encoded.city is city or encoded.origin.map == map_fingerprint(city)
+        encoded.city is city or encoded.origin.map == city.fingerprint
     )
 
 
 def rank_cells(
-    city: CityMap,
+    city: City,
     query: Query,
     matcher: Matcher,
     n: int,
@@ -172,7 +171,7 @@ def rank_cells(
 
 
 def candidate_cells(
-    city: CityMap,
+    city: City,
     query: Query,
     n: int,
     by: By,
@@ -197,7 +196,7 @@ def candidate_cells(
 
 
 def dense_cells(
-    city: CityMap,
+    city: City,
     query: Query,
     n: int,
     encoded: EncodedCity,
@@ -212,9 +211,7 @@ def dense_cells(
     return np.searchsorted(city.cells.points, points)
 
 
-def within(
-    city: CityMap, positions: NDArray[np.float64], region: Region | None
-) -> NDArray[np.bool_]:
+def within(city: City, positions: NDArray[np.float64], region: Region | None) -> NDArray[np.bool_]:
     """Whether positions (K, 2) [m] lie in a region."""
     if region is None:
         return np.ones(len(positions), np.bool_)
@@ -225,12 +222,12 @@ def within(
     return across & (latitude >= region.south) & (latitude <= region.north)
 
 
-def _views_within(city: CityMap, region: Region | None) -> NDArray[np.bool_] | None:
+def _views_within(city: City, region: Region | None) -> NDArray[np.bool_] | None:
     positions = city.views.positions
     return None if region is None else within(city, positions.astype(np.float64), region)
 
 
-def _sparse_cells(city: CityMap, query: Query, n: int, region: Region | None) -> NDArray[np.int64]:
+def _sparse_cells(city: City, query: Query, n: int, region: Region | None) -> NDArray[np.int64]:
     """Rows of the cells that hold the viewpoints of largest bound."""
     if not any(not s.negated for s in query.used):
         return np.zeros(0, np.int64)
@@ -240,7 +237,7 @@ def _sparse_cells(city: CityMap, query: Query, n: int, region: Region | None) ->
 
 
 def views_of_candidates(
-    city: CityMap,
+    city: City,
     query: Query,
     n: int,
     by: By,
@@ -264,7 +261,7 @@ def views_of_candidates(
     return views
 
 
-def views_in(city: CityMap, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def views_in(city: City, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Viewpoints (V,) that lie in cells, ascending."""
     half = city.cells.size / 2
     around = [city.views.near(center, half) for center in city.cells.centers(rows)]
@@ -272,7 +269,7 @@ def views_in(city: CityMap, rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _scores(
-    city: CityMap,
+    city: City,
     query: Query,
     matcher: Matcher,
     rows: NDArray[np.int64],
@@ -298,7 +295,7 @@ def _scores(
 
 
 def _relational(
-    city: CityMap, query: Query, rows: NDArray[np.int64], encoded: EncodedCity | None
+    city: City, query: Query, rows: NDArray[np.int64], encoded: EncodedCity | None
 ) -> NDArray[np.float64]:
     """Log-likelihood ratio of the best viewpoint of each cell, shifted by the network."""
     scores = np.full(len(rows), -1e9)

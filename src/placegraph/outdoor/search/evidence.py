@@ -17,8 +17,8 @@ from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
 
 CERTAIN = 0.9
 """Prior that a mention means one thing: an explanation is one assignment."""
@@ -42,7 +42,7 @@ def wind(angle: float) -> str:
     return WINDS[round(angle / (np.pi / 4)) % 8]
 
 
-def evidence_at(position: NDArray[np.float64], city: CityMap, query: Query) -> tuple[Evidence, ...]:
+def evidence_at(position: NDArray[np.float64], city: City, query: Query) -> tuple[Evidence, ...]:
     """Evidence of every statement at a position (2,) [m]; unused statements come last."""
     unused = tuple(
         Evidence(said(s, query), "silent", 0.0, (), reason) for s, reason in query.unused
@@ -56,9 +56,9 @@ def evidence_at(position: NDArray[np.float64], city: CityMap, query: Query) -> t
     at = position[None]
     far = np.zeros((1, len(query.used)), np.float32)
     if query.far is not None:
-        far = scan.distant(query.statements, city.scene, query.far, at)
+        far = scan.distant(query.statements, city.columns, query.far, at)
     _, ratios, served = scan.look_again(
-        query.statements, city.scene, query.words(len(views.posting_starts) - 1),
+        query.statements, city.columns, query.words(len(views.posting_starts) - 1),
         at, nearby, far, CERTAIN, True,
     )  # fmt: skip
     found = [
@@ -73,7 +73,7 @@ def _evidence(
     ratio: float,
     rows: list[int],
     position: NDArray[np.float64],
-    city: CityMap,
+    city: City,
     query: Query,
 ) -> Evidence:
     verdict = "for" if ratio > TELLING else "against" if ratio < -TELLING else "silent"
@@ -96,7 +96,7 @@ def _evidence(
 
 
 def _from_afar(
-    statement: Statement, position: NDArray[np.float64], city: CityMap, query: Query
+    statement: Statement, position: NDArray[np.float64], city: City, query: Query
 ) -> list[int]:
     """The nearest rare thing out of sight that the statement may speak of."""
     far = query.far
@@ -113,7 +113,7 @@ def _from_afar(
 
 
 def _against(
-    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: City
 ) -> str:
     """What spoke against a statement, as people would say it."""
     if statement.negated:
@@ -125,9 +125,7 @@ def _against(
     return f"there it lies to the {wind(float(bearing(_delta(statement, rows, position, city))))}"
 
 
-def _off(
-    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
-) -> float:
+def _off(statement: Statement, rows: list[int], position: NDArray[np.float64], city: City) -> float:
     """Angle [rad] by which a direction is wrong; 0 where none was said, or where there is none."""
     delta = _delta(statement, rows, position, city)
     if statement.bearing is None or np.hypot(*delta) < 1.0:
@@ -136,7 +134,7 @@ def _off(
 
 
 def _delta(
-    statement: Statement, rows: list[int], position: NDArray[np.float64], city: CityMap
+    statement: Statement, rows: list[int], position: NDArray[np.float64], city: City
 ) -> NDArray[np.float64]:
     """Vector (2,) [m] from what served as the target to what served as the source."""
     stands = [_nearest(city, row, position) for row in rows]
@@ -145,7 +143,7 @@ def _delta(
     return stands[0] - stands[1]
 
 
-def _nearest(city: CityMap, row: int, position: NDArray[np.float64]) -> NDArray[np.float64]:
+def _nearest(city: City, row: int, position: NDArray[np.float64]) -> NDArray[np.float64]:
     o = city.objects
     east, north, _ = nearest_on_parts(
         o.part_starts,
@@ -159,7 +157,7 @@ def _nearest(city: CityMap, row: int, position: NDArray[np.float64]) -> NDArray[
     return np.array([east, north])
 
 
-def reference(row: int, city: CityMap) -> ObjectRef:
+def reference(row: int, city: City) -> ObjectRef:
     """What an estimate tells of a map object."""
     o = city.objects
     longitude, latitude = (float(x) for x in city.plane.to_lonlat(o.center[row]))

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.pool import HARD
 
 if TYPE_CHECKING:
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.network.encoded import EncodedCity
     from placegraph.outdoor.search.viewpoints import Candidates
+
+HARD = 24
+"""Viewpoints that relational matching finds best, which the network looks at."""
 
 
 def rerank(found: Candidates, query: Query, encoded: EncodedCity) -> Candidates:

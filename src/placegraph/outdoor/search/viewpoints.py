@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.likelihood.query import Far, Query
+    from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.index import ViewIndex
     from placegraph.outdoor.network.encoded import EncodedCity
 
@@ -115,7 +115,7 @@ class Candidates(NamedTuple):
 
 def search(
     query: Query,
-    city: CityMap,
+    city: City,
     prior: Prior,
     *,
     rows: NDArray[np.int64] | None = None,
@@ -137,7 +137,7 @@ def search(
     return closer(query, city, found, reach)
 
 
-def closer(query: Query, city: CityMap, found: Candidates, reach: float = 1.0) -> Posterior:
+def closer(query: Query, city: City, found: Candidates, reach: float = 1.0) -> Posterior:
     """Look more closely at the best of the scored viewpoints, and apply Bayes to all.
 
     The right one is among them with probability `reach`: together they weigh no more than that.
@@ -168,7 +168,7 @@ def _log_prior(views: ViewIndex, prior: Prior) -> NDArray[np.float64]:
 
 
 def touched(
-    query: Query, city: CityMap, most: int, within: NDArray[np.bool_] | None = None
+    query: Query, city: City, most: int, within: NDArray[np.bool_] | None = None
 ) -> NDArray[np.int32]:
     """Viewpoints (at most `most`) of largest bound on their likelihood, best first.
 
@@ -183,7 +183,7 @@ def touched(
 
 def candidates(
     query: Query,
-    city: CityMap,
+    city: City,
     prior: Prior,
     *,
     rows: NDArray[np.int64] | None = None,
@@ -210,7 +210,7 @@ def candidates(
         bounds = np.full(len(rows), scan.HIGHEST)
     far = np.zeros((len(chosen), len(statements.op)), np.float32)
     if query.far and only:
-        far = scan.distant(statements, city.scene, query.far, views.positions[chosen])
+        far = scan.distant(statements, city.columns, query.far, views.positions[chosen])
     elif query.far:
         chosen, bounds, far = _with_far(query, query.far, city, weights, chosen, bounds)
     if prior.inside is not None:
@@ -219,7 +219,7 @@ def candidates(
     relative = log_prior[chosen] - highest if prior.informative else np.zeros(len(chosen))
     scores = scan.score_views(
         statements,
-        city.scene,
+        city.columns,
         views.columns,
         words,
         chosen,
@@ -271,7 +271,7 @@ def _by_prior(views: ViewIndex, log_prior: NDArray[np.float64]) -> Posterior:
 def _with_far(
     query: Query,
     far: Far,
-    city: CityMap,
+    city: City,
     weights: NDArray[np.float64],
     chosen: NDArray[np.int32],
     bounds: NDArray[np.float64],
@@ -285,7 +285,7 @@ def _with_far(
         extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
         chosen = np.concatenate([chosen, extra])
         bounds = np.concatenate([bounds, weights[extra] if len(weights) else np.ones(len(extra))])
-    added = scan.distant(statements, city.scene, far, views.positions[chosen])
+    added = scan.distant(statements, city.columns, far, views.positions[chosen])
     gain = (1.0 - statements.noise) / (statements.noise * statements.background)
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(gain * added).sum(axis=1)
     order = np.argsort(-total, kind="stable")[:MOST_CANDIDATES]
@@ -294,7 +294,7 @@ def _with_far(
 
 def _closer(
     query: Query,
-    city: CityMap,
+    city: City,
     words: NDArray[np.float32],
     chosen: NDArray[np.int32],
     found: _Scored,
@@ -312,7 +312,7 @@ def _closer(
         at = found.positions[k] + FINE
         far = np.tile(found.far[k], (len(at), 1))
         scores, _, _ = scan.look_again(
-            query.statements, city.scene, words, at, nearby, far, TOGETHER, False
+            query.statements, city.columns, words, at, nearby, far, TOGETHER, False
         )
         parts.append(
             _Scored(at, scores, np.full(len(at), found.log_prior[k] - np.log(len(at))), far)

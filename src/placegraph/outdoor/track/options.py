@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.city import City
 
 
-def shares_near(city: CityMap, near: Sequence[float] | None, radius: float) -> Floats | None:
+def shares_near(city: City, near: Sequence[float] | None, radius: float) -> Floats | None:
     """Prior shares (W,) of the viewpoints; None where nothing is known."""
     if near is None:
         return None

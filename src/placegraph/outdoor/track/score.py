@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
 
 MOST_SCORED = 2500
 """At most this many viewpoints are scored."""
@@ -50,7 +50,7 @@ class Scores(NamedTuple):
     """(B, 9) ... and the ratios there."""
 
 
-def score(query: Query, city: CityMap, weights: Floats) -> Scores:
+def score(query: Query, city: City, weights: Floats) -> Scores:
     """Score what was said under a belief: `weights` (W,) of the viewpoints, any scale."""
     statements, views = query.statements, city.views
     relative = weights / max(float(weights.max()), 1e-300)
@@ -64,7 +64,7 @@ def score(query: Query, city: CityMap, weights: Floats) -> Scores:
     first = slice(MOST_SCORED)
     words = query.words(len(views.posting_starts) - 1)
     found = scan.score_views(
-        statements, city.scene, views.columns, words, chosen[first], bounds[first], prior[first],
+        statements, city.columns, views.columns, words, chosen[first], bounds[first], prior[first],
         far[first], TOGETHER, MARGIN,
     ).astype(np.float64)  # fmt: skip
     reached = np.flatnonzero(found > 0.5 * HOPELESS)
@@ -83,7 +83,7 @@ def score(query: Query, city: CityMap, weights: Floats) -> Scores:
 
 
 def _candidates(
-    query: Query, city: CityMap, relative: Floats
+    query: Query, city: City, relative: Floats
 ) -> tuple[NDArray[np.int32], Floats, NDArray[np.float32]]:
     """Viewpoints that matter (K,), the most promising first, their bounds, and what far things add."""
     statements, views = query.statements, city.views
@@ -106,7 +106,7 @@ def _candidates(
     bounds = np.concatenate([bounds, relative[extra]])
     heavy = np.argsort(-bounds, kind="stable")[:FAR_CANDIDATES]
     heavy = np.union1d(heavy, np.arange(len(chosen) - len(extra), len(chosen)))
-    added = scan.distant(statements, city.scene, query.far, views.positions[chosen[heavy]])
+    added = scan.distant(statements, city.columns, query.far, views.positions[chosen[heavy]])
     gain = (1.0 - statements.noise) / (statements.noise * statements.background)
     log_bounds = np.log(bounds)
     log_bounds[heavy] += np.log1p(gain * added).sum(axis=1)
@@ -120,7 +120,7 @@ def _candidates(
 
 def _closer(
     query: Query,
-    city: CityMap,
+    city: City,
     words: NDArray[np.float32],
     best: NDArray[np.int32],
     far: NDArray[np.float32],
@@ -133,6 +133,6 @@ def _closer(
         nearby = views.objects[views.starts[v] : views.starts[v + 1]]
         again = np.tile(far[k], (positions.shape[1], 1))
         ratios[k], _, _ = scan.look_again(
-            query.statements, city.scene, words, positions[k], nearby, again, TOGETHER, False
+            query.statements, city.columns, words, positions[k], nearby, again, TOGETHER, False
         )
     return positions, ratios

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     from placegraph.estimate import Evidence
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
 
 LIGHT = 1e-5
 """Cells lighter than this, against the heaviest, are no part of a mode."""
@@ -50,7 +50,7 @@ class Stop:
         return self.arrival if self.belief is None else self.belief
 
     def heard(
-        self, texts: tuple[str | Description, ...], query: Query, city: CityMap, grid: TrackGrid
+        self, texts: tuple[str | Description, ...], query: Query, city: City, grid: TrackGrid
     ) -> Stop:
         """Bayes: the belief on arrival times the likelihood of what was said."""
         arrival = self.arrival
@@ -120,7 +120,7 @@ class Memory:
     spread: Floats
     """... and its covariance (2, 2) [m^2]."""
 
-    def evidence(self, position: Floats, city: CityMap) -> tuple[Evidence, ...]:
+    def evidence(self, position: Floats, city: City) -> tuple[Evidence, ...]:
         """Evidence at the place that most likely led to a position (2,) [m]."""
         off = position - self.shift - self.positions
         loose = np.linalg.inv(self.spread + np.eye(2) * SPACING**2)
@@ -139,7 +139,7 @@ class Memory:
 
 
 def explained(
-    position: Floats, city: CityMap, query: Query | None, memory: tuple[Memory, ...]
+    position: Floats, city: City, query: Query | None, memory: tuple[Memory, ...]
 ) -> tuple[Evidence, ...]:
     """Evidence of what was said here, then of what was said before, the latest first."""
     here = evidence_at(position, city, query) if query is not None else ()

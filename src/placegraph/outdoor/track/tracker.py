@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.city import City
 
 MOST_STATEMENTS = 24
 """What was said at one place is read as one text up to so many statements."""
@@ -99,7 +99,7 @@ class CityTracker:
 
     def __init__(
         self,
-        city: CityMap,
+        city: City,
         *,
         near: Sequence[float] | None = None,
         radius: float = 1000.0,

@@ -7,7 +7,7 @@ import osmium
 import pytest
 
 from placegraph.errors import InputError
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.kitti.own_pairs import evaluate_folder
 from placegraph_lab.tables.outdoor.metrics import HIT
 from placegraph_lab.worlds.town.town import Town

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, take, tile
 from placegraph_lab.train.city.sample import held_out
 

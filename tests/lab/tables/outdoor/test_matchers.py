@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.shape import Shape

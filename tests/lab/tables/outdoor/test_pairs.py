@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.outdoor.pairs import Pairs, rate
 from placegraph_lab.tables.outdoor.queries import make_queries
 

@@ -101,6 +101,6 @@ def test_what_is_refused(town):
 
 @pytest.fixture(scope="module")
 def harbour(town, tmp_path_factory):
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
 
     return build_city(town, tmp_path_factory.mktemp("walks") / "town.city")

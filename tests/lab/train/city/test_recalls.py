@@ -48,7 +48,7 @@ def test_what_was_not_asked_is_not_found():
 def test_what_is_judged_are_the_best_of_relational_matching(harbour, pool, network):
     import torch
 
-    from placegraph.outdoor.network.pool import HARD
+    from placegraph.outdoor.search.rerank import HARD
     from placegraph_lab.train.city.torch_batches import Lessons
     from placegraph_lab.train.city.torch_network import Network
 

@@ -224,7 +224,7 @@ def test_a_drawn_batch_has_something_right_for_every_text(harbour, pool, rng):
 
 def test_right_places_stand_beside_wrong_ones_only_where_matching_likes_them(harbour, pool):
     """Wrong ones are chosen for being liked: right ones that are not would teach to contradict."""
-    from placegraph.outdoor.network.pool import HARD
+    from placegraph.outdoor.search.rerank import HARD
     from placegraph_lab.train.city.torch_batches import Lessons
 
     right = Lessons(harbour, pool).right

@@ -119,8 +119,7 @@ def evaluate_folder(
 
 
 def _map(folder: Path, steps: Progress) -> CityMap:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import CityMap, build_city
 
     maps = sorted(folder.glob("*.city"))
     if len(maps) > 1:

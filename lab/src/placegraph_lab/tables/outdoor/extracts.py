@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.map.build import build_city
+from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.queries import JITTER, make_queries
 from placegraph_lab.train.city.sample import evaluated
 

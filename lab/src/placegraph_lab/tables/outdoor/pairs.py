@@ -108,7 +108,7 @@ class Pairs:
 
     def by_relations(self) -> Callable[[], int]:
         """Relational matching of all pairs in full, texts compiled anew."""
-        city, columns, scene = self.city, self.city.views.columns, self.city.scene
+        city, columns, scene = self.city, self.city.views.columns, self.city.columns
         tokens = len(city.views.posting_starts) - 1
 
         def work() -> int:
@@ -193,11 +193,10 @@ class Pairs:
 
     def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
         """Graphs of all texts and all cells, and how well the map's words fit the texts'."""
-        from placegraph.outdoor.network.batches import word_fits
+        from placegraph.outdoor.network.batches import fits_of, word_fits
         from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-        from placegraph.outdoor.network.pool import fits_of
 
         texts = TextGraphs.of(self.descriptions)
         fits = fits_of(texts, [compile_query(d, self.city) for d in self.descriptions])
-        words = word_fits(fits.starts, fits.tokens, fits.weights, *self.city.word_counts)
+        words = word_fits(fits, *self.city.word_counts)
         return texts, PlaceGraphs.of_cells(self.city), words

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from placegraph.errors import InputError
+from placegraph.outdoor.network.batches import Fits
 from placegraph.outdoor.network.graphs import TextGraphs
-from placegraph.outdoor.network.pool import Fits, Pool
 from placegraph.store import pack_strings, read_map, write_map
+from placegraph_lab.train.city.pool import Pool
 from placegraph_lab.train.training import planned
 
 if TYPE_CHECKING:

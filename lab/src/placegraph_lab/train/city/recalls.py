@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import torch
 
-from placegraph.outdoor.network.pool import HARD
+from placegraph.outdoor.search.rerank import HARD
 from placegraph_lab.train.city.objective import NEVER
 from placegraph_lab.train.city.torch_batches import forward
 

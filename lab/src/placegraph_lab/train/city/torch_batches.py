@@ -23,8 +23,9 @@ from placegraph.outdoor.network.batches import (
 )
 from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.labels import Bags
-from placegraph.outdoor.network.pool import AT, HARD, NEARBY, Pool
+from placegraph.outdoor.search.rerank import HARD
 from placegraph_lab.train.city.objective import Scores, Truth
+from placegraph_lab.train.city.pool import AT, NEARBY, Pool
 from placegraph_lab.train.city.torch_network import Graphs, Pairs
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class Lessons:
         places = PlaceGraphs.of_views(city, views)
         every = np.arange(len(places))
         fits = pool.fits
-        words = word_fits(fits.starts, fits.tokens, fits.weights, *city.word_counts)
+        words = word_fits(fits, *city.word_counts)
         off = np.abs(city.views.positions[views][None] - pool.positions[rows][:, None]).max(2)
         return Batch(
             text_batch(pool.texts, rows),

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.network.pool import fill
 from placegraph.outdoor.network.shape import Shape
 from placegraph.outdoor.network.weights import Weights, trained, write_weights
+from placegraph_lab.train.city.pool import fill
 from placegraph_lab.train.city.sample import Speaker
 from placegraph_lab.train.training import add_row, device_named, rows_of, torch_or_what_installs_it
 
@@ -176,11 +176,10 @@ class School:
         ]
 
     def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
-        from placegraph.outdoor.network.embed import map_fingerprint
         from placegraph_lab.train.city.torch_batches import Lessons
 
         city, seed = self.cities[name], self.options.seed
-        file = f"{file}-{seed}-{n}-{map_fingerprint(city)[:8]}"
+        file = f"{file}-{seed}-{n}-{city.fingerprint[:8]}"
         pool = self.store.read(file)
         if pool is None:
             rng = np.random.default_rng([seed, epoch, *name.encode()])

@@ -7,37 +7,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.outdoor.likelihood.query import Query, compile_query
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.network.batches import Fits, fits_of
 from placegraph.outdoor.network.graphs import TextGraphs
+from placegraph.outdoor.search.rerank import HARD
 from placegraph.outdoor.search.viewpoints import Prior, candidates
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from numpy.random import Generator
     from numpy.typing import NDArray
 
     from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.likelihood.query import Query
     from placegraph_lab.train.city.sample import Speaker
 
-HARD = 24
-"""Viewpoints of an example that relational matching finds best."""
 OTHERS = 4
-"""... this many."""
+"""Viewpoints from anywhere beside the `HARD` that relational matching finds best."""
 AT = 25.0
 """A viewpoint is right where the speaker stands in the square of twice this edge around it [m]."""
 NEARBY = 60.0
 """Viewpoints nearer than this and not right are neither right nor wrong [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fits:
-    """How well words of the map's vocabulary fit the nodes of N text nodes, as CSR."""
-
-    starts: NDArray[np.int64]
-    """(N + 1,)"""
-    tokens: NDArray[np.int32]
-    weights: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,22 +80,6 @@ def fill(speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = la
         np.array(views, np.int64),
         np.array(scores, np.float32),
         np.array(right, np.int8),
-    )
-
-
-def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> Fits:
-    """Words of the map that each text node may stand for, as relational matching reads them."""
-    starts, tokens, weights = [0], [], []
-    for q, query in enumerate(queries):
-        for mention in texts.mentions[texts.starts[q] : texts.starts[q + 1]]:
-            a, b = query.mentions.starts[mention - 2 : mention] if mention >= 2 else (0, 0)
-            tokens.append(query.mentions.tokens[a:b])
-            weights.append(query.mentions.weights[a:b])
-            starts.append(starts[-1] + int(b - a))
-    return Fits(
-        np.array(starts, np.int64),
-        np.concatenate([np.zeros(0, np.int32), *tokens]),
-        np.concatenate([np.zeros(0, np.float32), *weights]),
     )
 
 

@@ -1,22 +1,20 @@
-"""From an OpenStreetMap extract to a city map (Eq. 1-8): read, label, simplify, sort, store."""
+"""From an OpenStreetMap extract to the objects of a city (Eq. 1-2): read, label, simplify, sort."""
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import compress
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import InputError, OptionError
+from placegraph.errors import InputError
 from placegraph.formats.place.osm import LINE, LeftOut, OsmElement, read_osm
 from placegraph.geometry import LocalPlane
-from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.map.objects import CityObjects
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.map.objects import GRAIN, CityObjects
 from placegraph.outdoor.map.simplify import centers, simplify
 
 if TYPE_CHECKING:
@@ -25,15 +23,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.language.vocabulary import Vocabulary
-
 Progress = Callable[[str, int], None]
 """Called with the step's name and how many elements are done."""
 
 TOLERANCE = 0.75
 """Outlines and lines are simplified to this error [m]: directions between things do not feel it."""
-GRAIN = 0.5
-"""Coordinates are stored in these steps [m]."""
 LONGEST = 50_000.0
 """Things longer than this, and longer than the city, are left out [m]: meridians, sea lanes."""
 UNKNOWN = "name=*"
@@ -55,82 +49,35 @@ class _Columns:
     parts: list[list[NDArray[np.float64]]]
 
 
-def build_city(
-    osm_path: str | PathLike[str],
-    out_path: str | PathLike[str],
-    *,
-    cell_size: float = 50.0,
-    stride: float | None = None,
-    edge_distance: float | None = None,
+def read_extract(
+    path: str | PathLike[str],
     vocabulary: Vocabulary | None = None,
     progress: Progress | None = None,
-) -> CityMap:
-    """Build a city map from an OpenStreetMap extract and write it to `out_path`.
-
-    Parameters
-    ----------
-    osm_path
-        `.osm.pbf`, `.osm`, `.osm.gz` or `.osm.bz2`.
-    out_path
-        Map file to write (atomically; an old one is replaced only by a whole new one).
-    cell_size
-        Edge of a cell [m].
-    stride
-        Distance of neighbouring cells' centres [m]; the cell size where not given.
-    edge_distance
-        Objects of a cell nearer than this are joined by an edge [m]; the cell size where not given.
-    vocabulary
-        Which tags are worth naming; the shipped one where not given.
-    progress
-        Is told how far the build is.
+) -> tuple[LocalPlane, CityObjects, dict[str, int]]:
+    """Objects of an extract in a plane of their own, and what had to be left out, by reason.
 
     Raises
     ------
     InputError
         The file cannot be read, or holds nothing worth naming.
-    OptionError
-        A size is not positive.
-    MapLockedError
-        Somebody else is writing the same map.
 
     """
-    if os.path.realpath(osm_path) == os.path.realpath(out_path):
-        raise OptionError(f"{osm_path} would be overwritten by its map; name another file.")
-    stride = cell_size if stride is None else stride
-    edge_distance = cell_size if edge_distance is None else edge_distance
-    for name, value in (
-        ("cell_size", cell_size),
-        ("stride", stride),
-        ("edge_distance", edge_distance),
-    ):
-        if not 1.0 <= value <= 10_000.0:
-            raise OptionError(f"{name} is {value} m; choose between 1 and 10,000 m.")
-    if vocabulary is None:
-        from placegraph.outdoor.language.vocabulary import Vocabulary as Shipped
-
-        vocabulary = Shipped.default()
-    left_out = LeftOut()
-    elements = read_osm(osm_path, {*vocabulary.keys, "name"}, left_out)
+    vocabulary, left_out = vocabulary or Vocabulary.default(), LeftOut()
+    elements = read_osm(path, keys_read(vocabulary), left_out)
     columns = _label(elements, vocabulary, progress or (lambda _step, _n: None))
     if columns.elements:
         columns = _without_longest(columns, left_out)
     if not columns.elements:
         raise InputError(
-            f"{osm_path} holds nothing worth naming (roads, buildings, shops ...); left out: "
+            f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
             f"{left_out}. Choose a larger extract, or extend the vocabulary."
         )
-    plane, objects = _objects(columns)
-    city = CityMap.create(
-        plane,
-        objects,
-        cell_size=cell_size,
-        stride=stride,
-        edge_distance=edge_distance,
-        source=Path(osm_path).name,
-        left_out=dict(sorted(left_out.counts.items())),
-    )
-    city.save(out_path)
-    return city
+    return *_objects(columns), dict(sorted(left_out.counts.items()))
+
+
+def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
+    """Keys of the elements that a city is made of, by the shipped vocabulary where none is given."""
+    return frozenset((*(vocabulary or Vocabulary.default()).keys, "name"))
 
 
 def _label(elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Progress) -> _Columns:
