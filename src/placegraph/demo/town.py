@@ -30,7 +30,7 @@ ON_THE_WAY = (
 
 def lost_in_a_town(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
     """Build the town and locate what was said in it; return the commands that do the same."""
-    from placegraph.outdoor.map.build import build_city
+    from placegraph.outdoor.city import build_city
     from placegraph.view import draw_city, write_page, write_picture
 
     osm, file = world / f"{TOWN}.osm", out / f"{TOWN}.city"
