@@ -133,13 +133,13 @@ class SceneMap(Scene):
 
         Parameters, result and errors: `placegraph.indoor.mapping.change.diff.diff`, and of a
         capture, whose poses (T, 4, 4) are what `localize` said of it,
-        `placegraph.indoor.mapping.change.capture.diff_capture`.
+        `placegraph.indoor.mapping.change.capture.diff.diff_capture`.
         """
         if isinstance(later, Scene):
             from placegraph.indoor.mapping.change.diff import diff
 
             return diff(self, later, options=options)
-        from placegraph.indoor.mapping.change.capture import diff_capture
+        from placegraph.indoor.mapping.change.capture.diff import diff_capture
 
         if poses is None:
             raise OptionError("poses: a capture needs them; give what scene.localize said of it.")

@@ -8,8 +8,8 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.grid import GRID, cells, checked, looked_up, majority
+from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.encode.words import DIMENSION, digest, vector
-from placegraph.indoor.mapping.segment.segmenter import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

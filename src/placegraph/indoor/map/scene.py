@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.rays import RayCaster
 
 T = TypeVar("T")
+S = TypeVar("S", bound="Scene")
+"""A scene, or the map that it is."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

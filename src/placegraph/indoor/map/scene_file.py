@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
-from placegraph.indoor.map.scene import Scene, from_8_bits, in_8_bits
+from placegraph.indoor.map.scene import S, Scene, from_8_bits, in_8_bits
 from placegraph.store import pack_strings, read_header, read_map, write_map
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 KIND = "scene"
 VERSION = 2
-S = TypeVar("S", bound=Scene)
 
 PARTS = {
     "surface": ("vertices", "triangles", "object_of", "texture_of"),

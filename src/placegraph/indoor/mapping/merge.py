@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,11 +17,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.map.scene import S, Scene
+
 GAP = 2.0
 """Free space between the boxes of neighbouring scenes [m]."""
-
-
-S = TypeVar("S", bound=Scene)
 
 
 def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None = None) -> S:

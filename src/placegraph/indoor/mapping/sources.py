@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.capture.labels import Entry
+    from placegraph.indoor.encode.segmenter import Segmenter
     from placegraph.indoor.mapping.atlas import ColourOf
     from placegraph.indoor.mapping.segment import Segments
-    from placegraph.indoor.mapping.segment.segmenter import Segmenter
 
 Progress = Callable[[str, int, int], None]
 """Is told a stage, how much of it is done, and of how much."""
@@ -51,7 +51,7 @@ class FromCapture:
     reach: float = 7.5
     """Greatest depth that is used [m]."""
     segmenter: Segmenter | None = None
-    """Labels images that bring no labels; see `placegraph.indoor.mapping.segment.segmenter`."""
+    """Labels images that bring no labels; see `placegraph.indoor.encode.segmenter`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +238,7 @@ def captured(
             raise
         raise InputError(f"{path}: {error}") from error
     if how.segmenter is not None:
-        from placegraph.indoor.mapping.segment.segmenter import labelled
+        from placegraph.indoor.encode.segmenter import labelled
 
         capture = labelled(capture, how.segmenter)
     found = segment(

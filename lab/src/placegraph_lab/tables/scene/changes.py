@@ -16,8 +16,8 @@ import numpy as np
 from placegraph.estimate import Status
 from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.capture.tum import read_tum
+from placegraph.indoor.mapping.change.capture.looks import look
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
-from placegraph.indoor.mapping.change.looks import look
 from placegraph.indoor.mapping.change.register import moved
 from placegraph_lab.tables.indoor.metrics import rotation_error
 from placegraph_lab.tables.tables import markdown, number, share

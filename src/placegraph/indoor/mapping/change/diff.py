@@ -15,7 +15,7 @@ import numpy as np
 
 from placegraph.indoor.map.structure import same_label
 from placegraph.indoor.mapping.change.align import align
-from placegraph.indoor.mapping.change.capture import diff_capture
+from placegraph.indoor.mapping.change.capture.diff import diff_capture
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.objects import (
     Body,
@@ -83,16 +83,8 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     for i, j in list(pairs.items()):
         changes += _stirred(ours[i], theirs[j], on_b.share_on[i, j], options)
     taken = set(pairs.values())
-    lost = [
-        i
-        for i in range(len(ours))
-        if i not in pairs and not _cut_otherwise(ours[i], on_b.share_on[i], theirs, taken)
-    ]
-    new = [
-        j
-        for j in range(len(theirs))
-        if j not in taken and not _cut_otherwise(theirs[j], on_a.share_on[j], ours, set(pairs))
-    ]
+    lost = _without(ours, on_b.share_on, theirs, set(pairs), taken)
+    new = _without(theirs, on_a.share_on, ours, taken, set(pairs))
     found = _moves(ours, theirs, lost, new, known, options)
     changes += [_moved(ours[i], theirs[j], motion) for (i, j), motion in found.items()]
     kept = {i: j for i, j in known.items() if i not in pairs and still_there(ours[i], theirs[j])}
@@ -132,6 +124,21 @@ def _stayed(
         if i not in pairs and j not in pairs.values():
             pairs[i] = j
     return pairs
+
+
+def _without(
+    some: Sequence[Body],
+    share_on: Floats,
+    others: Sequence[Body],
+    paired: set[int],
+    taken: set[int],
+) -> list[int]:
+    """Rows of bodies that have no pair, and are not there in the other map cut otherwise."""
+    return [
+        i
+        for i, body in enumerate(some)
+        if i not in paired and not _cut_otherwise(body, share_on[i], others, taken)
+    ]
 
 
 def _cut_otherwise(body: Body, shares: Floats, others: Sequence[Body], taken: set[int]) -> bool:

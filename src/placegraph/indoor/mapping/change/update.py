@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from placegraph.errors import MapError, OptionError
-from placegraph.graph import SceneGraph
-from placegraph.indoor.map import textures
-from placegraph.indoor.map.mesh import WHITE, Mesh
-from placegraph.indoor.map.mesh_order import ordered
-from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
-from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import S, Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
-from placegraph.indoor.mapping.change.carry import lasting, rooms_now
 from placegraph.indoor.mapping.change.changes import KINDS
-from placegraph.indoor.mapping.change.register import moved
+from placegraph.indoor.mapping.change.edit import Edit
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection
     from os import PathLike
 
-    from numpy.typing import NDArray
+    from placegraph.indoor.mapping.change.changes import Change, SceneDiff
 
-    from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
-
-S = TypeVar("S", bound=Scene)
 
 LEAST = 0.5
 """Findings less sure than this are not taken over, unless that is asked for."""
@@ -78,10 +66,10 @@ def update(
             f"diff: {strange[0]!r} is no object of {scene.source or 'the map'}; it was made from "
             f"{diff.before or 'another map'}."
         )
-    things = _Things(scene)
+    edit = Edit(scene)
     for change in chosen:
-        things.take(change, rows.get(change.id, -1), when)
-    return things.scene()
+        edit.take(change, rows.get(change.id, -1), when)
+    return edit.scene()
 
 
 def update_file(
@@ -145,206 +133,3 @@ def _chosen(diff: SceneDiff, take: Collection[str], least: float) -> list[Change
         for c in diff
         if (c.kind in wanted and c.confidence >= least) or {c.id, c.other} & (wanted - {""})
     ]
-
-
-class _Things(Generic[S]):
-    """Columns of a map, while it changes."""
-
-    def __init__(self, scene: S) -> None:
-        self._before = scene
-        graph, count = scene.graph, len(scene)
-        self._ids, self._labels, self._names = (
-            list(graph.ids),
-            list(graph.labels),
-            list(graph.names),
-        )
-        self._attributes = [dict(a) for a in scene.attributes]
-        self._kept = np.ones(count, np.bool_)
-        self._stirred: set[int] = set()
-        self._motions: dict[int, NDArray[np.float64]] = {}
-        self._pieces: list[tuple[int, Piece]] = []
-
-    def take(self, change: Change, row: int, when: str) -> None:
-        """Take one change over; `row`: of its object, -1 of what appeared."""
-        said = f"{when}: " if when else ""
-        if change.kind == "moved" and change.after_from_before is not None:
-            self._motions[row] = change.after_from_before
-            self._tell(
-                row, f"{said}moved by {change.shift_m:.2f} m and {change.turn_deg:.0f} degrees"
-            )
-        elif change.kind == "vanished":
-            self._kept[row] = False
-            thing = change.name or change.id
-            for base in self._bases(row):
-                self._tell(base, f"{said}{change.label} {thing!r} vanished from it")
-        elif change.kind == "appeared" and change.piece is not None:
-            row = len(self._ids)
-            self._ids.append(self._free_id(change.other))
-            self._labels.append(change.label)
-            self._names.append(change.name)
-            self._attributes.append({})
-            self._pieces.append((row, change.piece))
-            self._tell(row, f"{said}appeared")
-        if change.new_label and row >= 0 and change.kind in {"moved", "relabelled"}:
-            self._tell(row, f"{said}was labelled {self._labels[row]!r}")
-            self._labels[row] = change.new_label
-        self._stirred.add(row)
-
-    def scene(self) -> S:
-        """The new map."""
-        kept = np.concatenate([self._kept, np.ones(len(self._pieces), np.bool_)])
-        rows = np.flatnonzero(kept)
-        if not rows.size:
-            raise OptionError("diff: no object would be left; take over less of it.")
-        place = np.cumsum(kept) - 1
-        mesh, encoded = self._mesh()
-        mesh = replace(mesh, object_of=place[mesh.object_of].astype(np.int32))
-        mesh = ordered(mesh.snapped())
-        boxes = mesh.object_bounds(len(rows))
-        labels = [self._labels[i] for i in rows]
-        attributes = [self._attributes[i] for i in rows]
-        room_of = None
-        if len(self._before.scenes) == 1:  # of merged scenes rooms stay as they were
-            stirred = np.isin(rows, list(self._stirred))
-            floor = float(self._before.floors[0])
-            room_of, attributes = rooms_now(mesh, labels, floor, attributes, stirred)
-        edges = self._edges(relate(mesh, labels, room_of), rows, place)
-        graph = SceneGraph(
-            ids=tuple(self._ids[i] for i in rows),
-            labels=tuple(labels),
-            names=tuple(self._names[i] for i in rows),
-            positions=boxes.mean(axis=1),
-            extents=boxes[:, 1] - boxes[:, 0],
-            embeddings=self._embeddings(rows),
-            sources=np.array([s for s, _, _ in edges], np.int64),
-            relations=tuple(r for _, r, _ in edges),
-            targets=np.array([t for _, _, t in edges], np.int64),
-        )
-        return replace(
-            self._before,
-            graph=graph,
-            mesh=mesh,
-            attributes=tuple(attributes),
-            scene_of=self._scene_of(rows, graph.positions),
-            encoded=encoded,
-        )
-
-    def _scene_of(
-        self, rows: NDArray[np.int64], positions: NDArray[np.float64]
-    ) -> NDArray[np.int32]:
-        """Merged scene of each object; of what appeared, that in whose bounds it lies."""
-        before = self._before
-        found = [
-            before.scene_of[row] if row < len(before) else before.scene_at(at[:2])
-            for row, at in zip(rows.tolist(), positions, strict=True)
-        ]
-        return np.array(found, np.int32)
-
-    def _tell(self, row: int, what: str) -> None:
-        told = self._attributes[row].get("history")
-        self._attributes[row]["history"] = f"{told}; {what}" if told else what
-
-    def _bases(self, row: int) -> list[int]:
-        """Rows of what an object stands on or hangs at."""
-        graph = self._before.graph
-        edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
-        return [t for s, r, t in edges if s == row and r in {STANDING_ON, ATTACHED_TO}]
-
-    def _free_id(self, wanted: str) -> str:
-        taken, number = set(self._ids), 1
-        if wanted and wanted not in taken:
-            return wanted
-        while f"new-{number}" in taken:
-            number += 1
-        return f"new-{number}"
-
-    def _mesh(self) -> tuple[Mesh, tuple[bytes, ...]]:
-        """What stays, where it is now, and what appeared; object rows as before. And its textures."""
-        old = self._before.mesh
-        keep = self._kept[old.object_of]
-        triangles, owner = old.triangles[keep].astype(np.int64), old.object_of[keep]
-        # vertices may be shared by objects: each thing that moves takes its own ones along
-        which, points = [np.arange(len(old.vertices))], [old.vertices.astype(np.float64)]
-        count = len(old.vertices)
-        for row, motion in self._motions.items():
-            own = owner == row
-            used, at = np.unique(triangles[own], return_inverse=True)
-            triangles[own] = count + at.reshape(-1, 3)
-            which.append(used)
-            points.append(moved(motion, points[0][used]))
-            count += len(used)
-        source = np.concatenate(which)
-        columns: dict[str, list[NDArray[Any]]] = {
-            "vertices": points,
-            "colours": [old.colours[source]],
-            "uv": [old.uv[source]],
-            "triangles": [triangles],
-            "object_of": [owner],
-            "texture_of": [old.texture_of[keep]],
-        }
-        for row, piece in self._pieces:
-            columns["vertices"].append(piece.vertices)
-            columns["colours"].append(piece.colours)
-            columns["uv"].append(np.zeros((len(piece.vertices), 2), np.float32))
-            columns["triangles"].append(piece.triangles + count)
-            columns["object_of"].append(np.full(len(piece.triangles), row))
-            columns["texture_of"].append(np.full(len(piece.triangles), len(old.textures)))
-            count += len(piece.vertices)
-        made = {name: np.concatenate(parts) for name, parts in columns.items()}
-        used, texture_of = np.unique(made["texture_of"], return_inverse=True)
-        pictures = (*old.textures, WHITE)
-        blobs = self._before.encoded
-        if self._pieces:
-            blobs = (*blobs, *textures.encode_arrays([WHITE]))
-        mesh = Mesh(
-            vertices=made["vertices"].astype(np.float32),
-            triangles=made["triangles"].astype(np.int32),
-            object_of=made["object_of"].astype(np.int32),
-            colours=made["colours"],
-            uv=made["uv"].astype(np.float32),
-            texture_of=texture_of.astype(np.int32),
-            textures=tuple(pictures[i] for i in used),
-        )
-        return mesh, tuple(blobs[i] for i in used)
-
-    def _edges(
-        self,
-        found: Sequence[tuple[int, str, int]],
-        rows: NDArray[np.int64],
-        place: NDArray[np.int64],
-    ) -> list[tuple[int, str, int]]:
-        """Relations between what stayed, and those that last, as they were; others as `found` now."""
-        graph = self._before.graph
-        stirred = np.isin(rows, list(self._stirred))
-        before = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
-        edges = [
-            (int(place[s]), relation, int(place[t]))
-            for s, relation, t in before
-            if self._kept[s] and self._kept[t]
-            if lasting(relation) or not {s, t} & self._stirred
-            if relation != SAME_ROOM or len(self._before.scenes) > 1
-        ]
-        known = {(s, t) for s, relation, t in edges if not lasting(relation)}
-        edges += [
-            (s, relation, t)
-            for s, relation, t in found
-            if relation == SAME_ROOM
-            or ((stirred[s] or stirred[t] or self._loose(int(rows[s]))) and (s, t) not in known)
-        ]
-        return sorted(edges)
-
-    def _loose(self, row: int) -> bool:
-        """Whether an object stood on, or hung at, what is gone from there now."""
-        return row < len(self._kept) and any(base in self._stirred for base in self._bases(row))
-
-    def _embeddings(self, rows: NDArray[np.int64]) -> NDArray[np.float32] | None:
-        """Vectors of the objects; zeros of what appeared and of what has another label now."""
-        before = self._before.graph.embeddings
-        if before is None:
-            return None
-        out = np.zeros((len(rows), before.shape[1]), np.float32)
-        labels = self._before.graph.labels
-        for i, row in enumerate(rows.tolist()):
-            if row < len(before) and labels[row] == self._labels[row]:
-                out[i] = before[row]
-        return out

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.check import Found
+    from placegraph.indoor.mapping.check.finding import Found
 
 _DOUBLES = 0.01
 """Share of triangles that lie on another."""

@@ -1,4 +1,4 @@
-"""Checks of a scene map's space: units, up axis, floor, places where a camera can be, holes."""
+"""Checks of a scene map's space: units, up axis, floor."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors
-from placegraph.indoor.map.panoramas import DIRECTIONS
-from placegraph.indoor.options import FilterOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.check import Found, Severity
+    from placegraph.indoor.mapping.check.finding import Found, Severity
 
 HEIGHTS = {
     "chair": 0.9, "armchair": 0.9, "table": 0.74, "desk": 0.75, "sofa": 0.85, "couch": 0.85,
@@ -42,19 +40,11 @@ _TILTED, _VERY_TILTED = 1.0, 4.0
 """The floor's slope that is told, and the one that spoils poses [deg]: gravity is taken for known."""
 _OFF = 0.1
 """How far the floor may lie from a level surface [m]."""
-_PLACES = 24
-"""Places from which holes are looked for."""
-_SKY, _OPEN = 0.03, 0.3
-"""Share of the rays from inside that leave the map: told, and much."""
-_LEVEL_RAY = 0.2
-"""Rays that rise or fall more steeply than this may pass over low walls, and under none."""
-_BACK = 0.3
-"""Share of the rays from inside that meet the back of a triangle."""
 
 
 def units(scene: Scene) -> Iterator[Found]:
     """Is it in metres? By the height of rooms, and of things whose label is known."""
-    rooms = _height(scene)
+    rooms = height_of_rooms(scene)
     known = _known_ratio(scene)
     guess = known if known is not None else rooms / _USUAL
     off = (known is not None and not 0.5 < known < 2.0) or not _LOW < rooms < _HIGH
@@ -167,92 +157,7 @@ def floors(scene: Scene) -> Iterator[Found]:
             )
 
 
-def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
-    """Is there a place for a camera, and is the map closed around it? Are its normals flipped."""
-    from placegraph.indoor.likelihood.visibility import visibility
-
-    options = options or FilterOptions()
-    table = visibility(scene, options)
-    said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
-    over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
-    if not len(table) or over:
-        rooms = _height(scene)
-        yield (
-            "error",
-            (
-                f"At camera heights of {said} m above the floor ({scene.floors[0]:.2f} m) no place is "
-                "free: no particle can start, and nothing is localized."
-            ),
-            [],
-            (
-                "--floor H, if the floor lies elsewhere; --scale N, if the map is in another unit; or "
-                f"`scene localize --height {max(0.3, min(0.6 * rooms, 1.0)):.1f}`."
-            ),
-        )
-        return
-    chosen = np.linspace(0, len(table) - 1, min(_PLACES, len(table))).round().astype(int)
-    origins = np.repeat(table.positions[chosen], len(DIRECTIONS) * 2, axis=0)
-    rays = np.concatenate([DIRECTIONS, _steep()])
-    hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
-    missed = (hits.triangle < 0).reshape(len(chosen), -1)
-    yield from _holes(missed, rays)
-    yield from _inside_out(scene, hits.triangle, np.tile(rays, (len(chosen), 1)))
-
-
-def _holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Found]:
-    share = float(missed.mean())
-    if share <= _SKY:
-        return
-    up, down = rays[:, 2] > _LEVEL_RAY, rays[:, 2] < -_LEVEL_RAY
-    parts = {"above": up, "below": down, "around": ~(up | down)}
-    shares = {where: float(missed[:, which].mean()) for where, which in parts.items()}
-    listed = ", ".join(f"{s:.0%} {where}" for where, s in shares.items() if s > _SKY)
-    only_up = shares["above"] > _SKY and shares["below"] <= _SKY and shares["around"] <= _SKY
-    yield (
-        "note" if only_up or share < _OPEN else "warning",
-        f"From inside, {share:.0%} of all rays leave the map ({listed}): "
-        + ("it has no ceiling." if only_up else "walls or floors have holes, or are missing."),
-        [],
-        (
-            "Nothing can be compared there. Keep ceiling and walls when the file is exported, or scan "
-            "what is missing."
-        ),
-    )
-
-
-def _inside_out(
-    scene: Scene, triangle: NDArray[np.int32], rays: NDArray[np.float32]
-) -> Iterator[Found]:
-    hit = triangle >= 0
-    rows = triangle[hit]
-    back = np.einsum("nk,nk->n", scene.normals[rows], rays[hit]) > 0.05
-    share = float(back.mean()) if len(back) else 0.0
-    if share <= _BACK:
-        return
-    own = scene.mesh.object_of[rows]
-    seen = np.bincount(own, minlength=len(scene))
-    turned = np.bincount(own, back, len(scene))
-    worst = np.argsort(-turned)[: int((turned > 0.5 * np.maximum(seen, 1)).sum())]
-    yield (
-        "note",
-        f"{share:.0%} of what one sees from inside are backs of triangles: normals are flipped.",
-        [scene.graph.ids[i] for i in worst.tolist() if turned[i] > 0.5 * seen[i]],
-        "Placegraph sees both sides; recalculate normals in the file if other programs shall, too.",
-    )
-
-
-def _steep() -> NDArray[np.float32]:
-    """As many rays up and down as `DIRECTIONS` has, which end 50 degrees from the horizon."""
-    count = len(DIRECTIONS)
-    z = np.linspace(0.77, 1.0, count // 2 + count % 2)
-    turn = np.arange(len(z)) * 2.399963  # golden angle
-    flat = np.sqrt(1.0 - z**2)
-    up = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
-    both = np.concatenate([up, (up * (1.0, 1.0, -1.0))[: count // 2]])
-    return both.astype(np.float32)
-
-
-def _height(scene: Scene) -> float:
+def height_of_rooms(scene: Scene) -> float:
     """From the floor to where all but a fiftieth of the surface lies below [m]."""
     areas, _ = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)

@@ -9,10 +9,9 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.mapping.segment.faces import Faces
-from placegraph.indoor.mapping.segment.geometry import cut_by_geometry
-from placegraph.indoor.mapping.segment.instances import cut_by_labels
-from placegraph.indoor.mapping.segment.options import SegmentOptions
-from placegraph.indoor.mapping.segment.segments import Segments, as_segments
+from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
+from placegraph.indoor.mapping.segment.instances import Named, cut_by_labels
+from placegraph.indoor.mapping.segment.segments import SegmentOptions, Segments, as_segments
 from placegraph.indoor.mapping.segment.votes import collect
 
 if TYPE_CHECKING:
@@ -21,6 +20,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.formats.capture.frame import Frame
+    from placegraph.indoor.mapping.segment.votes import Votes
+
+    Progress = Callable[[str, int, int], None]
 
 __all__ = ["SegmentOptions", "Segments", "segment"]
 
@@ -36,7 +38,7 @@ def segment(
     frames: Sequence[Frame] | None = None,
     poses: ArrayLike | None = None,
     options: SegmentOptions | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     left_out: Counter[str] | None = None,
 ) -> Segments:
     """Cut a mesh into floor, ceiling, walls and objects, along edges of its triangles.
@@ -61,10 +63,8 @@ def segment(
         (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not given.
     options
         How to cut.
-    progress
-        Is told a stage, how much of it is done, and of how much.
-    left_out
-        Is told what could not be used, by reason.
+    progress, left_out
+        Are told a stage, how much of it is done, and of how much; what could not be used, by reason.
 
     Raises
     ------
@@ -83,31 +83,39 @@ def segment(
 
     tell("faces")
     faces = Faces.of(spots, rows, shades)
-    lost = int((faces.of_triangle < 0).sum())
     counts = Counter() if left_out is None else left_out
-    if lost:
+    if lost := int((faces.of_triangle < 0).sum()):
         counts["triangles without area"] += lost
     if not len(faces):
         return as_segments(faces, spots, rows, np.zeros(0, np.int64), {}, None)
     cut = cut_by_geometry(faces, options, tell)
-    votes = None
-    if frames:
+    votes = _votes(faces, frames, poses, progress, counts) if frames else None
+    named = _by_geometry(cut) if votes is None else cut_by_labels(faces, cut, votes, options)
+    floor = cut.structure.floor
+    return as_segments(faces, spots, rows, named.groups, named.labels, floor, named.ids)
 
-        def count(done: int, whole: int) -> None:
-            if progress is not None:
-                progress(_VOTES, done, whole)
 
-        votes = collect(faces, frames, _poses(frames, poses), count, counts)
-    if votes is not None:
-        named = cut_by_labels(faces, cut, votes, options)
-        return as_segments(
-            faces, spots, rows, named.groups, named.labels, cut.structure.floor, named.ids
-        )
-    group = cut.groups[cut.patches.of_face]
-    labels = {
-        int(g): cut.structure.labels[p] for g, p in enumerate(cut.patches.plane.tolist()) if p >= 0
-    }
-    return as_segments(faces, spots, rows, group, labels, cut.structure.floor)
+def _votes(
+    faces: Faces,
+    frames: Sequence[Frame],
+    poses: ArrayLike | None,
+    progress: Progress | None,
+    left_out: Counter[str],
+) -> Votes | None:
+    """What the label images of frames say of faces."""
+
+    def tell(done: int, whole: int) -> None:
+        if progress is not None:
+            progress(_VOTES, done, whole)
+
+    return collect(faces, frames, _poses(frames, poses), tell, left_out)
+
+
+def _by_geometry(cut: Cut) -> Named:
+    """Objects as geometry has them; the planes of the building alone have labels."""
+    planes = enumerate(cut.patches.plane.tolist())
+    labels = {g: cut.structure.labels[p] for g, p in planes if p >= 0}
+    return Named(cut.groups[cut.patches.of_face], labels, {})
 
 
 def _poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.mapping.segment.segment_kernels import smooth
+from placegraph.indoor.mapping.segment import segment_kernels as kernels
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _WELD = 1e-4
 """Corners closer than about this are one [m]: seams of textures come as two."""
 _FARTHEST = 1e9 * _WELD
+_MOST = 6_000_000
+"""More points than this are not spread: their distance grows instead."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +93,7 @@ class Faces:
 
     def smoothed(self, rounds: int) -> tuple[Floats, Floats]:
         """Normals (F, 3) and colours (F, 3) CIELAB, levelled over neighbours that bend little."""
-        return smooth(self.normals, self.lab, self.areas, self.pairs, self.turned, rounds)
+        return kernels.smooth(self.normals, self.lab, self.areas, self.pairs, self.turned, rounds)
 
     def bends(self, normals: Floats) -> Floats:
         """Angles (P,) between neighbours [rad]: above 0 concave, below convex, by these normals."""
@@ -191,3 +193,49 @@ def _neighbours(points: Floats, corners: Ints) -> tuple[Ints, Floats, NDArray[np
     pairs = np.stack([one // 3, two // 3], axis=1)
     along = points[low[one]] - points[high[one]]
     return pairs, np.sqrt((along * along).sum(axis=1)), start[one] == start[two]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """S points, each in one face."""
+
+    spots: Floats
+    """(S, 3) [m]"""
+    face: Ints
+    """(S,) rows of faces."""
+    step: float
+    """About their distance [m]."""
+
+    @classmethod
+    def of(cls, faces: Faces, rows: Ints, step: float) -> Samples:
+        """Points about `step` [m] apart on the faces `rows` (R,); at least one on each."""
+        corners = faces.corners[rows]
+        parts = kernels.sample_counts(faces.points, corners, step)
+        while (parts.astype(np.float64) ** 2).sum() > _MOST + len(rows):
+            step *= 1.5
+            parts = kernels.sample_counts(faces.points, corners, step)
+        spots, row = kernels.samples(faces.points, corners, parts)
+        return cls(spots, rows[row], step)
+
+    def touching(self, group: Ints, reach: float) -> Ints:
+        """Rows (K, 2) of points of different groups (F,) of faces that are within `reach` [m]."""
+        if not len(self.spots):
+            return np.zeros((0, 2), np.int64)
+        reach = max(reach, self.step)
+        low = self.spots.min(axis=0) - reach
+        kept = self._thinned(group, low)
+        spots, own = self.spots[kept], group[self.face[kept]]
+        shape = ((self.spots.max(axis=0) - low) / reach).astype(np.int64) + 3
+        keys = kernels.cell_keys(spots, low, reach, shape)
+        order = np.argsort(keys, kind="stable")
+        return kept[kernels.touching(spots, own, order, keys[order], shape, reach)]
+
+    def _thinned(self, group: Ints, low: Floats) -> Ints:
+        """One point (N,) of each group in a cube of side `step`, the first of them."""
+        shape = ((self.spots.max(axis=0) - low) / self.step).astype(np.int64) + 3
+        keys = kernels.cell_keys(self.spots, low, self.step, shape)
+        order = np.lexsort((group[self.face], keys))
+        where, whose = keys[order], group[self.face[order]]
+        fresh = np.ones(len(order), np.bool_)
+        fresh[1:] = (np.diff(where) != 0) | (np.diff(whose) != 0)
+        return np.sort(order[fresh])

@@ -18,8 +18,8 @@ from placegraph.indoor.mapping.segment.segment_kernels import connect
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.indoor.mapping.segment.options import SegmentOptions
     from placegraph.indoor.mapping.segment.patches import Patches
+    from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]

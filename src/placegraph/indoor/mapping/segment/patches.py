@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.mapping.segment import segment_kernels as kernels
-from placegraph.indoor.mapping.segment.samples import Samples
+from placegraph.indoor.mapping.segment.faces import Samples
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.mapping.segment.faces import Faces
-    from placegraph.indoor.mapping.segment.options import SegmentOptions
+    from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]

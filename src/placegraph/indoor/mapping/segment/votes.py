@@ -1,4 +1,4 @@
-"""Label images vote for the faces they show."""
+"""Label images vote for the faces they show, and votes become one label a face."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.structure import nameless
+from placegraph.indoor.mapping.segment.segment_kernels import elect
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
@@ -32,6 +33,15 @@ _SLOPE = 0.03  # ... and by this share of the depth, else something else is seen
 _HALF = 3.0  # at this depth a view counts half as much as close by [m]
 _GRAZING = 0.1  # least cosine of incidence that counts
 _HELD = 4_000_000  # votes held before those for one face and label are added up
+_DOUBT = 0.2
+"""Votes that a face has for no label at all: few votes count less than their share."""
+_PATCH = 1.0
+"""What the opinion of the patch around it is worth to the face's own."""
+_CELL = 0.2
+"""Side of the cubes that patches fall into for this [m]: pictures may lie in a wall's patch."""
+_NEIGHBOURS = 0.7
+"""What its neighbours' labels are worth."""
+_ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,3 +207,42 @@ def _pixels(camera: Camera, rays: Floats) -> tuple[Ints, Ints, NDArray[np.bool_]
     inside = (uv >= 0).all(axis=1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
     whole = np.where(inside[:, None], uv, 0.0).astype(np.int64)
     return whole[:, 0], whole[:, 1], inside
+
+
+def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
+    """Row of `votes.words` (F,) of each face; `NOTHING` where none is said or known.
+
+    A face's score for a label is its own share of votes, that of its patch around it by area, and
+    the share of its neighbours that bear the label, across steps (P,) less.
+    """
+    patch = _local(faces, patch)
+    count = len(votes.words)
+    face = np.repeat(np.arange(len(faces)), np.diff(votes.starts))
+    total = np.bincount(face, votes.weights, len(faces)) + _DOUBT
+    share = votes.weights / total[face]
+    patches = int(patch.max()) + 1
+    weighed = share * faces.areas[face]
+    table = np.bincount(patch[face] * count + votes.labels, weighed, patches * count)
+    seen = np.zeros(len(faces), np.bool_)
+    seen[face] = True
+    area = np.bincount(patch, faces.areas * seen, patches)
+    shares = table.reshape(patches, count) / np.maximum(area, 1e-12)[:, None]
+    links = np.exp(-(np.minimum(steps, 20.0) ** 2)) * faces.lengths
+    labels = np.where(area[patch] > 0, np.argmax(shares, axis=1)[patch], -1)
+    for _ in range(_ROUNDS):
+        labels = elect(
+            votes.starts, votes.labels, share, patch, shares, faces.pairs, links, labels,
+            _PATCH, _NEIGHBOURS,
+        )  # fmt: skip
+    return np.maximum(labels, 0)
+
+
+def _local(faces: Faces, patch: Ints) -> Ints:
+    """Patches (F,) cut by a grid of cubes."""
+    columns = [patch, *np.floor(faces.centres / _CELL).astype(np.int64).T]
+    order = np.lexsort(columns)
+    fresh = np.ones(len(patch), np.bool_)
+    fresh[1:] = np.any([np.diff(column[order]) != 0 for column in columns], axis=0)
+    out = np.empty(len(patch), np.int64)
+    out[order] = np.cumsum(fresh) - 1
+    return out

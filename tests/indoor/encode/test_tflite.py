@@ -11,9 +11,9 @@ from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
+from placegraph.indoor.encode.segmenter import Segmenter, labelled
+from placegraph.indoor.encode.tflite import PASCAL, segmenter
 from placegraph.indoor.mapping.segment import segment
-from placegraph.indoor.mapping.segment.segmenter import Segmenter, labelled
-from placegraph.indoor.mapping.segment.tflite import PASCAL, segmenter
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 WEIGHTS = SHARED / "weights/deeplabv3_mnv2_pascal_quant.tflite"

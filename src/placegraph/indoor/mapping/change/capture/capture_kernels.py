@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled parts of `clumps`."""
+"""Compiled: colours of hits, and cells that touch."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.compiled import kernel
+from placegraph.indoor.map.surface_kernels import colour_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-_BITS = 20  # of a cell's number along one axis
+BITS = 20
+"""Of a cell's number along one axis."""
 
 
 @kernel
-def _connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Root of each of ascending cells: those that touch share one."""
     parent = np.arange(len(cells))
     for i in range(len(cells)):
         for dx in range(-1, 1):
             for dy in range(-1, 2):
-                first = cells[i] + (dx << 2 * _BITS) + (dy << _BITS) - 1
+                first = cells[i] + (dx << 2 * BITS) + (dy << BITS) - 1
                 row = np.searchsorted(cells, first)
                 while row < len(cells) and cells[row] <= first + 2:
                     a, b = i, row
@@ -38,3 +40,13 @@ def _connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     for i in range(len(cells)):
         parent[i] = parent[parent[i]]  # ascending: what it points to points to its root already
     return parent
+
+
+@kernel
+def paint(surface, triangle, u, v, footprint, out):
+    """Write colours of hits (N, 3)."""
+    for i in range(len(triangle)):
+        if triangle[i] >= 0:
+            out[i, 0], out[i, 1], out[i, 2] = colour_at(
+                surface, triangle[i], u[i], v[i], footprint[i]
+            )

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import InputError
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.mapping.change.capture.capture_kernels import BITS, connected
+from placegraph.indoor.mapping.change.capture.looks import project
+from placegraph.indoor.mapping.change.capture.tally import tolerance
 from placegraph.indoor.mapping.change.changes import Change, Piece
-from placegraph.indoor.mapping.change.clumps import clumps
-from placegraph.indoor.mapping.change.motion import project
 from placegraph.indoor.mapping.change.register import moved
-from placegraph.indoor.mapping.change.tally import tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.motion import Rest
+    from placegraph.indoor.mapping.change.capture.rest import Rest
     from placegraph.indoor.mapping.fuse import Fused
 
 _MARGIN = 0.12
@@ -31,6 +31,7 @@ _SEEN_THROUGH = 0.5
 _LEAST_TRIANGLES = 12  # of a surface that is one; a box has as many
 _FINE = 0.02
 """Voxel of the surface of what appeared [m]."""
+_EMPTY = 2  # cells around all, so that a neighbour's number never wraps around
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +89,21 @@ def gather(rest: Rest) -> list[Clump]:
         paint = np.rint(255.0 * tint[own]).astype(np.uint8)
         found.append(Clump(middle[own], paint, cells[own], shown, int(mine.sum())))
     return sorted(found, key=lambda c: -c.pixels)
+
+
+def clumps(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number (N,) of the clump of each cell (N, 3): cells that touch, also by a corner, share one.
+
+    Raises `OptionError` where cells are a million apart.
+    """
+    if not len(cells):
+        return np.zeros(0, np.int64)
+    at = cells - cells.min(axis=0) + _EMPTY
+    if int(at.max()) >= (1 << BITS) - _EMPTY:
+        raise OptionError(f"Points are {int(at.max()):,} cells apart; make the cells larger.")
+    keys = (at[:, 0] << 2 * BITS) + (at[:, 1] << BITS) + at[:, 2]
+    unique, rows = np.unique(keys, return_inverse=True)
+    return np.unique(connected(unique), return_inverse=True)[1][rows]
 
 
 def appeared(

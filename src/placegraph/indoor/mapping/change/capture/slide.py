@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.mapping.change.motion import Placement, project
+from placegraph.indoor.mapping.change.capture.looks import project
+from placegraph.indoor.mapping.change.capture.motion import Placement
+from placegraph.indoor.mapping.change.capture.tally import summed, tolerance
 from placegraph.indoor.mapping.change.register import rigid
-from placegraph.indoor.mapping.change.tally import summed, tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.looks import Look
-    from placegraph.indoor.mapping.change.motion import Rest, Suspect
+    from placegraph.indoor.mapping.change.capture.looks import Look
+    from placegraph.indoor.mapping.change.capture.motion import Suspect
+    from placegraph.indoor.mapping.change.capture.rest import Rest
 
 ACROSS, UP = 1.6, 0.4
 """How far along the wall and up and down it is looked for [m]."""

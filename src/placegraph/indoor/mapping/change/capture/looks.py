@@ -7,11 +7,11 @@ of another object. What is seen can then be held against "it is still there" and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from placegraph.indoor.mapping.change.looks_kernels import _paint
+from placegraph.indoor.mapping.change.capture.capture_kernels import paint
 from placegraph.indoor.render import camera_rays
 
 if TYPE_CHECKING:
@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 
 WIDTH = 320
 """Pictures are compared at most this wide [px]."""
-
-
 _LAYERS = 12  # surfaces of one object behind each other that are looked through
-
-
 _STEP = 1e-4  # beyond a hit the next ray starts this far on [m]
 
 
@@ -136,7 +132,7 @@ def _layer(
     shape = camera.height, camera.width
     footprint = (distance / np.float32(camera.fx)).astype(np.float32)
     colour = np.zeros((len(triangle), 3), np.float32)
-    _paint(scene.surface, triangle, u, v, footprint, colour)
+    paint(scene.surface, triangle, u, v, footprint, colour)
     objects = np.where(triangle >= 0, scene.mesh.object_of[np.maximum(triangle, 0)], -1)
     return Layer(
         distance.reshape(shape), objects.astype(np.int32).reshape(shape), colour.reshape(*shape, 3)
@@ -169,3 +165,39 @@ def _colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
     out = np.full((camera.height, camera.width, 3), np.nan, np.float32)
     out[inside] = rgb[y[inside], x[inside]] / np.float32(255.0)
     return out
+
+
+def project(
+    look: Look, points: Floats
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
+    camera, pose = look.camera, look.map_from_camera.astype(np.float32)
+    local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
+    depth = np.asarray(local[..., 2], np.float32)
+    uv: NDArray[np.floating[Any]]
+    if any(camera.distortion):
+        uv = camera.project(local)
+    else:  # as `Camera.project`, with half of its bytes
+        far = np.where(depth > 0.0, depth, np.float32(np.nan))[..., None]
+        focal, centre = np.array([[camera.fx, camera.fy], [camera.cx, camera.cy]], np.float32)
+        uv = local[..., :2] / far * focal + centre
+    with np.errstate(invalid="ignore"):
+        inside = np.all((uv >= 0) & (uv < (camera.width, camera.height)), axis=-1)
+    pixels = np.where(inside[..., None], uv, -1.0).astype(np.int64)
+    return pixels[..., 1], pixels[..., 0], depth
+
+
+def window(look: Look, corners: Floats) -> tuple[slice, slice] | None:
+    """Rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
+    pose, camera = look.map_from_camera, look.camera
+    local = (corners - pose[:3, 3]) @ pose[:3, :3]
+    if (local[:, 2] <= 0.05).all():
+        return None
+    if (local[:, 2] <= 0.05).any():  # beside the camera: all of the picture
+        return slice(0, camera.height), slice(0, camera.width)
+    uv = camera.project(local)
+    low = np.maximum(np.floor(uv.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(uv.max(axis=0)).astype(int), (camera.width, camera.height))
+    if (high <= low).any():
+        return None
+    return slice(low[1], high[1]), slice(low[0], high[0])

@@ -8,24 +8,22 @@ readings end on the thing's surface, and wrong where they go on behind it. What 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.mapping.change.capture.looks import project, window
+from placegraph.indoor.mapping.change.capture.tally import tolerance
 from placegraph.indoor.mapping.change.register import about, inverse, moved, register, sample
-from placegraph.indoor.mapping.change.tally import tolerance
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.random import Generator
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.mapping.change.looks import Look
-    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.mapping.change.capture.rest import Rest
     from placegraph.indoor.mapping.change.register import Sampled
 
 POINTS = 120
@@ -49,18 +47,6 @@ LEAST_FIT = 0.75
 """Share of the readings that have to end on the thing, of those that reach it."""
 LEAST_COVER = 0.5
 """Share of the unexplained readings where it stands that it has to explain."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rest:
-    """What is left of the map without all that is suspected to be gone, frame by frame."""
-
-    looks: Sequence[Look]
-    depths: Sequence[NDArray[np.float32]]
-    """T arrays (H, W) of the depth of what is left [m]; inf: nothing."""
-    new: Sequence[NDArray[np.bool_]]
-    """T masks (H, W) of readings that end before it: nothing explains them yet."""
-    options: DiffOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,19 +154,19 @@ def judge(rest: Rest, thing: Suspect, motion: Floats) -> Placement:
     for look, left, new in zip(rest.looks, rest.depths, rest.new, strict=True):
         if look.depth is None:
             continue
-        window = _window(look, moved(motion, _corners(low, high)))
-        if window is None:
+        part = window(look, moved(motion, _corners(low, high)))
+        if part is None:
             continue
-        rays = look.rays[window].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
+        rays = look.rays[part].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
         origin = moved(back, look.map_from_camera[None, :3, 3])[0]
         distance = thing.caster.cast(origin, rays).distance
-        reading, beyond = look.depth[window].ravel(), left[window].ravel()
+        reading, beyond = look.depth[part].ravel(), left[part].ravel()
         slack = tolerance(reading, rest.options)
         with np.errstate(invalid="ignore"):
             shows = distance < beyond - slack
             on = shows & (np.abs(reading - distance) <= slack)
             behind = shows & (reading > distance + slack)
-        fresh = new[window].ravel()
+        fresh = new[part].ravel()
         points = origin + rays[fresh] * reading[fresh, None]
         unexplained += int(np.all((points > low) & (points < high), axis=1).sum())
         ends += int((on & fresh).sum())
@@ -273,42 +259,6 @@ def _within(thing: Suspect, start: Floats, points: Floats, margin: float) -> NDA
     back = moved(inverse(about(thing.middle, start[3], start[:3])), points)
     inside = (back > thing.low - margin) & (back < thing.high + margin)
     return np.asarray(inside.all(axis=1))
-
-
-def project(
-    look: Look, points: Floats
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
-    camera, pose = look.camera, look.map_from_camera.astype(np.float32)
-    local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
-    depth = np.asarray(local[..., 2], np.float32)
-    uv: NDArray[np.floating[Any]]
-    if any(camera.distortion):
-        uv = camera.project(local)
-    else:  # as `Camera.project`, with half of its bytes
-        far = np.where(depth > 0.0, depth, np.float32(np.nan))[..., None]
-        focal, centre = np.array([[camera.fx, camera.fy], [camera.cx, camera.cy]], np.float32)
-        uv = local[..., :2] / far * focal + centre
-    with np.errstate(invalid="ignore"):
-        inside = np.all((uv >= 0) & (uv < (camera.width, camera.height)), axis=-1)
-    pixels = np.where(inside[..., None], uv, -1.0).astype(np.int64)
-    return pixels[..., 1], pixels[..., 0], depth
-
-
-def _window(look: Look, corners: Floats) -> tuple[slice, slice] | None:
-    """Rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
-    pose, camera = look.map_from_camera, look.camera
-    local = (corners - pose[:3, 3]) @ pose[:3, :3]
-    if (local[:, 2] <= 0.05).all():
-        return None
-    if (local[:, 2] <= 0.05).any():  # beside the camera: all of the picture
-        return slice(0, camera.height), slice(0, camera.width)
-    uv = camera.project(local)
-    low = np.maximum(np.floor(uv.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(uv.max(axis=0)).astype(int), (camera.width, camera.height))
-    if (high <= low).any():
-        return None
-    return slice(low[1], high[1]), slice(low[0], high[0])
 
 
 def _corners(low: Floats, high: Floats) -> Floats:

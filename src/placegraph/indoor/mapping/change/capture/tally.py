@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.looks import Look
+    from placegraph.indoor.mapping.change.capture.looks import Look
     from placegraph.indoor.mapping.change.options import DiffOptions
 
     Mask = NDArray[np.bool_]
