@@ -10,8 +10,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.encode import Encoder, bound, encoder
 from placegraph.indoor.encode.compact import CompactEncoder, picture
-from placegraph.indoor.encode.compact.network import Network
-from placegraph.indoor.encode.compact.shape import Shape
+from placegraph.indoor.encode.compact.network import Network, Shape
 from placegraph.indoor.encode.compact.things import FEATURES
 from placegraph.indoor.encode.compact.weights import Weights, read_weights, write_weights
 from placegraph_lab.train.compact import vary

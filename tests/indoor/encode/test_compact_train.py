@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import Camera
 from placegraph.indoor.encode.compact import picture
-from placegraph.indoor.encode.compact.shape import Shape
+from placegraph.indoor.encode.compact.network import Shape
 from placegraph.indoor.encode.compact.weights import read_weights
 from placegraph_lab.train.compact import vary, worlds
 from placegraph_lab.train.compact.worlds import World

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.geometry import Camera
-from placegraph.indoor.encode.glances import LEAST, around, towards
+from placegraph.indoor.encode.appearance import LEAST, around, towards
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.render import Renderer
 

@@ -8,9 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.indoor.encode.word_codes import DIMENSION, codes
-from placegraph.indoor.encode.word_tree import GROUP, KIN, grown, mixed, spelled, tree
-from placegraph.indoor.encode.words import digest, known, vector
+from placegraph.indoor.encode.words import (
+    DIMENSION,
+    GROUP,
+    KIN,
+    codes,
+    digest,
+    grown,
+    known,
+    mixed,
+    spelled,
+    tree,
+    vector,
+)
 
 # names of what indoor data sets label, to see that the tree of things knows them
 NYU40 = """

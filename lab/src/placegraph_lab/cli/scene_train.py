@@ -141,9 +141,8 @@ def _teacher(
     rotate: bool | None,
     device: str,
 ) -> tuple[Teacher, Widths]:
-    from placegraph.indoor.encode.scenegraphloc.features import features_named
+    from placegraph.indoor.encode.scenegraphloc.features import features_named, read_attributes
     from placegraph.indoor.encode.scenegraphloc.widths import Widths
-    from placegraph.indoor.encode.scenegraphloc.words import read_attributes
     from placegraph_lab.train.scenegraphloc.lessons import Teacher
 
     words = () if attributes is None else read_attributes(attributes)

@@ -13,7 +13,7 @@ import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
-from placegraph.indoor.encode.word_tree import spelled
+from placegraph.indoor.encode.words import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

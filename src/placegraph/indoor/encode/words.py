@@ -1,6 +1,6 @@
 """Vectors of labels, offline and for any word: what is alike, or spelled alike, has a high cosine.
 
-A label means what the tree of things (`word_tree`) says of it. One that is not there is taken for a
+A label means what the tree of things (`tree`) says of it. One that is not there is taken for a
 kind of what it ends in ("leather desk chair", "wallcabinet", "chair with wheels"), or for what it is
 spelled like ("refridgerater"); the rest of its vector, and all of it where nothing is alike, is the
 sum of vectors of its letters in threes to fives.
@@ -8,9 +8,12 @@ sum of vectors of its letters in threes to fives.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
+from dataclasses import dataclass
 from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING
 from zlib import crc32
 
@@ -18,14 +21,13 @@ import numpy as np
 from rapidfuzz import process
 from rapidfuzz.distance import OSA
 
-from placegraph.indoor.encode.word_codes import DIMENSION, codes
-from placegraph.indoor.encode.word_tree import KIN, mixed, tree
 from placegraph.indoor.map.floor import label_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
+
 
 __all__ = ["DIMENSION", "digest", "known", "vector"]
 
@@ -43,6 +45,14 @@ _MANY = frozenset(["pile", "stack", "heap", "set", "pair", "group", "bunch", "ro
 _ENDING = 4  # letters of a known word that another may end in: a "carpet" is no pet
 _ALIKE = 0.75  # share of letters that words have in common, to be taken for the same
 _SHORTEST, _LONGEST = 3, 5  # letters of a subword
+GROUP = 0.45
+"""Cosine of a thing with its group."""
+KIN = 0.8
+"""Cosine of a kind of thing with the thing."""
+_INDENT = 2
+DIMENSION = 64
+_FIELD = 32
+_MODULUS = 0b100101  # x^5 + x^2 + 1, which makes GF(32)
 
 
 def vector(label: str) -> NDArray[np.float32]:
@@ -128,3 +138,116 @@ def _letters(words: Sequence[str]) -> NDArray[np.float32]:
                 row = crc32(marked[i : i + size].encode("utf-8", "surrogatepass"))
                 total += codes()[row % len(codes())]
     return (total / max(math.sqrt(float(total @ total)), 1e-12)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tree:
+    """Words and what they mean: how near two are is how far they share a branch.
+
+    A group's vector is a code of its own (`codes`); what hangs below another is that one's vector
+    and a code of its own, mixed so that their cosine is `KIN`, or `GROUP` below a group. So the
+    cosine of two words is about 1 of synonyms, 0.8 of a thing and its kind, 0.64 of two kinds of
+    it, 0.2 of two things of a group, and 0 else, 1/8 more or less.
+    """
+
+    row_of: dict[str, int]
+    """Row of each word, written without spaces: `nightstand`."""
+    vectors: NDArray[np.float32]
+    """(N, d) unit vectors."""
+    digest: str
+    """Of the file: vectors of other files do not compare."""
+
+
+@cache
+def tree() -> Tree:
+    """The tree that placegraph brings."""
+    content = files("placegraph.indoor.encode").joinpath("data/things.txt").read_bytes()
+    return grown(content.decode("utf-8"))
+
+
+def grown(text: str) -> Tree:
+    """Tree of lines of synonyms with commas between them, two spaces deeper below what they are of.
+
+    A word that stands there twice means what it means first. `#` begins a comment.
+    """
+    row_of: dict[str, int] = {}
+    vectors: list[NDArray[np.float32]] = []
+    branch: list[int] = []
+    groups = 0
+    for line in text.splitlines():
+        words = line.partition("#")[0].split(",")
+        depth = (len(words[0]) - len(words[0].lstrip())) // _INDENT
+        keys = [key for word in words if (key := spelled(word))]
+        if not keys:
+            continue
+        row = len(vectors)
+        if depth == 0:
+            vectors.append(codes()[groups])  # groups are orthogonal
+            groups += 1
+        else:
+            likeness = GROUP if depth == 1 else KIN
+            own = codes()[DIMENSION + row]
+            vectors.append(mixed(vectors[branch[depth - 1]], own, likeness))
+        branch[depth:] = [row]
+        for key in keys:
+            row_of.setdefault(key, row)
+    return Tree(row_of, np.stack(vectors), hashlib.sha256(text.encode()).hexdigest()[:8])
+
+
+def spelled(words: str) -> str:
+    """Letters of words, in lower case and without spaces: as `Tree.row_of` knows them."""
+    return "".join(label_words(words))
+
+
+def mixed(
+    vector: NDArray[np.float32], other: NDArray[np.float32], cosine: float
+) -> NDArray[np.float32]:
+    """Unit vector (d,) with this cosine to a unit vector; the rest of it points along another."""
+    rest = other - (other @ vector) * vector
+    rest /= max(float(np.linalg.norm(rest)), 1e-12)
+    return (cosine * vector + np.sqrt(1.0 - cosine**2) * rest).astype(np.float32)
+
+
+@cache
+def codes() -> NDArray[np.float32]:
+    """Unit vectors (2048, 64) float32; rows 64 i to 64 i + 63 are orthogonal.
+
+    The code words of Kerdock's code of length 64: any two of different sets have a cosine of 1/8
+    or -1/8, and no larger set is less alike (Cameron and Seidel, Quadratic forms over GF(2), 1973).
+    Sign of place (x, y), x in GF(32), y in GF(2), of code (a, b, c): the parity of
+    Tr((ax)^3 + (ax)^5 + bx) + y Tr(ax) + cy.
+    """
+    table, trace = _products(), _traces()
+    x = np.arange(_FIELD)
+    ax = table[x[:, None], x]  # (a, x)
+    square = table[ax, ax]
+    cube = table[square, ax]
+    form = trace[cube] ^ trace[table[cube, square]]
+    quadratic = np.stack([form, form ^ trace[ax]], axis=-1)  # (a, x, y)
+    bx, y = trace[table[x[:, None], x]], np.arange(2)
+    linear = bx[:, None, :, None] ^ (y[:, None] & y)[None, :, None, :]  # (b, c, x, y)
+    parity = quadratic[:, None, None] ^ linear
+    out = ((1.0 - 2.0 * parity) / np.sqrt(DIMENSION)).reshape(-1, DIMENSION).astype(np.float32)
+    out.flags.writeable = False
+    return out
+
+
+def _products() -> NDArray[np.int64]:
+    """Products (32, 32) of elements of GF(32), numbers whose bits are coefficients."""
+    a, b = np.mgrid[:_FIELD, :_FIELD]
+    product = np.zeros_like(a)
+    for bit in range(5):
+        product ^= (a << bit) * (b >> bit & 1)
+    for bit in range(9, 4, -1):
+        product ^= (_MODULUS << (bit - 5)) * (product >> bit & 1)
+    return product
+
+
+def _traces() -> NDArray[np.int64]:
+    """Trace (32,) in GF(2) of each element: x + x^2 + x^4 + x^8 + x^16."""
+    table, x = _products(), np.arange(_FIELD)
+    total = x.copy()
+    for _ in range(4):
+        x = table[x, x]
+        total ^= x
+    return total

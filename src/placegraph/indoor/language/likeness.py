@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LEAST = 0.5
-"""Cosine of words that are no kin any more (`encode.word_tree`: 0.64 of two kinds of a thing)."""
+"""Cosine of words that are no kin any more (`encode.words`: 0.64 of two kinds of a thing)."""
 SYNONYM = 0.95
 """How well a synonym fits."""
 GENERAL = 0.7

@@ -9,6 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from placegraph.errors import InputError, OptionError
+from placegraph.indoor.encode.scenegraphloc.features import (
+    RELATIONS,
+    read_attributes,
+    relation_row,
+)
 from placegraph.indoor.encode.scenegraphloc.inputs import (
     barycentre,
     complete,
@@ -17,11 +22,6 @@ from placegraph.indoor.encode.scenegraphloc.inputs import (
     together,
 )
 from placegraph.indoor.encode.scenegraphloc.views import Views
-from placegraph.indoor.encode.scenegraphloc.words import (
-    RELATIONS,
-    read_attributes,
-    relation_row,
-)
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap

@@ -13,7 +13,7 @@ from placegraph.indoor.encode.compact.picture import INPUTS
 from placegraph.indoor.encode.compact.things import FEATURES
 
 if TYPE_CHECKING:
-    from placegraph.indoor.encode.compact.shape import Shape
+    from placegraph.indoor.encode.compact.network import Shape
 
 
 class Block(nn.Module):

@@ -21,8 +21,7 @@ from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
 from placegraph.errors import InputError
 from placegraph.indoor.encode.compact import picture
-from placegraph.indoor.encode.compact.network import Network
-from placegraph.indoor.encode.compact.shape import Shape
+from placegraph.indoor.encode.compact.network import Network, Shape
 from placegraph.indoor.encode.compact.things import features
 from placegraph.indoor.encode.compact.weights import trained, write_weights
 from placegraph.indoor.encode.words import vector

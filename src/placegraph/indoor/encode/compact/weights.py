@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, MapError
-from placegraph.indoor.encode.compact.shape import Shape
+from placegraph.indoor.encode.compact.network import Shape
 from placegraph.store import read_map, write_map
 from placegraph.weights import arrays_of, digest, halves, rounded
 

@@ -1,8 +1,7 @@
 """SceneGraphLoc (Miao et al., ECCV 2024): patches and objects compared by a learned network.
 
 Numerically equal to the published one and able to read its checkpoints; trained anew, also on
-other image features, by `placegraph scene train`. SPEC in comments is the description in
-`../shared/conformance/scenegraphloc`, by section.
+other image features, by `placegraph scene train`.
 """
 
 from placegraph.indoor.encode.scenegraphloc.encoder import SceneGraphLocEncoder

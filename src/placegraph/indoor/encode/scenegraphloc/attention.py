@@ -1,4 +1,4 @@
-"""Attention among the objects of a room, and among the views of an object (SPEC, 4.2 and 4.4)."""
+"""Attention among the objects of a room, and among the views of an object."""
 
 from __future__ import annotations
 

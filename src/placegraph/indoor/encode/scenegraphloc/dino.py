@@ -1,4 +1,4 @@
-"""DINOv2 as the published network was trained on it: values of one block, from timm (SPEC, 6-8)."""
+"""DINOv2 as the published network was trained on it: values of one block, from timm."""
 
 from __future__ import annotations
 

@@ -10,12 +10,13 @@ import numpy as np
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.indoor.encode.scenegraphloc.features import (
     FEATURES,
+    RELATIONS,
     ImageFeatures,
     features_named,
+    read_attributes,
 )
 from placegraph.indoor.encode.scenegraphloc.inputs import POINTS, PointSource, rooms_of, together
 from placegraph.indoor.encode.scenegraphloc.views import object_views, quarter_turns
-from placegraph.indoor.encode.scenegraphloc.words import RELATIONS, read_attributes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What the network is told of the objects of a map: the five modalities (SPEC, 9)."""
+"""What the network is told of the objects of a map: the five modalities."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.encode.scenegraphloc.words import NONE, RELATIONS, relation_row
+from placegraph.indoor.encode.scenegraphloc.features import NONE, RELATIONS, relation_row
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -82,7 +82,7 @@ class ChannelGate(nn.Module):
 
 
 class PatchMixer(nn.Module):
-    """Lets features of neighbouring patches know of each other (SPEC, 5)."""
+    """Lets features of neighbouring patches know of each other."""
 
     def __init__(self, width: int, waist: int) -> None:
         super().__init__()
@@ -133,7 +133,7 @@ class GridNetwork(nn.Module):
 
 
 class PointEncoder(nn.Module):
-    """The same small network for every point, and the largest of each number (SPEC, 4.1).
+    """The same small network for every point, and the largest of each number.
 
     The published network normalises batches here and forgets the result: `bn1` to `bn3` are among
     its weights and have no say.
@@ -158,7 +158,7 @@ class PointEncoder(nn.Module):
 
 
 class Fusion(nn.Module):
-    """Weighs the modalities and joins them (SPEC, 4.5)."""
+    """Weighs the modalities and joins them."""
 
     def __init__(self, count: int) -> None:
         super().__init__()
@@ -172,7 +172,7 @@ class Fusion(nn.Module):
 
 
 class ObjectEncoder(nn.Module):
-    """The five modalities of objects (SPEC, 4)."""
+    """The five modalities of objects."""
 
     def __init__(self, w: Widths) -> None:
         super().__init__()
@@ -202,7 +202,7 @@ class ObjectEncoder(nn.Module):
         return out
 
     def _seen(self, objects: Objects) -> Tensor:
-        """Views of each object, joined (N, view) (SPEC, 4.4)."""
+        """Views of each object, joined (N, view)."""
         view = self.img_patch_encoder(objects.views) + self.pose_encoder(objects.poses)
         told = self.multiview_norm(self.multiview_encoder(view, objects.owner))
         count, row = len(objects.points), objects.owner[:, None].expand_as(view)

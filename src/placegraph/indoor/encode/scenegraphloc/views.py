@@ -1,4 +1,4 @@
-"""What images of a map show of its objects: the views that an object is known by (SPEC, 6 and 8)."""
+"""What images of a map show of its objects: the views that an object is known by."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 
 def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32]:
-    """Object (rows, columns) that most pixels (h, w) of each patch see, -1 none (SPEC, 11).
+    """Object (rows, columns) that most pixels (h, w) of each patch see, -1 none.
 
     None too where the most frequent, which may itself be none, covers at most `LEAST` of it.
     """

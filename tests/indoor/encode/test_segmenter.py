@@ -11,8 +11,7 @@ from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.indoor.encode.segmenter import Segmenter, labelled
-from placegraph.indoor.encode.tflite import PASCAL, segmenter
+from placegraph.indoor.encode.segmenter import PASCAL, Segmenter, labelled, segmenter
 from placegraph.indoor.mapping.segment import segment
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
