@@ -93,9 +93,16 @@ class Kernel(_Part):
 
     def __init__(self, py_func: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         super().__init__(py_func, **options)
-        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        self.part = _Part(py_func, locals={}, targetoptions=self.targetoptions | bare)
-        self.part.enable_caching()
+        self._part: _Part | None = None
+
+    @property
+    def part(self) -> _Part:
+        """Of which other kernels have the code."""
+        if self._part is None:
+            bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+            self._part = _Part(self.py_func, locals={}, targetoptions=self.targetoptions | bare)
+            self._part.enable_caching()
+        return self._part
 
     def get_call_template(self, args: Any, kws: Any) -> Any:  # noqa: ANN401  # numba's
         """How a call from another kernel is typed."""
@@ -108,7 +115,7 @@ class Kernel(_Part):
     @property
     def is_compiling(self) -> Any:  # noqa: ANN401  # numba's
         """Whether a call is a call of itself."""
-        return self._compiling_counter or self.part.is_compiling
+        return self._compiling_counter or (self._part is not None and self._part.is_compiling)
 
 
 class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
@@ -161,7 +168,7 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:  # noqa: ANN401
         if self._enabled and not data.library.has_dynamic_globals:
-            code = dumps(data._reduce())  # noqa: SLF001  # as numba's own cache does
+            code = dumps(_bare(data._reduce(), linked=not isinstance(self._of, Kernel)))  # noqa: SLF001
             kept.FOLDERS.keep(f"{self._folder}/{_file(sig)}", code)
         _tell(self.name, done=True)
 
@@ -202,6 +209,21 @@ def _collecting_no_garbage() -> Iterator[None]:
     finally:
         if before:
             gc.enable()
+
+
+def _bare(reduced: tuple[Any, ...], *, linked: bool) -> tuple[Any, ...]:
+    """What numba's own cache would keep, less what takes most of the time to load.
+
+    That is the code for linking, which only what is `linked` needs (else its names do), and
+    environments without constants, for which nothing asks and each of which is an import.
+    """
+    (name, kind, (code, linkable)), described, *others, environments = reduced
+    if not linked:
+        names = (described.llvm_func_name, described.llvm_cpython_wrapper_name)
+        defined = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
+        linkable = llvmlite.binding.parse_assembly(defined).as_bitcode()
+    environments = tuple(each for each in environments if each.consts)
+    return ((name, kind, (code, linkable)), described, *others, environments)
 
 
 def _tell(name: str, *, done: bool) -> None:
