@@ -1,4 +1,4 @@
-"""What is made once and found again by the next process: compiled code, and tables of grammars.
+"""What is made once and found again by the next process: compiled code, grammars, unpacked tables.
 
 Folders are looked through in this order, and what is new goes to the first that can be written:
 the one that was chosen (`use_folder`, or numba's own setting, ``NUMBA_CACHE_DIR``), and only where
@@ -8,7 +8,6 @@ be written, it is kept in a private temporary one, with one warning.
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 import tempfile
@@ -16,11 +15,13 @@ import warnings
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from os import PathLike
+
+T = TypeVar("T")
 
 
 def use_folder(folder: str | PathLike[str] | None) -> None:
@@ -33,14 +34,18 @@ def folders() -> list[Path]:
     return FOLDERS.read
 
 
-def kept(name: str, make: Callable[[], Any]) -> Any:  # noqa: ANN401  # any JSON
-    """JSON that `make` returned once, found by `name`, which tells all that goes into it."""
+def kept(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
+    """What `read` makes of the bytes that `make` returned once.
+
+    They are found by `name`, which tells all that goes into them. Where `read` raises `ValueError`
+    the file is damaged, and made anew.
+    """
     for folder in folders():
         with suppress(OSError, ValueError):
-            return json.loads((folder / name).read_bytes())
-    text = json.dumps(make(), separators=(",", ":"))
-    FOLDERS.keep(name, text.encode())
-    return json.loads(text)
+            return read((folder / name).read_bytes())
+    made = make()
+    FOLDERS.keep(name, made)
+    return read(made)
 
 
 class _Folders:
@@ -78,7 +83,7 @@ class _Folders:
     def _wanted(self) -> list[Path]:
         if self._chosen is not None:
             return [self._chosen]
-        from numba.core import config
+        from numba import config
         from numba.misc.appdirs import AppDirs
 
         if config.CACHE_DIR:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+import json
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -43,7 +43,7 @@ class Grammar:
 
     def __init__(self, text: str, start: str, builder: object) -> None:
         digest = sha256(f"1 {start} {text}".encode()).hexdigest()[:16]
-        table = kept(f"grammar-{digest}.json", partial(_table, text, start))
+        table = kept(f"grammar-{digest}.json", lambda: _table(text, start), json.loads)
         self._states: list[dict[str, int]] = table["states"]
         self._first: int = table["start"]
         self._last: int = table["end"]
@@ -64,7 +64,8 @@ class Parse:
         self, states: list[dict[str, int]], rules: list[_Rule], first: int, last: int
     ) -> None:
         self._table, self._rules, self._last = states, rules, last
-        self._states, self._values = [first], [None]
+        self._states = [first]
+        self._values: list[Any] = [None]
 
     def feed(self, kind: str, value: Any = None) -> Any:  # noqa: ANN401  # what the builder makes
         """Take a token in; at `END`, what the whole has become.
@@ -85,10 +86,10 @@ class Parse:
                 values.append(value)
                 return None
             rule = self._rules[-1 - action]
-            children = []
+            children: list[Any] = []
             if rule.length:
                 for child, inlined in zip(values[-rule.length :], rule.inlined, strict=True):
-                    children.extend(child) if inlined else children.append(child)
+                    children += child if inlined else (child,)
                 del values[-rule.length :], states[-rule.length :]
             alone = rule.single and len(children) == 1
             values.append(children[0] if alone else rule.build(children))
@@ -97,22 +98,22 @@ class Parse:
                 return values[-1]
 
 
-def _table(text: str, start: str) -> dict[str, Any]:
-    """States, in which a token leads to another state (0 ...) or completes a rule (-1 ...)."""
+def _table(text: str, start: str) -> bytes:
+    """JSON of the states, in which a token leads to another state (0 ...) or completes a rule (-1 ...)."""
     from lark import Lark
     from lark.grammar import Rule
     from lark.lexer import Lexer, TerminalDef
 
     class NoLexer(Lexer):
         def __init__(self, _conf: object) -> None: ...
-        def lex(self, _data: object) -> Any: ...  # noqa: ANN401  # tokens come one by one
+        def lex(self, *_: object) -> Any: ...  # noqa: ANN401  # tokens come one by one
 
-    made = Lark(text, start=start, parser="lalr", lexer=NoLexer, maybe_placeholders=False)
-    told, memo = made.memo_serialize([TerminalDef, Rule])
+    lark = Lark(text, start=start, parser="lalr", lexer=NoLexer, maybe_placeholders=False)
+    told, memo = lark.memo_serialize([TerminalDef, Rule])
     table = told["parser"]["parser"]
     rules = {key: rule for key, rule in memo.items() if rule["__type__"] == "Rule"}
     number = {key: n for n, key in enumerate(rules)}
-    return {
+    made = {
         "states": [
             {
                 table["tokens"][token]: -1 - number[to["@"]] if completes else to
@@ -124,6 +125,7 @@ def _table(text: str, start: str) -> dict[str, Any]:
         "start": table["start_states"][start],
         "end": table["end_states"][start],
     }
+    return json.dumps(made, separators=(",", ":")).encode()
 
 
 def _rule(rule: dict[str, Any]) -> tuple[str, str, list[bool], bool]:

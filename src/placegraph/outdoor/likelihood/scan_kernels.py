@@ -16,13 +16,13 @@ from placegraph.outdoor.likelihood.fit_kernels import (
 )
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS, ME, SLACK, in_sight, likelihoods
 from placegraph.outdoor.map.index import SIGHT
-from placegraph.outdoor.map.index_kernels import join_boxes, pack_box, unpack_box
+from placegraph.outdoor.map.index_kernels import join_boxes, unpack_box
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 COARSE, FINE = 20.0, 5.0
 """Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
-HERE = pack_box(-8, -8, 8, 8)
-"""Where the speaker may stand around a viewpoint."""
+HERE = 0xF8F80808 - (1 << 32)
+"""Where the speaker may stand around a viewpoint: `pack_box` of 8 m to each side."""
 HIGHEST = 1e290
 """Bounds are cut here: texts of a hundred statements must not overflow."""
 SHARP = 2.0

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +25,7 @@ NEAR = 10.0
 """Objects of a cell closer than this are "near" each other [m]."""
 BESIDE = 15.0
 """Points and areas closer than this to a line stand "along" it [m]."""
+_NAMED = re.compile(r"c(0|[1-9][0-9]{,8})r(0|[1-9][0-9]{,8})")
 
 
 class UnknownCellError(OptionError, KeyError):
@@ -68,15 +69,14 @@ class Cells(Mapping[str, Cell]):
         if (np.diff(self.points, prepend=-1, append=last) < 1).any():
             raise ValueError("cells are not in order")
 
-    @cached_property
-    def _points(self) -> dict[str, int]:
-        return {self._id(point): point for point in self.points.tolist()}
-
     def __len__(self) -> int:
         return len(self.points)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._points)
+        return map(self._id, self.points.tolist())
+
+    def __contains__(self, cell: object) -> bool:
+        return self._found(cell) is not None
 
     def __getitem__(self, cell: str) -> Cell:
         lonlat = self.plane.to_lonlat(self.center(cell))
@@ -97,7 +97,7 @@ class Cells(Mapping[str, Cell]):
         ):
             return None
         cell = self._id(row * self.grid.columns + column)
-        return cell if cell in self._points else None
+        return cell if cell in self else None
 
     def nearest(self, east_north: NDArray[np.float64]) -> str:
         """Id of the cell that covers a position, else of the cell whose centre is nearest."""
@@ -150,11 +150,22 @@ class Cells(Mapping[str, Cell]):
 
     def point(self, cell: str) -> int:
         """Grid point of a cell; raises `OptionError` where there is no such cell."""
-        if cell not in self._points:
+        point = self._found(cell)
+        if point is None:
             raise UnknownCellError(
                 f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
             )
-        return self._points[cell]
+        return point
+
+    def _found(self, cell: object) -> int | None:
+        named = _NAMED.fullmatch(cell) if isinstance(cell, str) else None
+        if named is None:
+            return None
+        column, row = map(int, named.groups())
+        point = row * self.grid.columns + column
+        at = int(np.searchsorted(self.points, point))
+        there = column < self.grid.columns and at < len(self.points) and self.points[at] == point
+        return point if there else None
 
     def _id(self, point: int) -> str:
         row, column = divmod(point, self.grid.columns)

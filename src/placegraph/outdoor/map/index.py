@@ -111,8 +111,7 @@ class ViewIndex:
             grid=grid,
             radius=REACH,
         )
-        sight = fade(np.hypot(seen.offsets[:, 0], seen.offsets[:, 1]))
-        seen, sight = _worth_standing(seen, sight, objects.kind)
+        seen, sight = _worth_standing(seen, objects.kind)
         row, column = np.divmod(seen.points, columns)
         positions = np.stack([low[0] + STRIDE * column, low[1] + STRIDE * row], axis=1)
         total = np.add.reduceat(sight, seen.starts[:-1])
@@ -170,11 +169,15 @@ def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _worth_standing(
-    seen: Sightings, sight: NDArray[np.float32], kind: NDArray[np.uint8]
+    seen: Sightings, kind: NDArray[np.uint8]
 ) -> tuple[Sightings, NDArray[np.float32]]:
-    """Drop viewpoints from which too little is seen to be told from their neighbours."""
+    """Drop viewpoints from which too little is seen to be told from their neighbours.
+
+    Returns what is left, and `fade` of its distances.
+    """
+    distance = np.hypot(seen.offsets[:, 0], seen.offsets[:, 1])
+    sight, close = fade(distance), distance < STRIDE
     total = np.add.reduceat(sight, seen.starts[:-1])
-    close = np.hypot(*seen.offsets.T) < STRIDE
     lone = (kind[seen.objects] == POINT) & close
     keep = (total >= ENOUGH) | np.logical_or.reduceat(lone, seen.starts[:-1])
     found = np.zeros(len(kind), np.bool_)

@@ -124,9 +124,11 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
         for r in range(height):
             for c in range(width):
                 if best[r * width + c] <= r2:
-                    if used < capacity:
-                        at[used] = (r + r0) * columns + c + c0
-                        who[used] = row
-                        where[used] = near[r * width + c]
+                    if used == len(at):
+                        at, who = np.concatenate((at, at)), np.concatenate((who, who))
+                        where = np.concatenate((where, where))
+                    at[used] = (r + r0) * columns + c + c0
+                    who[used] = row
+                    where[used] = near[r * width + c]
                     used += 1
-    return at, who, where, used
+    return at[:used], who[:used], where[:used]

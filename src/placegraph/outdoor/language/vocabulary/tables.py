@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import gzip
 import lzma
+from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
+from placegraph.kept import kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from importlib.resources.abc import Traversable
 
-_SUFFIXES: dict[str, Callable[[bytes], bytes]] = {
-    "": lambda data: data,
-    ".gz": gzip.decompress,
-    ".xz": lzma.decompress,
-}
+_PACKED: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".xz": lzma.decompress}
 
 
 def shipped() -> Traversable:
@@ -48,7 +46,7 @@ def find(name: str, folder: Path | None) -> Traversable | Path:
     for place in (folder, shipped()):
         if place is None:
             continue
-        for suffix in _SUFFIXES:
+        for suffix in ("", *_PACKED):
             table = place.joinpath(name + suffix)
             if table.is_file():
                 return table
@@ -63,13 +61,20 @@ def read_text(table: Traversable | Path) -> str:
     InputError
         If it cannot be read, unpacked, or is no UTF-8 text.
     """
-    unpack = _SUFFIXES.get(f".{table.name.rpartition('.')[2]}", _SUFFIXES[""])
+    unpack = _PACKED.get(f".{table.name.rpartition('.')[2]}")
     try:
-        return unpack(table.read_bytes()).decode("utf-8-sig")
+        data = table.read_bytes()
+        if unpack is None:
+            return _decode(data)
+        return kept(f"table-{sha256(data).hexdigest()[:16]}", lambda: unpack(data), _decode)
     except (OSError, EOFError, lzma.LZMAError) as error:
         raise InputError(f"{table}: cannot be read ({error}). Restore or delete it.") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{table}: is not UTF-8 text ({error}). Save it as UTF-8.") from error
+
+
+def _decode(data: bytes) -> str:
+    return data.decode("utf-8-sig")
 
 
 def rows(
