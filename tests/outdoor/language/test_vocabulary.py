@@ -13,7 +13,7 @@ from placegraph.outdoor.language.vocabulary import LONGEST, Vocabulary
 from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, weighted
 from placegraph.outdoor.language.vocabulary.text import folded, normal, singular
 
-DATA = files("placegraph.outdoor").joinpath("data")
+DATA = files("placegraph.outdoor.language.vocabulary").joinpath("data")
 
 
 @pytest.fixture(scope="module")
