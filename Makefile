@@ -31,7 +31,7 @@ lint: $(TOOLS) ## check rules, layout, who imports whom, and types
 	$(BIN)/mypy
 
 docs: $(TOOLS) ## build the documentation into site/
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(TOOLS) ## print the benchmark tables (needs ../shared; long)
 	set -e; for table in $$(ls lab/src/placegraph_lab/tables/named/ | grep -v "__\|kitti360pose"); do $(BIN)/placegraph-lab table $${table%.py}; done
@@ -51,7 +51,7 @@ $(TOOLS): pyproject.toml lab/pyproject.toml $(BIN)/python
 	  || echo "PyTorch 2.13.0 cannot be had: tests of training and of XFeat will be skipped" >&2
 	$(PIP) torch==2.13.0 torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
 	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
-	$(PIP) --editable '.[dev]' --editable ./lab
+	$(PIP) --editable '.[dev,docs]' --editable ./lab
 	@touch $(CORE) $@
 
 # Debian ships venv apart from Python: fall back on virtualenv, or say what to install.

@@ -1,6 +1,6 @@
 """The embedded vector store: one file, no server; exact at city size, inverted lists beyond.
 
-Figures and the choice: `docs/benchmarks.md`; the file: `docs/formats.md`.
+Figures and the choice: `docs/benchmarks/vector-stores.md`; the file: `docs/formats.md`.
 """
 
 from __future__ import annotations

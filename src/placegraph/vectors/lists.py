@@ -1,7 +1,7 @@
 """Inverted lists: vectors by the nearest of some thousand centres, so that most are never read.
 
 Spherical k-means with about 2 sqrt(C) centres; a query opens the lists of the nearest ones. Why
-this and no graph of neighbours (HNSW): `docs/benchmarks.md`, the table of vector stores.
+this and no graph of neighbours (HNSW): `docs/benchmarks/vector-stores.md`, the table of vector stores.
 """
 
 from __future__ import annotations

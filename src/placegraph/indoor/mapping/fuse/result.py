@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class FuseOptions:
-    """How frames are fused; defaults are what measured best (`docs/benchmarks.md`)."""
+    """How frames are fused; defaults are what measured best (`docs/benchmarks/maps.md`)."""
 
     least: float = 0.0003
     """Weight that a surface needs [1 / m^4]: one view weighs cos(angle of incidence) / depth^4, since

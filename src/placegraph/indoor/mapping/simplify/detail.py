@@ -14,7 +14,7 @@ _LARGEST = 1 << 14  # texels a side
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """What is kept; the defaults lose nothing that localization would miss (docs/benchmarks.md)."""
+    """What is kept; the defaults lose nothing that localization would miss (docs/benchmarks/maps.md)."""
 
     error: float | None = 0.005
     """Greatest distance of the simplified surface's vertices from the source's [m]; None: the
