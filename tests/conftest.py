@@ -1,8 +1,10 @@
 """Fixtures of the whole suite."""
 
+import fcntl
 import importlib.util
 import io
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,7 +17,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+import placegraph as pg
 from placegraph import cli
+from placegraph.demo.world import unpack
 from placegraph_lab.worlds.flat.flat import Flat
 
 _SLOW = [HealthCheck.too_slow]  # beside other load
@@ -193,3 +197,22 @@ def harbour_file(harbour, tmp_path_factory):
     path = tmp_path_factory.mktemp("harbour") / "harbour.city"
     harbour.save(path)
     return path
+
+
+@pytest.fixture(scope="session")
+def demo_world(tmp_path_factory):
+    """Folder with the demo's files and two maps made of them, made once for all workers.
+
+    Copy it; what is written there would be seen by other tests.
+    """
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder = base / "demo-world"
+    with (base / "demo-world.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.is_dir():
+            made = unpack(base / "demo-world.making")
+            pg.build_city(made / "hafenstadt.osm", made / "hafenstadt.city")
+            pg.build_scene(made / "altbau.glb", made / "altbau.scene")
+            made.rename(folder)
+    return folder

@@ -1,25 +1,32 @@
-"""Every code block in README.md and docs/*.md runs, or says why it does not.
+"""Every code block in README.md and docs/**/*.md runs, or says why it does not.
 
-Blocks of a page run in order, in one folder and one Python namespace, with the files of `helpers`
-lying there. A ``python`` block is executed. Of a ``bash`` block every line, of a ``console`` block
-every line behind ``$``, must be a ``placegraph`` command; a trailing ``# exits with 6`` says what
-is expected instead of 0. ``../shared`` stands for the folder of shared data, where it exists.
-A block with ``<!-- no-run: reason -->`` on the line above is skipped, with its reason.
+A page is one test. Its blocks run in order, in one folder and one Python namespace, with the files
+of the demo's world and the maps made of them lying there. A ``python`` block is executed. Of a
+``bash`` block every line, of a ``console`` block every line behind ``$``, must be a ``placegraph``
+command; a trailing ``# exits with 6`` says what is expected instead of 0. ``../shared`` stands for
+the folder of shared data, where it exists. A block with ``<!-- no-run: reason -->`` on the line
+above is skipped, with its reason.
 """
 
-import os
+import contextlib
+import io
 import re
-import subprocess
+import shlex
+import shutil
 import sys
 import textwrap
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from placegraph import cli
+
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LONG = set()
+"""Pages that `make test-all` alone runs."""
 SHELL = ("bash", "sh", "shell", "console")
 
 FENCE = re.compile(
@@ -45,16 +52,6 @@ class Block:
 
     def __str__(self):
         return f"{self.page.name}:{self.line}"
-
-
-@dataclass
-class Page:
-    """What the blocks of a page share."""
-
-    folder: Path
-    namespace: dict = field(default_factory=lambda: {"__name__": "docs"})
-    done: set = field(default_factory=set)
-    stopped: str = ""
 
 
 def blocks_of(page, text):
@@ -90,70 +87,61 @@ def real(text):
     return text.replace("../shared", str(SHARED))
 
 
-def run_shell(block, folder):
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+def run_shell(block, monkeypatch):
     for line, expected in commands(block):
-        result = subprocess.run(  # noqa: S603  # what our own pages say
-            ["/bin/bash", "-eu", "-o", "pipefail", "-c", real(line)],
-            cwd=folder,
-            env=os.environ | {"PATH": path, "COLUMNS": "100"},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        assert result.returncode == expected, (
-            f"{block}: {line!r} exits with {result.returncode}, not {expected}:\n"
-            f"{result.stdout}{result.stderr}"
-        )
+        code, said = call(shlex.split(real(line)), monkeypatch)
+        assert code == expected, f"{block}: {line!r} exits with {code}, not {expected}:\n{said}"
 
 
-def run(block, page, monkeypatch):
+def call(words, monkeypatch):
+    """Exit code and output of a command with ``< file`` and ``> file``, run in this process."""
+    streams = {"<": None, ">": None}
+    while len(words) > 2 and words[-2] in streams:
+        *words, arrow, name = words
+        streams[arrow] = name
+    stdin = Path(streams["<"]).read_text("utf-8") if streams["<"] else ""
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(stdin))
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+    if streams[">"]:
+        Path(streams[">"]).write_text(out.getvalue(), "utf-8")
+    return code, out.getvalue() + err.getvalue()
+
+
+def run(block, namespace, monkeypatch):
     if block.language in SHELL:
-        run_shell(block, page.folder)
+        run_shell(block, monkeypatch)
     else:
-        monkeypatch.chdir(page.folder)
         source = "\n" * block.line + real(block.body)  # tracebacks name the page's own lines
-        exec(compile(source, str(block.page), "exec"), page.namespace)  # noqa: S102
+        exec(compile(source, str(block.page), "exec"), namespace)  # noqa: S102
 
 
-def helpers(folder):
-    """Files a page may take for granted: the town of the demo."""
-    from placegraph_lab.worlds.town.town import Town
-
-    Town.load("hafenstadt").write_osm(folder / "hafenstadt.osm")
+def page_test(page):
+    name = str(page.relative_to(ROOT))
+    return pytest.param(page, id=name, marks=[pytest.mark.all] if name in LONG else [])
 
 
-BLOCKS = [block for page in PAGES for block in blocks_of(page, page.read_text("utf-8"))]
-
-
-@pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    found = {page: Page(tmp_path_factory.mktemp(page.stem)) for page in PAGES}
-    for page in found.values():
-        helpers(page.folder)
-    return found
-
-
-@pytest.mark.parametrize("block", BLOCKS, ids=str)
-def test_block(block, pages, monkeypatch):
-    if block.reason is not None:
-        assert block.reason, f"{block}: no-run needs a reason"
-        pytest.skip(f"no-run: {block.reason}")
-    page = pages[block.page]
-    # Those above come first, also where this one was asked for alone.
-    above = BLOCKS[: BLOCKS.index(block) + 1]
-    for earlier in above:
-        if earlier.page != block.page or earlier.reason is not None or earlier.line in page.done:
-            continue
-        if page.stopped:
-            pytest.skip(page.stopped)
-        if earlier.needs_shared and not SHARED.is_dir():
-            page.stopped = f"{earlier} needs ../shared"
-            pytest.skip(page.stopped)
-        page.done.add(earlier.line)
-        run(earlier, page, monkeypatch)
+@pytest.mark.parametrize("page", map(page_test, PAGES))
+def test_page(page, request, tmp_path, monkeypatch):
+    blocks = blocks_of(page, page.read_text("utf-8"))
+    assert all(block.reason != "" for block in blocks), f"{page}: a no-run without a reason"
+    wanted = [block for block in blocks if block.reason is None]
+    if not wanted:
+        return
+    folder = tmp_path / "world"
+    shutil.copytree(request.getfixturevalue("demo_world"), folder)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "100")
+    namespace = {"__name__": "docs"}
+    for block in wanted:
+        if block.needs_shared and not SHARED.is_dir():
+            pytest.skip(f"{block} needs ../shared")
+        run(block, namespace, monkeypatch)
 
 
 # --- the runner itself ---
@@ -217,14 +205,22 @@ def test_a_shell_block_that_would_not_run_must_say_so(body):
         commands(block)
 
 
-def test_a_wrong_block_fails_where_it_stands(tmp_path, monkeypatch):
+def test_a_wrong_block_fails_where_it_stands(monkeypatch):
     (block,) = example("```python\n\n1 / 0\n```\n")
     with pytest.raises(ZeroDivisionError) as caught:
-        run(block, Page(tmp_path), monkeypatch)
+        run(block, {}, monkeypatch)
     assert caught.traceback[-1].lineno + 1 == 3
 
 
-def test_a_wrong_exit_code_fails(tmp_path):
-    (block,) = example("```bash\nplacegraph() { return 6; }; placegraph  # exits with 5\n```\n")
-    with pytest.raises(AssertionError, match="exits with 6, not 5"):
-        run_shell(block, tmp_path)
+def test_a_wrong_exit_code_fails(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (block,) = example("```bash\nplacegraph city info gone.city  # exits with 5\n```\n")
+    with pytest.raises(AssertionError, match="exits with 3, not 5"):
+        run_shell(block, monkeypatch)
+
+
+def test_input_and_output_of_a_command_may_be_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, said = call(["placegraph", "--version", ">", "version.txt"], monkeypatch)
+    assert code == 0
+    assert (tmp_path / "version.txt").read_text() == said
