@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 
 COMMANDS = """# Commands
 
-Every command with its options, as `--help` prints them. A command ends with 0 where it could answer, even where the answer is
-`LOST`; the [exit codes](conventions.md#errors-and-exit-codes) say what went wrong otherwise. `--json` prints what programs need.
+Every command with its options, as `--help` prints them. A command ends with 0 where it could
+answer, even where the answer is `LOST`; the [exit codes](conventions.md#errors-and-exit-codes) say
+what went wrong otherwise. `--json` prints what programs need.
 
 """
 

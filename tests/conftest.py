@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from placegraph.demo.world import unpack
 
 import placegraph as pg
 from placegraph import cli
-from placegraph.demo.world import unpack
 from placegraph_lab.worlds.flat.flat import Flat
 
 _SLOW = [HealthCheck.too_slow]  # beside other load
