@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from placegraph.demo.world import unpack
 
 import placegraph as pg
 from placegraph import cli
@@ -205,6 +204,8 @@ def demo_world(tmp_path_factory):
 
     Copy it; what is written there would be seen by other tests.
     """
+    from placegraph.demo.world import unpack
+
     base = tmp_path_factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     folder = base / "demo-world"
