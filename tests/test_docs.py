@@ -126,7 +126,7 @@ def page_test(page):
     return pytest.param(page, id=name, marks=[pytest.mark.all] if name in LONG else [])
 
 
-@pytest.mark.parametrize("page", map(page_test, PAGES))
+@pytest.mark.parametrize("page", [page_test(page) for page in PAGES])
 def test_page(page, request, tmp_path, monkeypatch):
     blocks = blocks_of(page, page.read_text("utf-8"))
     assert all(block.reason != "" for block in blocks), f"{page}: a no-run without a reason"

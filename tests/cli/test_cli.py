@@ -381,7 +381,12 @@ def test_demo(run, tmp_path):
     }
     assert made >= {"world", "altbau.scene", "walk.png", "walk.gif", "overlay.png"}
     given = {p.name for p in (tmp_path / "new" / "demo" / "world").iterdir()}
-    assert given == {"hafenstadt.osm", "altbau.glb", "walk", *(f"home{i}.scene" for i in range(1, 5))}
+    assert given == {
+        "hafenstadt.osm",
+        "altbau.glb",
+        "walk",
+        *(f"home{i}.scene" for i in range(1, 5)),
+    }
     assert "placegraph scene localize" in result.out.partition("The same by hand:")[2]
     (tmp_path / "file").touch()
     fails(run("demo", "--out", tmp_path / "file"), 3, "file")

@@ -18,7 +18,7 @@ from placegraph.indoor.encode.scenegraphloc.widths import Widths  # noqa: E402
 from placegraph_lab.train.scenegraphloc.objective import Truth, losses, right  # noqa: E402
 
 NEAR, SUMMED = 2e-5, 1e-4
-"""Tolerances that the SPEC suggests."""
+"""Tolerances that the description of the conformance data suggests."""
 HOOKS = {
     "reduce_layers": "patch_reduced",
     "patch_encoder": "patch_encoded",
@@ -71,7 +71,7 @@ def _objects(inputs, edges):
 
 @pytest.fixture(scope="module")
 def found(given, network):
-    """All outputs of the SPEC, by name."""
+    """All outputs that the description names."""
     _, inputs, _ = given
     out = {}
     modules = dict(network.named_modules())

@@ -1,7 +1,7 @@
 """Published figures that stand beside the measured ones in the indoor tables.
 
 The paper's are from 3RScan, real scans of other rooms with a learned encoder: they say how hard the
-task is there, not what the same windows would give. The trial's (issue 3) are from the house and
+task is there, not what the same windows would give. The trial's are from the house and
 the office, with the paper's recipe in C++ and Embree on two cores.
 """
 
@@ -34,7 +34,7 @@ class Reference:
 
 
 _PAPER = "paper, 3RScan"
-_TRIAL = "trial of issue 3"
+_TRIAL = "earlier trial"
 
 REFERENCES = (
     Reference("instances", "semantic", 5, f"{_PAPER}, Tab. 7", (0.11, None, 0.35, None)),

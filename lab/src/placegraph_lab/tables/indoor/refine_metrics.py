@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.indoor.windows import Window
 
 LIMITS = ((0.10, 5.0), (0.25, 2.0), (0.25, 5.0), (0.25, 10.0))
-"""Position [m] and rotation [deg] that a recall allows (issue 5)."""
+"""Position [m] and rotation [deg] that a recall allows."""
 WORSE = (0.02, 0.5)
 """An error counts as larger, or as smaller, from this difference on [m], [deg]."""
 CANDIDATE = "candidate"

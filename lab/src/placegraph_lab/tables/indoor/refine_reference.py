@@ -74,7 +74,7 @@ PUBLISHED = (
         median_before=(0.13, 1.99), median=(0.09, 2.29),
     ),
     Published(
-        "trial of issue 5, XFeat + PnP", ("b in a", "a in b"), None,
+        "earlier trial, XFeat + PnP", ("b in a", "a in b"), None,
         recall=(None, 0.45, None, None),
     ),
 )  # fmt: skip

@@ -115,7 +115,7 @@ def refine_report(rows: Sequence[RefineRow]) -> str:
         parts += histograms(own)
     aims = aims_table(rows)
     if aims:
-        parts += ["#### Aims of issue 5", aims]
+        parts += ["#### Aims", aims]
     harmful = harmful_list(rows)
     if harmful:
         parts += ["#### Accepted, and worse than before", harmful]
@@ -293,7 +293,7 @@ def bin_name(low: float, high: float) -> str:
 
 
 def aims_table(rows: Sequence[RefineRow]) -> str:
-    """What issue 5 aims at beside what was reached; an empty string where nothing was asked."""
+    """Aims beside what was reached; an empty string where nothing was asked."""
     lines: list[list[str]] = []
     for row in rows:
         if row.job.start != "disturbed" or not is_ours(row.job):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
 AIM = (0.25, 2.0)
-"""Limits [m], [deg] of most aims of issue 3."""
+"""Limits [m], [deg] of most aims."""
 AIM_ROW = THRESHOLDS.index(AIM)
 OFFICE_ROW = THRESHOLDS.index((0.25, 10.0))
 RECALLS = " / ".join(
@@ -95,7 +95,7 @@ def report(rows: Sequence[Row]) -> str:
     parts += ["#### Calibration of right answers, and of the probability", calibration_table(rows)]
     aims = aims_table(rows)
     if aims:
-        parts += ["#### Aims of issue 3", aims]
+        parts += ["#### Aims", aims]
     wrong = wrong_list(rows)
     if wrong:
         parts += ["#### Answers said to be OK that are not", wrong]
@@ -235,7 +235,7 @@ def calibration_table(rows: Sequence[Row]) -> str:
 
 @dataclass(frozen=True)
 class Aim:
-    """One aim of issue 3."""
+    """One aim."""
 
     text: str
     name: str
@@ -256,7 +256,7 @@ AIMS = (
 
 
 def aims_table(rows: Sequence[Row]) -> str:
-    """What issue 3 aims at beside what was reached; an empty string where nothing was asked."""
+    """Aims beside what was reached; an empty string where nothing was asked."""
     at = {(r.job.name, r.length): r for r in rows}
     lines = []
     for aim in AIMS:

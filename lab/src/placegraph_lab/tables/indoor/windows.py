@@ -28,7 +28,7 @@ LENGTHS = (5, 10, 25)
 EVERY = 5
 """Frames from the start of a window of the house to the next."""
 HARD = 13
-"""One more start: from this frame of seq01 the paper's recipe always failed (issue 3)."""
+"""One more start: from this frame of seq01 the paper's recipe always failed."""
 HALVES = {"b in a": ((0, 186), (186, 373)), "a in b": ((186, 373), (0, 186))}
 """Frames of the office that make the map, and those that are asked about."""
 OFFICE_EVERY = 9

@@ -153,7 +153,7 @@ def report(rows: Sequence[Row], cities: Sequence[str]) -> str:
 
 
 def aims(by_protocol: dict[Protocol, list[Row]]) -> list[str]:
-    """Tables of what issue 2 aims at beside what was reached."""
+    """Tables of the aims beside what was reached."""
     header = ["names removed, 6 statements", "to triple bag, @1 50 m", "to the tuned bag"]
     header += [
         "oracle to triple bag",

@@ -43,7 +43,7 @@ REFINED_SIZES = ("full", "default", "small")
 LENGTHS = (5, 10)
 """Frames of the house's windows; refining gets the longer ones."""
 LIMITS = {"house": ((0.10, 5.0), (0.25, 2.0)), "office": ((0.10, 5.0), (0.25, 10.0))}
-"""Position [m] and rotation [deg] that a recall allows; the second is what issue 3 counts."""
+"""Position [m] and rotation [deg] that a recall allows; the second is what the aims count."""
 
 
 @dataclass(frozen=True)

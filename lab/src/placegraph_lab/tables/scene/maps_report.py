@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3
 ROOM = 30
-"""Objects of the room of issue 6."""
+"""Objects of a usual room."""
 STORAGE = {
     "HLoc": (294.4, 283.3), "MeshLoc": (1433.6, 589.7), "Loc-NeRF": (143.9, 66.6),
     "SG2Loc": (9.8, 28.2), "ACE": (4.2, 4.2),

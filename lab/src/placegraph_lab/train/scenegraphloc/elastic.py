@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SCALES = ((0.05, 0.2), (0.2, 0.4), (0.4, 0.4))
-"""Granularity, the distance [m] over which the pull changes, and magnitude [m] (SPEC, 11)."""
+"""Granularity, the distance [m] over which the pull changes, and magnitude [m]."""
 SHARE = 0.95
 """Of all clouds; the others stay as they are."""
 _MOST = 48

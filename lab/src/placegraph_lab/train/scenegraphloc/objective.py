@@ -1,4 +1,4 @@
-"""The training loss of one image against the objects of its room and of others (SPEC, 11)."""
+"""The training loss of one image against the objects of its room and of others."""
 
 from __future__ import annotations
 

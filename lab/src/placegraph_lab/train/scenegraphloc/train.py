@@ -1,4 +1,4 @@
-"""Training of the network: on scene maps with captures, or on procedural homes (SPEC, 11)."""
+"""Training of the network: on scene maps with captures, or on procedural homes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SNAPSHOT = "snapshot.pth"
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How to train; the defaults are the published ones (SPEC, 11).
+    """How to train; the defaults are the published ones.
 
     Raises
     ------

@@ -227,7 +227,7 @@ class Judged:
     changed: float | None
     """The same with the room as it was earlier; None where no place is known earlier."""
     room: float
-    """Share of pictures whose own room, of all these, has the highest score (SPEC, 10)."""
+    """Share of pictures whose own room, of all these, has the highest score."""
     temperature: float
     """Cosine that counts one nat, at which what is believed of patches is most probable."""
 
