@@ -21,6 +21,8 @@ import placegraph as pg
 from placegraph import cli
 from placegraph_lab.worlds.flat.flat import Flat
 
+pytest_plugins = ["tests.cities"]
+
 _SLOW = [HealthCheck.too_slow]  # beside other load
 settings.register_profile(
     "quick", deadline=None, derandomize=True, max_examples=30, suppress_health_check=_SLOW

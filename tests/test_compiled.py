@@ -4,9 +4,11 @@ import importlib.util
 import os
 import subprocess
 import sys
+from collections import namedtuple
 
 import numpy as np
 import pytest
+from numba import typeof
 from numba.core import config
 
 from placegraph import compiled, kept
@@ -107,6 +109,12 @@ def test_constants_of_every_kind_are_told_apart():
     assert fingerprint({"a", "b", "c"}) == fingerprint({"c", "b", "a"})
     with pytest.raises(TypeError, match="of which compiled code cannot tell a change"):
         fingerprint(object())
+
+
+def test_named_tuples_are_told_apart_by_home_and_fields():
+    kinds = [("x y", "here"), ("y x", "here"), ("x y", "there")]
+    points = [namedtuple("Point", fields, module=home)(1, 2) for fields, home in kinds]  # noqa: PYI024
+    assert len({fingerprint(typeof(point)) for point in points}) == 3
 
 
 def test_a_folder_that_cannot_be_written_is_replaced_with_one_warning(total, tmp_path):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba.core.extending import _Intrinsic
 from numba.core.registry import CPUDispatcher
-from numba.core.types import Type
+from numba.core.types import BaseNamedTuple, Type
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -45,6 +45,13 @@ def _parts(value: Any, seen: set[str]) -> Iterator[str]:  # noqa: ANN401, ARG001
     if not isinstance(value, _PLAIN):
         raise TypeError(f"A kernel uses {value!r}, of which compiled code cannot tell a change.")
     yield f"{type(value).__name__} {value!r}"
+
+
+@_parts.register(BaseNamedTuple)
+def _(value: Any, seen: set[str]) -> Iterator[str]:  # noqa: ANN401, ARG001
+    # code that was kept names the class and its fields, a type's repr does not
+    home = value.instance_class
+    yield f"{home.__module__}.{home.__qualname__} {value.fields} {value!r}"
 
 
 @_parts.register(tuple)

@@ -1,11 +1,9 @@
 """Cities to be lost in: drawn in ASCII, given in metres, and real ones."""
 
-from xml.sax.saxutils import quoteattr
-
 import numpy as np
 import pytest
+from tests.cities import PLANE
 
-from placegraph.geometry import LocalPlane
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
@@ -13,47 +11,6 @@ from placegraph.outdoor.likelihood import scan_kernels as scan
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.viewpoints import TOGETHER
-
-PLANE = LocalPlane(10.0, 50.0)
-
-
-def _xml(kind, i, attributes, inner, tags):
-    tag = "".join(f"<tag k={quoteattr(k)} v={quoteattr(v)}/>" for k, v in tags.items())
-    return f'<{kind} id="{i}" version="1"{attributes}>{inner}{tag}</{kind}>'
-
-
-def _write_world(path, nodes, ways=(), relations=()):
-    """Nodes (east, north, tags), ways (rows of nodes, tags), relations (rows and roles, tags)."""
-    lines = ['<osm version="0.6">']
-    for i, (east, north, tags) in enumerate(nodes, 1):
-        lon, lat = PLANE.to_lonlat((east, north))
-        lines.append(_xml("node", i, f' lon="{lon:.7f}" lat="{lat:.7f}"', "", tags))
-    for i, (rows, tags) in enumerate(ways, 1):
-        inner = "".join(f'<nd ref="{row + 1}"/>' for row in rows)
-        lines.append(_xml("way", i, "", inner, tags))
-    for i, (members, tags) in enumerate(relations, 1):
-        inner = "".join(
-            f'<member type="way" ref="{row + 1}" role="{role}"/>' for row, role in members
-        )
-        lines.append(_xml("relation", i, "", inner, {"type": "multipolygon"} | tags))
-    path.write_text("\n".join([*lines, "</osm>"]), encoding="utf-8")
-    return path
-
-
-@pytest.fixture
-def write_world(tmp_path):
-    """Write nodes (east, north, tags), ways and multipolygons around 10 E, 50 N as OSM XML."""
-    return lambda *things, name="world.osm": _write_world(tmp_path / name, *things)
-
-
-@pytest.fixture
-def build_world(write_world, tmp_path):
-    """City of nodes (east, north, tags), ways and multipolygons around 10 E, 50 N."""
-
-    def build(*things, **options):
-        return build_city(write_world(*things), tmp_path / "world.city", **options)
-
-    return build
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.map.city import City
@@ -13,6 +13,7 @@ from placegraph.outdoor.map.city import City
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
+    from typing import Unpack
 
     import numpy as np
     from numpy.typing import NDArray
@@ -23,9 +24,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.map.extract import Progress
     from placegraph.outdoor.network.encoded import EncodedCity
     from placegraph.outdoor.search.ask import Answer, Question
-    from placegraph.outdoor.search.cells import By, Matcher
+    from placegraph.outdoor.search.request import MatchingOptions
     from placegraph.outdoor.track.tracker import CityTracker
-    from placegraph.vectors import Region, VectorStore
 
 
 class CityMap(City):
@@ -57,12 +57,7 @@ class CityMap(City):
         heading: float | None = None,
         listener: Sequence[float] | None = None,
         answers: Sequence[Answer] = (),
-        matcher: Matcher = "relational",
-        by: By | Literal["auto"] = "auto",
-        candidates: int = 50,
-        store: VectorStore | None = None,
-        region: Region | None = None,
-        encoded: EncodedCity | None = None,
+        **matching: Unpack[MatchingOptions],
     ) -> CityEstimate:
         """Where a description was spoken.
 
@@ -83,23 +78,8 @@ class CityMap(City):
             Longitude and latitude [deg] of "you", where that is known.
         answers
             Answers to earlier questions of `CityEstimate.next_question`.
-        matcher
-            ``relational`` measures best at the price; ``fused`` lets the network judge its best places
-            as well. ``transformer`` (Eq. 14-17), ``edit-distance`` or ``embedding`` (Eq. 11) alone,
-            on cells.
-        by
-            Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or
-            ``all`` places; ``auto`` takes both where a store is given, else the inverted index.
-            Embeddings alone are fast in maps of any size, find less, and are never sure (`OK`).
-        candidates
-            How many cells embeddings propose.
-        store
-            Where embeddings are searched, such as a Milvus server (`open_store`); the map's own if
-            not given.
-        region
-            The place is known to lie in it.
-        encoded
-            The map as another network reads it (`EncodedCity`).
+        matching
+            `matcher`, `by`, `candidates`, `store`, `region`, `encoded`: see `Matching`.
 
         Returns
         -------
@@ -116,19 +96,12 @@ class CityMap(City):
             The store is of another map or another network.
 
         """
-        from placegraph.outdoor.locate import Matching, locate
+        from placegraph.outdoor.locate import Hints, locate
+        from placegraph.outdoor.search.request import Matching
 
-        return locate(
-            self,
-            text,
-            top=top,
-            near=near,
-            radius=radius,
-            heading=heading,
-            listener=listener,
-            answers=answers,
-            matching=Matching(matcher, by, candidates, store, region, encoded),
-        )
+        hints = Hints(near, radius, heading, listener, answers)
+        by = Matching(**matching, shipped=lambda: self.encoded)
+        return locate(self, text, top=top, hints=hints, matching=by)
 
     def track(
         self,

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from tests.outdoor.search.test_viewpoints import QUERIES
 
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.viewpoints import FINE
 from placegraph.outdoor.track.score import MOST_SCORED, score
-
-from ..search.test_viewpoints import QUERIES
 
 
 @pytest.mark.parametrize("name", QUERIES)

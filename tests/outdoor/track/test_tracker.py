@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.outdoor.test_locate import HARBOUR, metres, sound
 
 from placegraph.errors import DescriptionError, OptionError
 from placegraph.estimate import Status
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.track.tracker import CityTracker
-
-from ..test_locate import HARBOUR, metres, sound
 
 BENCH, FOUNTAIN = {"amenity": "bench"}, {"amenity": "fountain"}
 TEXT = "A fountain is north of me, and a bench is south of me."

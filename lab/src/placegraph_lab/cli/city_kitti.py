@@ -12,7 +12,7 @@ from placegraph.cli.city.matching import Matcher  # noqa: TC001  # typer reads a
 from placegraph.cli.common import AsJson, Quiet, progress_bar
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.search import cells as matchers
+    from placegraph.outdoor.search import request as matchers
 
 
 def convert_kitti360pose(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,13 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.fit_kernels import TABLE, direction_table
-from placegraph.outdoor.likelihood.match import Statements
-from placegraph.outdoor.likelihood.match_kernels import ME
+from placegraph.outdoor.likelihood.statements import (
+    Far,
+    MentionTokens,
+    Statements,
+    columns_of,
+    ends,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,20 +30,10 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.map.city import City
 
-SLIP = 0.08
-"""Share of stated directions that are simply wrong."""
-NOISE = 0.12
-"""Share of statements about things that are not there, or that the map does not know."""
 KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""
 LOOSELY = 0.1
 """Weight of a word's other senses where it is a tag's own value ("path" for a footway)."""
-UNNAMED = 0.4
-"""Certainty that a thing whose name the map does not know is one of its kind on the map."""
-FLOOR = 1e-7
-"""Things cannot be rarer than this share of all things in sight."""
-CROWD = 30.0
-"""Added to the number of pairs in sight, so that lonely places are not preferred."""
 MOST_FAR = 400
 """Mentions of more objects than this are only looked for in sight, on a way as well."""
 RARE = 12
@@ -49,42 +42,6 @@ NEARBY, FAR = 80.0, 350.0
 """Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
 SALIENT = 20.0
 """About so many things out of sight come to mind."""
-GEOMETRY = {
-    Relation.DIRECTION: 0.25,
-    Relation.NEAR: 0.4,
-    Relation.INSIDE: 0.2,
-    Relation.ALONG: 0.2,
-    Relation.ACROSS: 0.3,
-    Relation.BETWEEN: 0.1,
-    Relation.VISIBLE: 1.0,
-    Relation.SAME: 0.3,
-}
-"""P(the relation holds | two things in sight, anywhere)."""
-OPERATION = {relation: i for i, relation in enumerate(Relation)}
-
-
-class MentionTokens(NamedTuple):
-    """Tokens that each mention may stand for; row m is `mentions[m + 2]` of the description."""
-
-    starts: NDArray[np.int64]
-    """(M + 1,)"""
-    tokens: NDArray[np.int32]
-    weights: NDArray[np.float32]
-
-
-class Far(NamedTuple):
-    """Things rare enough to be spoken of from out of sight."""
-
-    starts: NDArray[np.int64]
-    """(M + 1,) objects of a mention; none where it is too common."""
-    objects: NDArray[np.int64]
-    fits: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    """(S,) how far a statement reaches [m]."""
-    share: NDArray[np.float32]
-    """(S,) how often it is said of one particular thing out of sight."""
-    anchors: NDArray[np.int64]
-    """Objects around which candidates are sought, the rarest mention's first."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +66,16 @@ class Query:
         table = np.zeros((n_tokens, len(starts) - 1), np.float32)
         table[tokens, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
         return table
+
+
+def read(city: City, text: str | Description, *, heading: float | None = None) -> Description:
+    """Understand a text in the words of a city (Eq. 3): its names count, whatever the vocabulary says."""
+    if isinstance(text, Description):
+        return text
+    from placegraph.outdoor.language import describe
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+
+    return describe(text, vocabulary=Vocabulary.default(), names=city.name_index, heading=heading)
 
 
 def compile_query(description: Description, city: City, *, on_a_way: bool = False) -> Query:
@@ -140,7 +107,7 @@ def compile_query(description: Description, city: City, *, on_a_way: bool = Fals
         description,
         tuple(used),
         tuple(unused),
-        _columns(used, description, share, by_kind),
+        columns_of(used, description, share, by_kind),
         MentionTokens(
             np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
             np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
@@ -194,11 +161,6 @@ def _far(
     )
 
 
-def ends(statement: Statement) -> tuple[int, int]:
-    """Source and target of a statement."""
-    return statement.source, statement.target
-
-
 def _meaning(statement: Statement, description: Description) -> tuple[object, ...]:
     """What a statement says, whatever its words and nodes: two that say the same are one."""
 
@@ -249,7 +211,7 @@ def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np
     for sense in mention.senses:
         for label in city.label_index.get(sense.label, ()):
             weights[label] = max(weights.get(label, 0.0), by_kind * sense.weight)
-    literal = {label for label in weights if _is_tag(mention.words, city.objects.labels[label])}
+    literal = {label for label in weights if is_tag(mention.words, city.objects.labels[label])}
     if literal:
         weights = {label: w if label in literal else LOOSELY * w for label, w in weights.items()}
     shift = len(city.objects.labels)
@@ -258,7 +220,7 @@ def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
 
 
-def _is_tag(words: str, label: str) -> bool:
+def is_tag(words: str, label: str) -> bool:
     """Whether words are a tag's own value, as in the paper: "bicycle_parking", "the path"."""
     key, _, value = label.replace("_", " ").partition("=")
     said = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
@@ -283,48 +245,3 @@ def _unusable(
             words = description.mentions[node].name or description.mentions[node].words
             return f"the map knows no {words!r}"
     return ""
-
-
-def _columns(
-    used: list[Statement], description: Description, share: list[float], by_kind: frozenset[int]
-) -> Statements:
-    n = len(used)
-
-    def mention(node: int | None) -> int:
-        return ME if node is None or node == SPEAKER else node - 2
-
-    bearing, table = np.zeros((n, 2), np.float32), np.zeros((n, TABLE), np.float32)
-    background = np.empty(n, np.float32)
-    for i, statement in enumerate(used):
-        angle = statement.bearing or 0.0
-        bearing[i] = sin(angle), cos(angle)
-        table[i] = direction_table(statement.bearing_sigma, SLIP)
-        nodes = [*ends(statement)]
-        if statement.relation is Relation.BETWEEN:
-            nodes.append(statement.target2 or SPEAKER)
-        chance = GEOMETRY[statement.relation]
-        for node in nodes:
-            chance *= 1.0 if node == SPEAKER else share[node - 2]
-        background[i] = max(chance, FLOOR)
-    counts = [description.mentions[s.source].count or 0 for s in used]
-    return Statements(
-        op=np.array([OPERATION[s.relation] for s in used], np.int64),
-        source=np.array([mention(s.source) for s in used], np.int64),
-        target=np.array([mention(s.target) for s in used], np.int64),
-        target2=np.array([mention(s.target2) for s in used], np.int64),
-        bearing=bearing,
-        table=table,
-        distance=np.array([s.distance or 0.0 for s in used], np.float32),
-        negated=np.array([s.negated for s in used], np.bool_),
-        number=np.array(counts, np.float32),
-        noise=np.array(
-            [
-                1.0
-                - (1.0 - NOISE) * s.certainty * (1.0 if by_kind.isdisjoint(ends(s)) else UNNAMED)
-                for s in used
-            ],
-            np.float32,
-        ),
-        background=background,
-        crowd=CROWD,
-    )

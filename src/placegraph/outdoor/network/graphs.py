@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.likelihood.query import is_tag
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.map.raster import sightings
 from placegraph.outdoor.network.graphs_kernels import MOST_THINGS, REACH, _gather, _nearest_things
@@ -129,20 +130,13 @@ def _spoken_of(description: Description) -> dict[int, int]:
 def words_of(mention: Mention) -> list[tuple[str, float]]:
     """Words that stand for a mention, and how likely it is meant so: senses, name, or bare words."""
     found = [(sense.label, sense.weight) for sense in mention.senses]
-    literal = [(label, w) for label, w in found if _is_tag(mention.words, label)]
+    literal = [(label, w) for label, w in found if is_tag(mention.words, label)]
     found = literal or found
     total = sum(w for _, w in found)
     found = [(label, w / total) for label, w in found]
     if mention.name:
         found.append((of_name(mention.name), 1.0))
     return found or [(mention.words.casefold(), 1.0)]
-
-
-def _is_tag(words: str, label: str) -> bool:
-    """Whether words are a tag's own value: "bicycle_parking", "the path"."""
-    key, _, value = label.replace("_", " ").partition("=")
-    said = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
-    return said == (key if value == "yes" else value).rstrip("s")
 
 
 _SAID = {

@@ -13,22 +13,22 @@ import numpy as np
 from placegraph.outdoor.network.graphs import PlaceGraphs
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.network.encoded import EncodedCity
-    from placegraph.outdoor.search.viewpoints import Candidates
+    from placegraph.outdoor.search.request import Request
+    from placegraph.outdoor.search.viewpoints import Scored
 
 HARD = 24
 """Viewpoints that relational matching finds best, which the network looks at."""
 
 
-def rerank(found: Candidates, query: Query, encoded: EncodedCity) -> Candidates:
-    """Candidates whose log prior holds what the network says of them."""
+def rerank(asked: Request, found: Scored) -> Scored:
+    """Viewpoints whose log prior holds what the network says of them."""
     before = found.scores + found.log_prior
     best = np.argsort(-before, kind="stable")[:HARD]
     if len(best) < 2:
         return found
+    encoded = asked.encoded
     places = PlaceGraphs.of_views(encoded.city, found.rows[best].astype(np.int64))
-    match = encoded.match(encoded.text(query), places, np.arange(len(best)))
+    match = encoded.match(asked.text, places, np.arange(len(best)))
     _, scale, weight = encoded.network.arrays["prior"]
     after = scale * found.scores[best] + weight * match.residual + found.log_prior[best]
     after += np.logaddexp.reduce(before[best]) - np.logaddexp.reduce(after)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.search.viewpoints import Prior
+from placegraph.outdoor.search.whereabouts import Whereabouts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,22 +20,8 @@ def shares_near(city: City, near: Sequence[float] | None, radius: float) -> Floa
     """Prior shares (W,) of the viewpoints; None where nothing is known."""
     if near is None:
         return None
-    numbers = list(near) if np.iterable(near) else []
-    if len(numbers) == 3:
-        *numbers, radius = numbers
-    try:
-        longitude, latitude = (float(x) for x in numbers)
-    except (TypeError, ValueError, OverflowError):
-        longitude = latitude = float("nan")
-    if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
-        raise OptionError(
-            f"near is {near!r}; give longitude and latitude in degrees, in this order."
-        )
-    within = positive(radius, "radius")
-    if not 1.0 <= within <= 1e7:
-        raise OptionError(f"radius is {radius!r} m; choose between 1 and 10,000,000 m.")
-    prior = Prior(city.plane.to_plane((longitude, latitude)), within)
-    shares = np.exp(prior.log(city.views.positions.astype(np.float64)))
+    known = Whereabouts.around(city, near, radius)
+    shares = np.exp(known.log(city.views.positions.astype(np.float64)))
     return np.asarray(shares / max(1.0, float(shares.sum())))
 
 

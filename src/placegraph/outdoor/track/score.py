@@ -13,14 +13,9 @@ import numpy as np
 
 from placegraph.outdoor.likelihood import scan_kernels as scan
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
-from placegraph.outdoor.search.viewpoints import (
-    CLOSER,
-    FAR_CANDIDATES,
-    FAR_REACH,
-    FINE,
-    MOST_ANCHORS,
-    TOGETHER,
-)
+from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
+from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.viewpoints import CLOSER, TOGETHER, kept, look_around
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +49,7 @@ def score(query: Query, city: City, weights: Floats) -> Scores:
     """Score what was said under a belief: `weights` (W,) of the viewpoints, any scale."""
     statements, views = query.statements, city.views
     relative = weights / max(float(weights.max()), 1e-300)
-    nothing = float(np.log(statements.noise[~statements.negated]).sum())
+    asked, nothing = Request(city, query), statements.floor
     ratios = np.full(len(weights), nothing)
     chosen, bounds, far = _candidates(query, city, relative)
     if not len(chosen):
@@ -62,22 +57,18 @@ def score(query: Query, city: City, weights: Floats) -> Scores:
         return Scores(ratios, nothing, none.astype(np.int64), none.reshape(0, 9, 2), none[:, None])
     prior = np.log(relative[chosen])
     first = slice(MOST_SCORED)
-    words = query.words(len(views.posting_starts) - 1)
     found = scan.score_views(
-        statements, city.columns, views.columns, words, chosen[first], bounds[first], prior[first],
+        statements, city.columns, views.columns, asked.words, chosen[first], bounds[first], prior[first],
         far[first], TOGETHER, MARGIN,
     ).astype(np.float64)  # fmt: skip
     reached = np.flatnonzero(found > 0.5 * HOPELESS)
     last = int(reached[-1]) + 1 if len(reached) else 0
-    kept = nothing
-    if last:  # what is not scored keeps of its bound what the lightest third keeps of theirs
-        tail = slice(2 * last // 3, last)
-        kept = np.logaddexp.reduce(found[tail] + prior[tail]) - np.log(bounds[tail].sum())
+    left = kept((found + prior[first])[:last], bounds[:last]) if last else nothing
     least = float(np.log(statements.noise).sum())
-    ratios[chosen] = np.maximum(np.log(bounds) - prior + kept, least)
+    ratios[chosen] = np.maximum(np.log(bounds) - prior + left, least)
     ratios[chosen[reached]] = found[reached]
     best = reached[np.argsort(-(found + prior[first])[reached], kind="stable")[:CLOSER]]
-    positions, close = _closer(query, city, words, chosen[best], far[best])
+    positions, close = look_around(asked, chosen[best], far[best])
     ratios[chosen[best]] = np.logaddexp.reduce(close, axis=1) - np.log(close.shape[1])
     return Scores(ratios, nothing, chosen[best].astype(np.int64), positions, close)
 
@@ -98,41 +89,18 @@ def _candidates(
     far = np.zeros((min(len(chosen), MOST_SCORED), len(statements.op)), np.float32)
     if query.far is None:
         return chosen, bounds, far
-    anchors = city.objects.center[query.far.anchors[:MOST_ANCHORS]]
-    around = [views.near(anchor, FAR_REACH) for anchor in anchors]
-    extra = np.setdiff1d(np.concatenate([*around, np.zeros(0, np.int64)]), chosen)
-    extra = extra[relative[extra] > 0.0].astype(np.int32)
+    extra = around_far(city, query.far, chosen)
+    extra = extra[relative[extra] > 0.0]
     chosen = np.concatenate([chosen, extra])
     bounds = np.concatenate([bounds, relative[extra]])
     heavy = np.argsort(-bounds, kind="stable")[:FAR_CANDIDATES]
     heavy = np.union1d(heavy, np.arange(len(chosen) - len(extra), len(chosen)))
     added = scan.distant(statements, city.columns, query.far, views.positions[chosen[heavy]])
-    gain = (1.0 - statements.noise) / (statements.noise * statements.background)
     log_bounds = np.log(bounds)
-    log_bounds[heavy] += np.log1p(gain * added).sum(axis=1)
+    log_bounds[heavy] += np.log1p(statements.gain * added).sum(axis=1)
     order = np.argsort(-log_bounds, kind="stable")
     row = np.full(len(chosen), -1)
     row[heavy] = np.arange(len(heavy))
     row = row[order[:MOST_SCORED]]
     far = np.where(row[:, None] >= 0, added[row], np.float32(0.0)).astype(np.float32)
     return chosen[order], np.exp(np.minimum(log_bounds[order], 690.0)), far
-
-
-def _closer(
-    query: Query,
-    city: City,
-    words: NDArray[np.float32],
-    best: NDArray[np.int32],
-    far: NDArray[np.float32],
-) -> tuple[Floats, Floats]:
-    """Finer positions around viewpoints (B,), and their log-likelihood ratios."""
-    views = city.views
-    positions = views.positions[best].astype(np.float64)[:, None] + FINE
-    ratios = np.empty(positions.shape[:2])
-    for k, v in enumerate(best):
-        nearby = views.objects[views.starts[v] : views.starts[v + 1]]
-        again = np.tile(far[k], (positions.shape[1], 1))
-        ratios[k], _, _ = scan.look_again(
-            query.statements, city.columns, words, positions[k], nearby, again, TOGETHER, False
-        )
-    return positions, ratios

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.outdoor.locate import SPACING
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import Posterior
+from placegraph.outdoor.search.viewpoints import SPACING
 from placegraph.outdoor.track.grid import Belief, TrackGrid, laid
 from placegraph.outdoor.track.score import Scores, score
 

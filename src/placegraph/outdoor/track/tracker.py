@@ -19,9 +19,10 @@ from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.language.check import LONGEST_TEXT, check
 from placegraph.outdoor.language.description import Description
-from placegraph.outdoor.likelihood.query import Query, compile_query
-from placegraph.outdoor.locate import MOST_SUPPORT, SPACING, read
+from placegraph.outdoor.likelihood.query import Query, compile_query, read
+from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, place, support
 from placegraph.outdoor.search.posterior import modes, status_of
+from placegraph.outdoor.search.viewpoints import SPACING
 from placegraph.outdoor.track.grid import (
     FARTHEST,
     Belief,
@@ -40,7 +41,6 @@ from placegraph.outdoor.track.stop import Memory, Stop, explained
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 
 MOST_STATEMENTS = 24
@@ -342,35 +342,22 @@ class CityTracker:
         return self._estimate
 
     def _estimated(self, why: str) -> CityEstimate:
-        stop = self._stop
+        stop, city = self._stop, self.city
         understood = stop.query.description if stop.query else None
         if not self._understood and self._shares is None:
             reason = why or "Nothing was said of a place yet; say what stands around you."
             return CityEstimate(Status.LOST, (), reason, understood)
         found = stop.posterior(self._grid, MOST_SUPPORT)
         peaks = modes(found, self._top, SPACING)
-        places = tuple(self._place(m.position, m.probability, m.covariance) for m in peaks)
+        places = tuple(
+            place(mode, city, partial(explained, mode.position, city, stop.query, self._memory))
+            for mode in peaks
+        )
         status, reason = status_of(found, peaks)
         if understood and understood.conflicts and places and _opposed(places[0]):
-            status = Status.LOST
-            reason = "The description contradicts itself: " + understood.conflicts[0]
-        heaviest = np.argsort(-found.probabilities, kind="stable")
-        lonlat = self.city.plane.to_lonlat(found.positions[heaviest])
-        support = np.column_stack([lonlat, found.probabilities[heaviest]])
+            status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
         reason = f"{reason} {why}".strip()
-        return CityEstimate(status, places, reason, understood, support)
-
-    def _place(self, position: Floats, probability: float, covariance: Floats) -> Place:
-        city = self.city
-        longitude, latitude = (float(x) for x in city.plane.to_lonlat(position))
-        return Place(
-            longitude,
-            latitude,
-            probability,
-            city.cells.nearest(position),
-            covariance,
-            partial(explained, position, city, self._stop.query, self._memory),
-        )
+        return CityEstimate(status, places, reason, understood, support(found, city))
 
     def __repr__(self) -> str:
         return f"CityTracker({self.city.source!r}, {len(self._history)} steps)"

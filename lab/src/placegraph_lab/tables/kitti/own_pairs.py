@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.search.cells import Matcher
+    from placegraph.outdoor.search.request import Matcher
     from placegraph_lab.tables.outdoor.metrics import Score
 
     Progress = Callable[[str, int], None]

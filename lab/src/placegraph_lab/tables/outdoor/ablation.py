@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.locate import read
+from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.search.cells import dense_cells
+from placegraph.outdoor.search.candidates import dense_cells
+from placegraph.outdoor.search.request import Matching, Request
 from placegraph_lab.tables.outdoor.matchers import BagMatcher, cell_centers
 from placegraph_lab.tables.outdoor.metrics import RANKS
 from placegraph_lab.tables.outdoor.stages import matched
@@ -85,8 +85,9 @@ def _ranked(
 ) -> dict[str, NDArray[np.int64]]:
     """Rankings of cells for one text."""
     query = compile_query(read(encoded.city, text), encoded.city)
-    said = encoded.text(query)
-    dense = dense_cells(encoded.city, query, max(CANDIDATES), encoded)
+    asked = Request(encoded.city, query, matching=Matching(encoded=encoded))
+    said = asked.text
+    dense = dense_cells(asked, max(CANDIDATES))
     first, own = matched(encoded, said, given), matched(encoded, said, dense)
     table = {
         "given": given[np.argsort(-first.logit, kind="stable")],

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from placegraph.outdoor.locate import read
-from placegraph.outdoor.search.cells import By, retrieve
+from placegraph.outdoor.likelihood.query import read
+from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
 from placegraph.outdoor.search.edit_distance import rank as rank_by_edits
+from placegraph.outdoor.search.request import Matching
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.metrics import RANKS, Answer, distances, positions
 from placegraph_lab.tables.outdoor.report import BAGS
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.search.cells import Matcher as MatcherName
+    from placegraph.outdoor.search.request import By
+    from placegraph.outdoor.search.request import Matcher as MatcherName
     from placegraph_lab.tables.outdoor.nearby import Bins
     from placegraph_lab.tables.outdoor.queries import Query, Setting
 
@@ -119,14 +121,10 @@ class RetrieveMatcher:
 
     def rank(self, query: Query, top: int) -> Places:
         """Candidates, ranked."""
-        found = retrieve(
-            self.city,
-            read(self.city, query.text),
-            matcher=self.matcher,
-            candidates=self.candidates,
-            by=self.by,
-            top=top,
+        matching = Matching(
+            self.matcher, self.by, self.candidates, shipped=lambda: self.city.encoded
         )
+        found = retrieve(self.city, read(self.city, query.text), matching, top=top)
         return places_of(self.city, found.cells)
 
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.likelihood import scan_kernels as scan
-from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.locate import read
+from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.viewpoints import TOGETHER
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.locate import read
+from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.network.network import Matches
 
 if TYPE_CHECKING:

@@ -79,7 +79,7 @@ class PoolFolder:
         """Keep examples."""
         arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
         arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
-        arrays |= {f"fit:{f.name}": getattr(pool.fits, f.name) for f in fields(Fits)}
+        arrays |= {f"fit:{name}": column for name, column in pool.fits._asdict().items()}
         arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
         write_map(self.path / f"{name}.pool", POOL, VERSION, {}, arrays)
 
@@ -92,7 +92,7 @@ class PoolFolder:
         arrays = dict(file.arrays)
         texts: dict[str, Any] = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
         texts["vocabulary"] = file.strings("text:vocabulary")
-        fits = Fits(**{f.name: arrays[f"fit:{f.name}"] for f in fields(Fits)})
+        fits = Fits(*(arrays[f"fit:{name}"] for name in Fits._fields))
         rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
         return Pool(TextGraphs(**texts), fits, **rest)
 

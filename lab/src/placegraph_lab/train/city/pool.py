@@ -10,8 +10,10 @@ import numpy as np
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.batches import Fits, fits_of
 from placegraph.outdoor.network.graphs import TextGraphs
+from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.rerank import HARD
-from placegraph.outdoor.search.viewpoints import Prior, candidates
+from placegraph.outdoor.search.viewpoints import score
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,7 +93,8 @@ def _candidates(
     Who trains does not see the tiles that are held out, not even as wrong places.
     """
     views = speaker.city.views
-    found = candidates(query, speaker.city, Prior())
+    asked = Request(speaker.city, query)
+    found = score(asked, candidates(asked))
     best = np.argsort(-found.scores, kind="stable")
     best = best[speaker.may_see(views.positions[found.rows[best]])][:HARD]
     true = rng.permutation(views.near(position, AT))[:4]  # not the nearest: cells stand apart

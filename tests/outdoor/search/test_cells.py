@@ -7,20 +7,18 @@ import pytest
 
 from placegraph.errors import DescriptionError, OptionError, StoreError
 from placegraph.estimate import Status
-from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.locate import read
+from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.search.cells import (
-    MATCHERS,
-    WAYS,
+from placegraph.outdoor.search import cells
+from placegraph.outdoor.search.candidates import (
     candidate_cells,
+    candidates,
     dense_cells,
-    retrieve,
+    views_by,
     views_in,
-    views_of_candidates,
-    within,
 )
-from placegraph.outdoor.search.viewpoints import Prior, search
+from placegraph.outdoor.search.request import MATCHERS, WAYS, Matching, Request, within
+from placegraph.outdoor.search.viewpoints import closer, score
 from placegraph.vectors import Neighbours, Origin, Region
 
 BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
@@ -36,6 +34,16 @@ def text(said):
 @pytest.fixture(scope="module")
 def query(text, harbour):
     return compile_query(text, harbour)
+
+
+def retrieve(city, text, *, top=5, timeout=0.1, **options):
+    """Rank ten candidates of both ways, if nothing else is asked for."""
+    matching = Matching(**{"by": "both", "candidates": 10} | options)
+    return cells.retrieve(city, text, matching, top=top, timeout=timeout)
+
+
+def asking(city, query, n, by, encoded, **options):
+    return Request(city, query, matching=Matching(by=by, candidates=n, encoded=encoded, **options))
 
 
 def whole(city):
@@ -58,7 +66,9 @@ def test_every_matcher_ranks_the_cells_of_every_way(matcher, by, harbour, encode
     assert found.cells == tuple(harbour.cells.id_of(row) for row in found.rows)
     if by != "all":
         query = compile_query(text, harbour)
-        assert set(found.rows) <= set(candidate_cells(harbour, query, 6, by, encoded).tolist())
+        assert set(found.rows) <= set(
+            candidate_cells(asking(harbour, query, 6, by, encoded)).tolist()
+        )
 
 
 def test_relational_matching_finds_the_place(harbour, encoded, text):
@@ -109,7 +119,7 @@ def test_fused_is_relational_shifted(harbour, make_network, text):
 
 def test_both_takes_turns(harbour, encoded, query):
     dense, sparse, both = (
-        candidate_cells(harbour, query, 8, by, encoded).tolist()
+        candidate_cells(asking(harbour, query, 8, by, encoded)).tolist()
         for by in ("dense", "sparse", "both")
     )
     assert len(dense) == 8
@@ -120,9 +130,9 @@ def test_both_takes_turns(harbour, encoded, query):
 
 
 def test_all_are_all(harbour, encoded, query):
-    found = candidate_cells(harbour, query, 3, "all", encoded)
+    found = candidate_cells(asking(harbour, query, 3, "all", encoded))
     assert found.tolist() == list(range(len(harbour.cells)))
-    views = views_of_candidates(harbour, query, 3, "all", encoded)
+    views = views_by(asking(harbour, query, 3, "all", encoded))
     assert len(views) == len(harbour.views.positions)
 
 
@@ -138,7 +148,7 @@ def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
             return Neighbours(ids, np.zeros((1, n), np.float32))
 
     store, region = Store(), Region(*whole(harbour))
-    rows = dense_cells(harbour, query, 4, encoded, store=store, region=region)
+    rows = dense_cells(asking(harbour, query, 9, "dense", encoded, store=store, region=region), 4)
     assert rows.tolist() == [5, 3]
     ((vectors, n, asked),) = store.asked
     assert vectors.shape == (1, encoded.network.shape.dimension)
@@ -148,7 +158,7 @@ def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
 def test_a_region_keeps_candidates_in(harbour, encoded, query, text):
     west, south, east, north = whole(harbour)
     half = Region(west, south, (west + east) / 2, north)
-    rows = dense_cells(harbour, query, 20, encoded, region=half)
+    rows = dense_cells(asking(harbour, query, 9, "dense", encoded, region=half), 20)
     lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
     assert len(rows)
     assert (lonlat[:, 0] <= half.east).all()
@@ -179,8 +189,8 @@ def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
     [
         ({"matcher": "luck"}, r"matcher 'luck'.*relational"),
         ({"by": "magic"}, r"by 'magic'.*sparse"),
-        ({"candidates": 0}, r"candidates 0"),
-        ({"top": 0}, r"top 0"),
+        ({"candidates": 0}, r"candidates is 0"),
+        ({"top": 0}, r"top is 0"),
     ],
 )
 def test_options_out_of_range_are_refused(harbour, encoded, text, options, says):
@@ -246,7 +256,7 @@ def test_no_way_to_candidates_leaves_a_region(harbour, encoded, query):
     west, south, east, north = whole(harbour)
     half = Region((west + east) / 2, south, east, north)
     for by in WAYS:
-        rows = candidate_cells(harbour, query, 12, by, encoded, region=half)
+        rows = candidate_cells(asking(harbour, query, 12, by, encoded, region=half))
         assert len(rows)
         lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
         # viewpoints of a cell may lie in the region though its centre does not
@@ -393,7 +403,7 @@ def test_ranks_are_no_probabilities(harbour, encoded, text, matcher):
 
 def test_a_share_that_may_be_missing_is_kept_for_the_rest(harbour, text):
     query = compile_query(read(harbour, text), harbour)
-    rows = np.arange(len(harbour.views.positions))
+    asked = Request(harbour, query, matching=Matching(by="all"))
     for reach in (1.0, 0.5, 0.1):
-        found = search(query, harbour, Prior(), rows=rows, reach=reach)
+        found = closer(asked, score(asked, candidates(asked)), reach)
         assert found.probabilities.sum() <= reach + 1e-9

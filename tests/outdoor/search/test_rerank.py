@@ -8,9 +8,11 @@ import pytest
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.search import rerank as module
+from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.search.request import Matching, Request
 from placegraph.outdoor.search.rerank import HARD as MOST
 from placegraph.outdoor.search.rerank import rerank
-from placegraph.outdoor.search.viewpoints import Prior, candidates
+from placegraph.outdoor.search.viewpoints import score
 
 
 class Judge:
@@ -34,9 +36,14 @@ def asked(harbour, said):
     query = compile_query(
         said(("natural=tree", "near", "me"), ("amenity=bench", "east", "me")), harbour
     )
-    found = candidates(query, harbour, Prior())
+    asked = Request(harbour, query)
+    found = score(asked, candidates(asked))
     assert len(found.rows) > MOST
     return query, found
+
+
+def reranked(found, query, encoded):
+    return rerank(Request(encoded.city, query, matching=Matching(encoded=encoded)), found)
 
 
 def posterior(found):
@@ -50,14 +57,14 @@ def judge(harbour):
 
 def test_nothing_added_changes_nothing(asked, judge):
     query, found = asked
-    after = rerank(found, query, judge(np.zeros))
+    after = reranked(found, query, judge(np.zeros))
     assert after.log_prior == pytest.approx(found.log_prior, abs=1e-6)
 
 
 def test_relational_matching_is_scaled(asked, judge):
     """A network that trusts it half as much says so."""
     query, found = asked
-    after = rerank(found, query, judge(np.zeros, 0.5))
+    after = reranked(found, query, judge(np.zeros, 0.5))
     judged = np.argsort(-posterior(found), kind="stable")[:MOST]
     gain = (after.log_prior - found.log_prior)[judged]
     expected = -0.5 * found.scores[judged]
@@ -66,13 +73,13 @@ def test_relational_matching_is_scaled(asked, judge):
 
 def test_what_is_added_to_all_changes_nothing(asked, judge):
     query, found = asked
-    after = rerank(found, query, judge(lambda n: np.full(n, 7.0)))
+    after = reranked(found, query, judge(lambda n: np.full(n, 7.0)))
     assert after.log_prior == pytest.approx(found.log_prior, abs=1e-6)
 
 
 def test_the_judged_weigh_as_much_as_before(asked, judge, rng):
     query, found = asked
-    after = rerank(found, query, judge(lambda n: 5.0 * rng.standard_normal(n)))
+    after = reranked(found, query, judge(lambda n: 5.0 * rng.standard_normal(n)))
     best = np.argsort(-posterior(found), kind="stable")
     judged, rest = best[:MOST], best[MOST:]
     assert np.array_equal(after.log_prior[rest], found.log_prior[rest])
@@ -85,7 +92,7 @@ def test_the_judged_weigh_as_much_as_before(asked, judge, rng):
 
 def test_what_is_added_is_added(asked, judge):
     query, found = asked
-    after = rerank(found, query, judge(lambda n: -1.2 * np.arange(n), weight=0.5))
+    after = reranked(found, query, judge(lambda n: -1.2 * np.arange(n), weight=0.5))
     judged = np.argsort(-posterior(found), kind="stable")[:MOST]
     gain = (after.log_prior - found.log_prior)[judged]
     assert np.diff(gain) == pytest.approx(-0.6, abs=1e-5)
@@ -94,7 +101,7 @@ def test_what_is_added_is_added(asked, judge):
 def test_what_the_network_finds_best_comes_first(asked, judge):
     query, found = asked
     told = judge(lambda n: np.where(np.arange(n) == 9, 60.0, 0.0))
-    after = rerank(found, query, told)
+    after = reranked(found, query, told)
     tenth = np.argsort(-posterior(found), kind="stable")[9]
     assert np.argmax(posterior(after)) == tenth
     ((_, places, rows),) = told.asked
@@ -109,12 +116,12 @@ def test_a_lone_candidate_stays(asked, judge):
         log_prior=found.log_prior[:1],
         far=found.far[:1],
     )
-    assert rerank(few, query, judge(np.ones)) is few
+    assert reranked(few, query, judge(np.ones)) is few
 
 
 def test_the_judged_places_are_the_viewpoints_themselves(asked, harbour, encoded):
     query, found = asked
-    after = rerank(found, query, encoded)
+    after = reranked(found, query, encoded)
     best = np.argsort(-posterior(found), kind="stable")[:MOST]
     views = found.rows[best].astype(np.int64)
     places = module.PlaceGraphs.of_views(harbour, views)
@@ -127,7 +134,7 @@ def test_the_judged_places_are_the_viewpoints_themselves(asked, harbour, encoded
 def test_who_adds_more_shifts_more(asked, harbour, make_network):
     query, found = asked
     little, much = (
-        rerank(found, query, EncodedCity(harbour, make_network(fusion=weight)))
+        reranked(found, query, EncodedCity(harbour, make_network(fusion=weight)))
         for weight in (0.05, 1.0)
     )
     near, far = (np.abs(x.log_prior - found.log_prior).max() for x in (little, much))

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.rerank import HARD
-from placegraph.outdoor.search.viewpoints import Prior, candidates
+from placegraph.outdoor.search.viewpoints import score
 from placegraph_lab.train.city.pool import AT, NEARBY, OTHERS, fill
 
 
@@ -34,13 +36,14 @@ def test_hard_candidates_are_those_of_relational_matching(speakers):
     assert len(seen) == 5
     told = speaker.examples(np.random.default_rng(11))
     query = compile_query(next(told).description, speaker.city)
-    found = candidates(query, speaker.city, Prior())
+    asked = Request(speaker.city, query)
+    found = score(asked, candidates(asked))
     best = found.rows[np.argsort(-found.scores, kind="stable")[:HARD]]
     assert set(best.tolist()) <= set(made.views[0].tolist())
-    score = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))
+    known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))
     for view, value in zip(made.views[0].tolist(), made.scores[0].tolist(), strict=True):
-        if view in score:
-            assert value == pytest.approx(score[view])
+        if view in known:
+            assert value == pytest.approx(known[view])
         else:
             assert np.isnan(value)
 

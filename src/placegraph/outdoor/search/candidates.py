@@ -1,0 +1,167 @@
+"""Which viewpoints, or which cells, are worth comparing with the words (Eq. 11-13)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from placegraph.outdoor.likelihood import scan_kernels as scan
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.likelihood.query import Far
+    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.search.request import Request
+
+MOST_CANDIDATES = 400
+"""At most this many viewpoints are scored ..."""
+FAR_CANDIDATES = 3000
+"""... and this many are looked at where things out of sight are spoken of."""
+FAR_REACH = 400.0
+"""Viewpoints up to this far from a rare thing spoken of from afar are candidates [m]."""
+MOST_ANCHORS = 40
+"""At most this many such things give candidates."""
+SPARSE = 8
+"""Viewpoints looked at for each sparse candidate."""
+
+
+class Candidates(NamedTuple):
+    """Viewpoints to be scored, the most promising first."""
+
+    rows: NDArray[np.int32]
+    """(K,) rows of `city.views`."""
+    bounds: NDArray[np.float64]
+    """(K,) bounds on the likelihood ratio, times the prior against the largest."""
+    far: NDArray[np.float32]
+    """(K, S) what things out of sight add."""
+    left_out: float
+    """Sum of the bounds of what is not scored."""
+
+    @classmethod
+    def given(cls, asked: Request, rows: NDArray[np.int64]) -> Candidates:
+        """These viewpoints and no others."""
+        chosen, statements, city = rows.astype(np.int32), asked.query.statements, asked.city
+        far = np.zeros((len(chosen), len(statements.op)), np.float32)
+        if asked.query.far:
+            far = scan.distant(
+                statements, city.columns, asked.query.far, city.views.positions[chosen]
+            )
+        return cls(chosen, np.full(len(chosen), scan.HIGHEST), far, 0.0)
+
+
+def candidates(asked: Request) -> Candidates:
+    """Viewpoints that the statements may have been made at, by the way that was asked for."""
+    query, views, way = asked.query, asked.city.views, asked.matching.way
+    weights = np.exp(asked.log_prior - asked.log_prior.max(initial=-np.inf))
+    if way == "sparse":
+        most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
+        chosen, bounds, left_out = scan.candidates(
+            query.statements, query.mentions, views.columns, weights, most
+        )
+    else:
+        chosen, left_out = views_by(asked).astype(np.int32), 0.0
+        bounds = np.full(len(chosen), scan.HIGHEST)
+    far = np.zeros((len(chosen), len(query.statements.op)), np.float32)
+    if query.far:
+        chosen, bounds, far = _with_far(asked, query.far, weights, chosen, bounds)
+    if asked.known.inside is not None:
+        allowed = weights[chosen] > 0.0
+        chosen, bounds, far = chosen[allowed], bounds[allowed], far[allowed]
+    return Candidates(chosen, bounds, far, left_out)
+
+
+def _with_far(
+    asked: Request,
+    far: Far,
+    weights: NDArray[np.float64],
+    chosen: NDArray[np.int32],
+    bounds: NDArray[np.float64],
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float32]]:
+    """Add viewpoints around rare things out of sight, and what those add to each statement."""
+    statements, city = asked.query.statements, asked.city
+    extra = around_far(city, far, chosen)
+    extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
+    chosen = np.concatenate([chosen, extra])
+    bounds = np.concatenate([bounds, weights[extra] if len(weights) else np.ones(len(extra))])
+    added = scan.distant(statements, city.columns, far, city.views.positions[chosen])
+    total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
+    order = np.argsort(-total, kind="stable")[:MOST_CANDIDATES]
+    return chosen[order], np.exp(np.minimum(total[order], 690.0)), added[order]
+
+
+def around_far(city: City, far: Far, chosen: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Viewpoints (K,) around rare things out of sight that are not among the chosen."""
+    anchors = city.objects.center[far.anchors[:MOST_ANCHORS]]
+    around = [city.views.near(anchor, FAR_REACH) for anchor in anchors]
+    return np.setdiff1d(np.concatenate([*around, np.zeros(0, np.int64)]), chosen).astype(np.int32)
+
+
+def _touched(asked: Request, most: int) -> NDArray[np.int32]:
+    """Viewpoints (at most `most`) of the region, of largest bound on their likelihood, best first."""
+    views, inside = asked.city.views, _inside(asked)
+    weights = np.zeros(0) if inside is None else inside.astype(np.float64)
+    chosen, _, _ = scan.candidates(
+        asked.query.statements, asked.query.mentions, views.columns, weights, most
+    )
+    return chosen if inside is None else chosen[inside[chosen]]
+
+
+def _inside(asked: Request) -> NDArray[np.bool_] | None:
+    """Which viewpoints (W,) lie in the region; None where none was given."""
+    if asked.matching.region is None:
+        return None
+    return asked.inside(asked.city.views.positions.astype(np.float64))
+
+
+def views_by(asked: Request) -> NDArray[np.int64]:
+    """Viewpoints (V,) in the dense candidates, and for ``both`` those of largest bound as well."""
+    way, inside = asked.matching.way, _inside(asked)
+    if way == "all":
+        return (
+            np.arange(len(asked.city.views.positions)) if inside is None else np.flatnonzero(inside)
+        )
+    views = views_in(asked.city, dense_cells(asked, asked.matching.candidates))
+    return np.union1d(views, _touched(asked, MOST_CANDIDATES)) if way == "both" else views
+
+
+def views_in(city: City, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Viewpoints (V,) that lie in cells, ascending."""
+    half = city.cells.size / 2
+    around = [city.views.near(center, half) for center in city.cells.centers(rows)]
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *around]))
+
+
+def candidate_cells(asked: Request) -> NDArray[np.int64]:
+    """Rows of `city.cells.points` that are worth matching, best first (Eq. 12-13)."""
+    cells, n, way = asked.city.cells, asked.matching.candidates, asked.matching.way
+    if way == "all":
+        return np.flatnonzero(asked.inside(cells.centers(np.arange(len(cells)))))
+    found = []
+    if way != "sparse":
+        found.append(dense_cells(asked, n))
+    if way != "dense":
+        found.append(_sparse_cells(asked, n))
+    if len(found) == 1:
+        return found[0]
+    longest = max(map(len, found))
+    turns = [rows[i] for i in range(longest) for rows in found if i < len(rows)]
+    return np.array(list(dict.fromkeys(turns))[:n], np.int64)
+
+
+def dense_cells(asked: Request, n: int) -> NDArray[np.int64]:
+    """Rows of the `n` cells whose embeddings are nearest to that of the text (Eq. 11-13)."""
+    store, cells = asked.matching.store, asked.city.cells
+    store = asked.encoded.store if store is None else store
+    near = store.search(asked.embedding, min(n, len(cells)), asked.matching.region)
+    return np.searchsorted(cells.points, near.ids[0][near.ids[0] >= 0])
+
+
+def _sparse_cells(asked: Request, n: int) -> NDArray[np.int64]:
+    """Rows of the cells that hold the viewpoints of largest bound."""
+    if not asked.positive:
+        return np.zeros(0, np.int64)
+    views = _touched(asked, SPARSE * n)
+    rows = asked.city.cells.rows_at(asked.city.views.positions[views].astype(np.float64))
+    return np.array(list(dict.fromkeys(rows[rows >= 0].tolist()))[:n], np.int64)

@@ -1,0 +1,121 @@
+"""Where the speaker may be before a word is heard: near a point, within a region, told of the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.geometry import angle_between, bearing
+from placegraph.outdoor.map.index import STRIDE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.map.index import ViewIndex
+
+WALK = 800.0
+"""Scale of the distance from a listener to the place they are told of [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whereabouts:
+    """What is known of the place before a word is heard; all of it is optional."""
+
+    near: NDArray[np.float64] | None = None
+    """(2,) east, north [m] the speaker is near ..."""
+    radius: float = 1000.0
+    """... and the radius that holds half of the probability [m]."""
+    listener: NDArray[np.float64] | None = None
+    """(2,) east, north [m] of "you" ..."""
+    bearings: tuple[tuple[float, float, float], ...] = ()
+    """... and what was said of the way from there: bearing [rad], sigma [rad], certainty."""
+    inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
+    """Whether the speaker may be at positions (K, 2) [m]; anywhere if not given."""
+
+    @classmethod
+    def around(cls, city: City, near: Sequence[float] | None, radius: float) -> Self:
+        """Near a longitude and latitude [deg], a third number of which is the radius [m].
+
+        Raises
+        ------
+        OptionError
+            These are no degrees, or the radius is out of range.
+
+        """
+        if near is not None and np.size(near) == 3:
+            near, radius = near[:2], near[2]
+        if not 1.0 <= (within := number(radius)) <= 1e7:
+            raise OptionError(f"radius is {radius!r} m; choose between 1 and 10,000,000 m.")
+        return cls(None if near is None else position(city, near, "near"), within)
+
+    @property
+    def informative(self) -> bool:
+        """Whether anything is known."""
+        return not (self.near is None and self.listener is None and self.inside is None)
+
+    def log(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log prior probability (W,) of all viewpoints of a map; uniform where nothing is known.
+
+        It is -inf where the speaker cannot be. `near` shifts probability within the map; it puts
+        none off the map but where the map ends before it.
+        """
+        allowed = (
+            np.ones(len(positions), np.bool_) if self.inside is None else self.inside(positions)
+        )
+        n = int(allowed.sum())
+        prior = np.where(allowed, -np.log(max(1, n)), -np.inf)
+        if not n:
+            return prior
+        if self.near is not None:
+            # of a round Gaussian, half lies within 1.1774 sigma; viewpoints stand in for their square
+            sigma = np.hypot(self.radius / 1.1774, STRIDE / 2)
+            off = -0.5 * (((positions - self.near) / sigma) ** 2).sum(axis=1)
+            off = np.where(allowed, off, -np.inf)
+            prior = off - np.logaddexp.reduce(off) + off.max()
+        if self.listener is not None:
+            delta = positions - self.listener
+            area = n * STRIDE**2 / 1e6
+            prior += np.log(_walk(np.hypot(*delta.T)) * area + 1e-3)
+            for said, sigma, certainty in self.bearings:
+                off = angle_between(bearing(delta), said)
+                fits = np.exp(-0.5 * (off / (1.2 * sigma)) ** 2) * 2.0
+                prior += np.log(certainty * fits + (1.0 - certainty) + 0.05)
+        return prior
+
+    def log_of_views(self, views: ViewIndex) -> NDArray[np.float64]:
+        """Log prior (W,) of all viewpoints, together at most 1; nothing where nothing is known."""
+        if not self.informative:
+            return np.zeros(0)
+        log_prior = self.log(views.positions.astype(np.float64))
+        # what is known of the way cannot lie off the map altogether
+        mass = float(np.logaddexp.reduce(log_prior))
+        return log_prior - (mass if self.listener is not None else max(0.0, mass))
+
+
+def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
+    return np.exp(-distance / WALK) * 1e6 / (2.0 * np.pi * WALK**2)
+
+
+def number(value: object) -> float:
+    """A number, or NaN where it is none."""
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
+def position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float64]:
+    """East and north (2,) [m] of a longitude and latitude [deg]; `OptionError` where it is none."""
+    numbers = [number(x) for x in lonlat] if np.iterable(lonlat) else []
+    if len(numbers) != 2 or not (abs(numbers[0]) <= 180.0 and abs(numbers[1]) <= 90.0):
+        raise OptionError(
+            f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
+        )
+    return city.plane.to_plane(numbers)

@@ -1,0 +1,58 @@
+"""What is known of a place before a word is heard."""
+
+import numpy as np
+import pytest
+
+from placegraph.outdoor.search.whereabouts import Whereabouts
+
+
+@pytest.fixture
+def positions(harbour):
+    return harbour.views.positions.astype(np.float64)
+
+
+def test_nothing_known_is_uniform(positions):
+    prior = Whereabouts()
+    assert not prior.informative
+    assert np.ptp(prior.log(positions)) == 0
+    assert np.exp(prior.log(positions)).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("radius", [10.0, 100.0, 1000.0, 1e5])
+def test_near_shifts_probability_within_the_map(radius, positions):
+    near = positions[len(positions) // 2] + 3.0
+    prior = Whereabouts(near=near, radius=radius)
+    assert prior.informative
+    weights = np.exp(prior.log(positions))
+    assert weights.sum() == pytest.approx(1.0, abs=0.1)
+    order = np.argsort(np.hypot(*(positions - near).T))
+    assert (np.diff(weights[order]) <= 1e-12).all()
+
+
+def test_half_lies_within_the_radius(rng):
+    wide = rng.uniform(-3000, 3000, (40_000, 2))
+    weights = np.exp(Whereabouts(near=np.zeros(2), radius=500.0).log(wide))
+    within = weights[np.hypot(*wide.T) <= 500.0].sum() / weights.sum()
+    assert within == pytest.approx(0.5, abs=0.03)
+
+
+def test_near_beyond_the_map_is_mostly_off_it(positions):
+    far = positions.max(axis=0) + 2000.0
+    total = [
+        np.exp(Whereabouts(near=far, radius=r).log(positions)).sum() for r in (300.0, 1000.0, 1e5)
+    ]
+    assert total == sorted(total)
+    assert total[0] < 1e-6
+    assert total[-1] > 0.9
+
+
+def test_the_way_from_a_listener(positions):
+    listener = positions.mean(axis=0)
+    north = Whereabouts(listener=listener, bearings=((0.0, 0.5, 1.0),)).log(positions)
+    delta = positions - listener
+    ahead = (delta[:, 1] > 100) & (np.abs(delta[:, 0]) < 50)
+    behind = (delta[:, 1] < -100) & (np.abs(delta[:, 0]) < 50)
+    assert north[ahead].min() > north[behind].max() + 1
+    unsure = Whereabouts(listener=listener, bearings=((0.0, 0.5, 0.2),)).log(positions)
+    assert np.ptp(unsure) < np.ptp(north)
+    assert np.isfinite(north).all()
