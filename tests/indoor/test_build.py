@@ -16,9 +16,9 @@ from placegraph.errors import InputError, MapLockedError, OptionError, Placegrap
 from placegraph.formats.mesh.glb import Z_UP
 from placegraph.formats.mesh.model import Picture
 from placegraph.indoor.build import build_scene, scene_of_model
+from placegraph.indoor.map.detail import Detail
 from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
-from placegraph.indoor.mapping.simplify.detail import Detail
-from placegraph.indoor.mapping.sources import FromCapture
+from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.store import writing
 
 ROOM = {"floor": ((0, 0, -0.1), (5, 4, 0)), "table": ((1, 1, 0), (2, 2, 0.7))}

@@ -10,13 +10,14 @@ import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import real_path
+from placegraph.indoor.map.detail import Detail, detail_named
 from placegraph.indoor.map.floor import floor_height, is_floor
 from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
 from placegraph.indoor.mapping.clean import check, cleaned, in_metres, upright
+from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.reduce import reduced
-from placegraph.indoor.mapping.simplify.detail import Detail, detail_named
-from placegraph.indoor.mapping.sources import FromCapture, Progress, Source, Up, read_source
+from placegraph.indoor.mapping.sources import Reading, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
@@ -99,18 +100,12 @@ def build_scene(
         The map cannot be written.
 
     """
-    if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise OptionError(f"scale is {scale}; it must be greater than 0.")
-    if up not in {"auto", "y", "z"}:
-        raise OptionError(f"up is {up!r}; it is 'auto', 'y' or 'z'.")
+    how = Reading(labels, up, scale, object_property, segment, capture, reader or {})
     detail = detail_named(detail)
     counts = Counter() if left_out is None else left_out
 
     def made() -> SceneMap:
-        read = read_source(
-            source, labels=labels, up=up, scale=scale, object_property=object_property,
-            segment=segment, capture=capture, reader=reader, left_out=counts, progress=progress,
-        )  # fmt: skip
+        read = read_source(source, how, counts, progress)
         return scene_of(
             read, floor=floor, up=up, scale=scale, detail=detail, left_out=counts, notes=notes,
             progress=progress,

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from placegraph.indoor.map.boxes import overlap
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.relations import RELATIONS, overlap, relate
+from placegraph.indoor.map.relations import RELATIONS, relate
 
 FLOOR = {"floor": ((0, 0, -0.1), (8, 6, 0))}
 
@@ -271,7 +272,7 @@ def test_a_diagonal_triangle_passes_a_corner():
 @pytest.mark.parametrize("count", [400])
 def test_many_objects(count, boxes, rng):
     """The sweep finds what a plain search over all pairs finds."""
-    from placegraph.indoor.map.relations import NEXT, _boxes, _near_pairs
+    from placegraph.indoor.map.boxes import NEXT, boxes_of, near_pairs
 
     low = rng.uniform(0, 30, (count, 3))
     model = boxes(
@@ -281,10 +282,10 @@ def test_many_objects(count, boxes, rng):
         }
     )
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
-    box = _boxes(mesh, ["x"] * count)
+    box = boxes_of(mesh, ["x"] * count)
     gap = np.maximum(box.low[:, None] - box.high[None], box.low[None] - box.high[:, None])[..., :2]
     expected = {(int(a), int(b)) for a, b in np.argwhere(np.all(gap <= NEXT, axis=2)) if a != b}
-    assert set(map(tuple, _near_pairs(box).tolist())) == expected
+    assert set(map(tuple, near_pairs(box).tolist())) == expected
 
 
 def test_the_house_as_one_would_say_it(shared):

@@ -16,8 +16,8 @@ from placegraph.cli.scene.query import rows_of
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.indoor.mapping.simplify.detail import Detail
-    from placegraph.indoor.mapping.sources import FromCapture
+    from placegraph.indoor.map.detail import Detail
+    from placegraph.indoor.mapping.from_capture import FromCapture
     from placegraph.indoor.scene_map import SceneMap
 
 
@@ -156,7 +156,7 @@ def _summary(
 def _detail(name: str, error: float | None, texel: float | None) -> Detail:
     from dataclasses import replace
 
-    from placegraph.indoor.mapping.simplify.detail import detail_named
+    from placegraph.indoor.map.detail import detail_named
 
     detail = detail_named(name)
     if error is not None:
@@ -170,7 +170,7 @@ def _capture(
     frames: str | None, poses: str | None, voxel: float | None, segmenter: Path | None
 ) -> FromCapture | None:
     """How a capture is made into a mesh; None where no option says anything of it."""
-    from placegraph.indoor.mapping.sources import FromCapture
+    from placegraph.indoor.mapping.from_capture import FromCapture
 
     given: dict[str, Any] = {}
     if frames is not None:

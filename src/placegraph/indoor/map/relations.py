@@ -28,15 +28,24 @@ by such relations is in one room (`placegraph.indoor.map.relation_words.find` fo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from placegraph.indoor.map.floor import is_floor, label_words
+from placegraph.indoor.map.boxes import (
+    NEXT,
+    Boxes,
+    Triangles,
+    boxes_of,
+    near_pairs,
+    overlap_2d,
+    triangles_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from placegraph.indoor.map.mesh import Mesh
 
@@ -49,63 +58,14 @@ CONTACT = 0.05
 """What is nearer than this touches [m]."""
 SUPPORT = 0.1
 """A thing may float this much over what it stands on [m]: feet are lost in coarse meshes."""
-NEXT = 0.5
-"""Side by side [m]."""
 OVER = 2.0
 """One above the other [m]."""
 MOST_OBJECTS = 20_000
 """Beyond this many objects, as of a mesh cut to pieces, no relations are made."""
 
-_WALLS = frozenset({"wall", "walls"})
-_CEILINGS = frozenset({"ceiling", "ceilings", "roof"})
-_DOORS = frozenset({"door", "doors", "doorway", "doorframe"})
-_BUILT_IN = _DOORS | {"window", "windows", "curtain", "curtains", "blind", "blinds"}
 _HOLLOW = 0.2  # what something else is inside of is at least this thick [m]
 _SIDE_BY_SIDE = 0.25  # of the lower one's height that the higher one shares
-_LEVEL = 0.7
 _THIN = 0.01  # boxes of flat things are given this thickness [m]
-
-Floats = NDArray[np.float64]
-
-
-class _Boxes(NamedTuple):
-    low: Floats
-    """(N, 3)"""
-    high: Floats
-    """(N, 3)"""
-    structure: NDArray[np.bool_]
-    """(N,) walls, floors, ceilings, and what is half of the map."""
-    floor: NDArray[np.bool_]
-    """(N,) by label, as the next four."""
-    wall: NDArray[np.bool_]
-    ceiling: NDArray[np.bool_]
-    door: NDArray[np.bool_]
-    built_in: NDArray[np.bool_]
-    footprint: Floats
-    """(N,) [m2]"""
-
-
-class _Triangles(NamedTuple):
-    """Triangles sorted by object, and their boxes."""
-
-    corners: NDArray[np.float32]
-    """(T, 3 corners, 3)"""
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
-    level: NDArray[np.bool_]
-    starts: NDArray[np.int64]
-    """(N + 1,)"""
-
-    def in_box(self, row: int, low: Floats, high: Floats, *, level: bool = False) -> bool:
-        """Whether a triangle of an object (a level one) reaches into a box."""
-        own = slice(self.starts[row], self.starts[row + 1])
-        near = np.flatnonzero((self.low[own, 2] <= high[2]) & (self.high[own, 2] >= low[2]))
-        near += own.start
-        if level:
-            near = near[self.level[near]]
-        for axis in (0, 1):
-            near = near[(self.low[near, axis] <= high[axis]) & (self.high[near, axis] >= low[axis])]
-        return bool(near.size) and bool(overlap(self.corners[near], low, high).any())
 
 
 def relate(
@@ -119,10 +79,10 @@ def relate(
     count = len(labels)
     if not 1 < count <= MOST_OBJECTS:
         return []
-    boxes = _boxes(mesh, labels)
+    boxes = boxes_of(mesh, labels)
     rooms = np.full(count, -1) if room_of is None else np.asarray(room_of, np.int64)
-    pairs = _near_pairs(boxes)
-    triangles = _triangles(mesh, count)
+    pairs = near_pairs(boxes)
+    triangles = triangles_of(mesh, count)
     found: dict[tuple[int, int], str] = {}
     fixed = boxes.built_in[pairs[:, 0]] & boxes.wall[pairs[:, 1]]
     grounded = _attached(boxes, triangles, pairs[fixed], found, reach=SUPPORT)
@@ -136,83 +96,9 @@ def relate(
     return sorted(edges + _same_room(boxes, rooms))
 
 
-def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """Which triangles (T, 3 corners, 3) reach into a box, by the separating axis theorem."""
-    half = (high - low) / 2.0
-    points = corners.astype(np.float64) - (low + high) / 2.0
-    edges = np.roll(points, -1, axis=1) - points
-    touching = np.all((points.min(axis=1) <= half) & (points.max(axis=1) >= -half), axis=1)
-    normal = np.cross(edges[:, 0], edges[:, 1])
-    touching &= np.abs((normal * points[:, 0]).sum(axis=1)) <= np.abs(normal) @ half
-    for i in range(3):  # box axis x edge
-        axes = np.cross(np.eye(3)[None, i], edges)  # (T, 3 edges, 3)
-        spans = np.einsum("tei,tci->tec", axes, points)
-        reach = np.abs(axes) @ half
-        touching &= np.all((spans.min(axis=2) <= reach) & (spans.max(axis=2) >= -reach), axis=1)
-    return np.asarray(touching)
-
-
-def _boxes(mesh: Mesh, labels: Sequence[str]) -> _Boxes:
-    bounds = mesh.object_bounds(len(labels))
-    low, high = bounds[:, 0], bounds[:, 1]
-    sides = high - low
-    footprint = sides[:, 0] * sides[:, 1]
-    whole = np.prod((high.max(axis=0) - low.min(axis=0))[:2])
-    words = [(label_words(label) or [""])[-1] for label in labels]
-    floor = np.array([is_floor(label) for label in labels])
-    wall, ceiling, door, built_in = (
-        np.array([word in known for word in words])
-        for known in (_WALLS, _CEILINGS, _DOORS, _BUILT_IN)
-    )
-    structure = floor | wall | ceiling | (footprint >= 0.5 * whole)
-    return _Boxes(low, high, structure, floor, wall, ceiling, door, built_in, footprint)
-
-
-def _triangles(mesh: Mesh, count: int) -> _Triangles:
-    order = np.argsort(mesh.object_of, kind="stable")
-    corners = mesh.vertices[mesh.triangles[order]]
-    normals = mesh.normals()[order]
-    level = np.abs(normals[:, 2]) > _LEVEL * np.linalg.norm(normals, axis=1)
-    starts = np.searchsorted(mesh.object_of[order], np.arange(count + 1))
-    return _Triangles(corners, corners.min(axis=1), corners.max(axis=1), level, starts)
-
-
-def _near_pairs(boxes: _Boxes) -> NDArray[np.int64]:
-    """Pairs (P, 2), both ways, whose footprints are at most `NEXT` apart: a sweep along x."""
-    order = np.argsort(boxes.low[:, 0], kind="stable")
-    begin = boxes.low[order, 0]
-    until = np.searchsorted(begin, boxes.high[order, 0] + NEXT, side="right")
-    found = []
-    for chunk in _chunks(until - np.arange(len(order))):
-        reach = until[chunk] - chunk - 1
-        first = np.repeat(chunk, reach)
-        second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(reach) - reach, reach)
-        a, b = order[first], order[second]
-        near = (boxes.low[a, 1] <= boxes.high[b, 1] + NEXT) & (
-            boxes.low[b, 1] <= boxes.high[a, 1] + NEXT
-        )
-        found.append(np.stack([a[near], b[near]], axis=1))
-    one_way = np.concatenate(found)
-    return np.concatenate([one_way, one_way[:, ::-1]])
-
-
-def _chunks(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Rows, a million pairs at a time."""
-    part = np.cumsum(lengths) // 1_000_000
-    for value in np.unique(part):
-        yield np.flatnonzero(part == value)
-
-
-def _overlap_2d(boxes: _Boxes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Floats:
-    """Area [m2] that the footprints of pairs share."""
-    sides = np.minimum(boxes.high[a], boxes.high[b]) - np.maximum(boxes.low[a], boxes.low[b])
-    area: Floats = np.prod(np.maximum(sides[:, :2], 0.0), axis=1)
-    return area
-
-
 def _standing(
-    boxes: _Boxes,
-    triangles: _Triangles,
+    boxes: Boxes,
+    triangles: Triangles,
     pairs: NDArray[np.int64],
     found: dict[tuple[int, int], str],
 ) -> NDArray[np.bool_]:
@@ -228,7 +114,7 @@ def _standing(
     )
     rows = np.flatnonzero(under & lower & ~apart)
     tops = np.minimum(boxes.high[b[rows], 2], bottom[rows] + CONTACT)
-    carries = _overlap_2d(boxes, a[rows], b[rows]) >= 0.5 * boxes.footprint[a[rows]]
+    carries = overlap_2d(boxes, a[rows], b[rows]) >= 0.5 * boxes.footprint[a[rows]]
     rows = rows[np.lexsort([-boxes.footprint[b[rows]], -np.round(tops, 3), ~carries])]
     stands = np.zeros(len(boxes.low), np.bool_)
     for i in rows.tolist():
@@ -244,7 +130,7 @@ def _standing(
 
 
 def _inside(
-    boxes: _Boxes,
+    boxes: Boxes,
     pairs: NDArray[np.int64],
     found: dict[tuple[int, int], str],
     grounded: NDArray[np.bool_],
@@ -269,8 +155,8 @@ def _inside(
 
 
 def _attached(
-    boxes: _Boxes,
-    triangles: _Triangles,
+    boxes: Boxes,
+    triangles: Triangles,
     pairs: NDArray[np.int64],
     found: dict[tuple[int, int], str],
     *,
@@ -295,8 +181,8 @@ def _attached(
 
 
 def _above(
-    boxes: _Boxes,
-    triangles: _Triangles,
+    boxes: Boxes,
+    triangles: Triangles,
     pairs: NDArray[np.int64],
     found: dict[tuple[int, int], str],
 ) -> None:
@@ -305,7 +191,7 @@ def _above(
     stands[list(carrier)] = True
     a, b = pairs[~boxes.structure[pairs].any(axis=1) & ~stands[pairs[:, 0]]].T
     gap = boxes.low[a, 2] - boxes.high[b, 2]
-    shared = _overlap_2d(boxes, a, b)
+    shared = overlap_2d(boxes, a, b)
     smaller = np.minimum(boxes.footprint[a], boxes.footprint[b])
     rows = np.flatnonzero(
         (gap >= -CONTACT) & (gap <= OVER) & (shared >= 0.5 * smaller) & (smaller > 0)
@@ -343,7 +229,7 @@ def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.boo
     return apart
 
 
-def _next_to(boxes: _Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]) -> None:
+def _next_to(boxes: Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]) -> None:
     a, b = pairs[~boxes.structure[pairs].any(axis=1)].T
     apart = np.maximum(boxes.low[a], boxes.low[b]) - np.minimum(boxes.high[a], boxes.high[b])
     tall = boxes.high[:, 2] - boxes.low[:, 2]
@@ -358,7 +244,7 @@ def _next_to(boxes: _Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int
             found.setdefault((one, other), NEXT_TO)
 
 
-def _same_room(boxes: _Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
+def _same_room(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
     """Shortest tree through the middles of each room's things, both ways: Prim's algorithm."""
     middle = (boxes.low + boxes.high) / 2.0
     edges: list[tuple[int, str, int]] = []

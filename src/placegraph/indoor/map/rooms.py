@@ -20,14 +20,24 @@ around several, is in none.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.rooms_kernels import areas_within, cover, cut, flood, nearest, pieces
-from placegraph.indoor.map.structure import NAMELESS, structure
+from placegraph.indoor.map.room_cells import (
+    BELOW,
+    CELL,
+    Corners,
+    Floats,
+    Grid,
+    Mask,
+    grid_of,
+    ground_cells,
+    wall_cells,
+)
+from placegraph.indoor.map.rooms_kernels import areas_within, flood, nearest
+from placegraph.indoor.map.structure import structure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,8 +46,6 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.map.mesh import Mesh
 
-CELL = 0.05
-"""Side of a cell [m], where the map is no larger than `_MOST_CELLS` of them."""
 LEAST_AREA = 2.0
 """Of a room [m2]."""
 LEAST_WIDTH = 0.8
@@ -46,35 +54,15 @@ NARROW, NARROW_DOOR = 0.6, 0.75
 """Width of a pass that ends a room, as a share of the room's; where it is as narrow as a door."""
 DOOR = 1.0
 """Widest door [m] in a wall that is not known above it."""
-LINTEL = 2.2
-"""Widest door [m] below a wall."""
 REACH = 0.5
 """What is no farther from a room's floor belongs to it [m]: what hangs on its walls, the walls."""
 
-_WALLS = np.array([0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.7, 1.9])  # above the floor [m]
-_LINTELS = np.array([2.2, 2.3, 2.4])
-_BUILT, _TALL, _OVER = (
-    2,
-    7,
-    2,
-)  # of how many of these planes cut what is built, a tall thing, a lintel
-_GAP = 0.5  # a gap of the ground this wide is closed [m], or
-_HOLE = 6.0  # one with ground all around, up to this size [m2]
 _MOSTLY, _PARTLY = 2.0 / 3.0, 1.0 / 3.0  # of a wall, or of a thing, that lies in its room
 _STOREY = 3.5  # what begins higher above the floor is in another storey [m]
-_BELOW = 0.3  # ground may lie this much lower than the floor [m]
 _WIDEST = 6.0  # wider rooms are taken for this wide: no pass wider than 0.6 of it is narrow [m]
-_LEVEL = 0.15  # the floor itself is no higher [m]
 _SEEN = 0.5  # of a room's floor is in the map [m2]; a table in nowhere is no room
-_MOST_CELLS = 1_000_000
-_COARSEST = 0.2  # a map so large that cells are wider has no rooms that could be found [m]
-_DOORS = frozenset({"door", "doors", "curtain", "curtains", "gate", "partition", "shutter"})
-_WALL_WORDS = frozenset({"wall", "walls"})
 
 Cells = NDArray[np.int32]
-Mask = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Corners = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -130,12 +118,6 @@ def with_rooms(
     return rooms.room_of, [{**old, **new} for old, new in both]
 
 
-class _Grid(NamedTuple):
-    origin: Floats
-    cell: float
-    shape: tuple[int, int]
-
-
 def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     """Rooms of a mesh of N objects.
 
@@ -152,13 +134,13 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     corners, normals = mesh.vertices[mesh.triangles], mesh.normals()
     corners[:, :, 2] -= floor
     near = (corners[:, :, 2].min(axis=1, initial=np.inf) < _STOREY) & (
-        corners[:, :, 2].max(axis=1, initial=-np.inf) > -_BELOW
+        corners[:, :, 2].max(axis=1, initial=-np.inf) > -BELOW
     )
-    grid = _grid(corners[near])
+    grid = grid_of(corners[near])
     if grid is None:
         return _no_rooms(len(labels))
-    walls = _walls(mesh, labels, corners, grid)
-    floor_cells, ground = _ground(normals, corners, walls, grid)
+    walls = wall_cells(mesh, labels, corners, grid)
+    floor_cells, ground = ground_cells(normals, corners, walls, grid)
     cells = _cut(ground & ~walls, floor_cells, grid)
     areas = np.bincount(cells[cells >= 0], minlength=int(cells.max(initial=-1)) + 1)
     order = np.argsort(-areas, kind="stable")
@@ -182,98 +164,7 @@ def _no_rooms(count: int) -> Rooms:
     return Rooms(none, np.zeros(0), np.full((1, 1), -1, np.int32), np.zeros(2), CELL)
 
 
-def _grid(corners: Corners) -> _Grid | None:
-    """Grid around triangles, with a margin in which gaps can be closed."""
-    if not len(corners):
-        return None
-    flat = corners[:, :, :2].astype(np.float64)
-    low, high = flat.min(axis=(0, 1)) - 2.0 * _GAP, flat.max(axis=(0, 1)) + 2.0 * _GAP
-    cell = max(CELL, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
-    if cell > _COARSEST:
-        return None
-    nx, ny = np.ceil((high - low) / cell).astype(int).tolist()
-    return _Grid(low, cell, (nx, ny))
-
-
-def _walls(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: _Grid) -> Mask:
-    """Cells (nx, ny) that no room goes through."""
-    words = [(label_words(label) or [""])[-1] for label in labels]
-    built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
-    nameless = np.array([not word or word in NAMELESS for word in words], np.bool_)
-    if not any(word in _WALL_WORDS for word in words):
-        nameless |= ~built
-    kind = np.where(built, 0, np.where(nameless, 1, -1))
-    found = np.zeros((2, *grid.shape), np.uint32)
-    planes = np.concatenate([_WALLS, _LINTELS])
-    cut(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
-    own = found & np.uint32((1 << len(_WALLS)) - 1)
-    tall = (own[1] > 0) & (_bits(_around(own[1])) >= _TALL)
-    walls = (_bits(own[0]) >= _BUILT) | tall
-    over = (found[0] | found[1]) >> np.uint32(len(_WALLS))
-    return walls | _doors(_bits(_around(over)) >= _OVER, walls, (over > 0), grid)
-
-
-def _doors(lintel: Mask, walls: Mask, over: Mask, grid: _Grid) -> Mask:
-    """Cells below a wall, where they are no wider than a door."""
-    open_below = lintel & over & ~(_around(walls.astype(np.uint32)) > 0)
-    part, count = pieces(open_below)
-    if not count:
-        return open_below
-    x, y = np.nonzero(open_below)
-    own = part[x, y]
-    ends = np.empty((4, count))
-    for row, values in enumerate((x, -x, y, -y)):
-        ends[row] = -np.inf
-        np.maximum.at(ends[row], own, values)
-    # with the cells beside the walls, which were taken off
-    wide = (np.maximum(ends[0] + ends[1], ends[2] + ends[3]) + 3.0) * grid.cell > LINTEL
-    closed = np.zeros_like(walls)
-    closed[x, y] = ~wide[own]
-    # to the walls on both sides
-    return (_around(closed.astype(np.uint32)) > 0) & lintel & over
-
-
-def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """How many bits are set."""
-    count = np.zeros(cells.shape, np.uint8)
-    for k in range(len(_WALLS) + len(_LINTELS)):
-        count += ((cells >> np.uint32(k)) & np.uint32(1)).astype(np.uint8)
-    return count
-
-
-def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Bits of each cell and its eight neighbours."""
-    out = cells.copy()
-    for axis in (0, 1):
-        rows = np.moveaxis(out, axis, 0)
-        before = rows.copy()
-        rows[1:] |= before[:-1]
-        rows[:-1] |= before[1:]
-    return out
-
-
-def _ground(normals: Floats, corners: Corners, walls: Mask, grid: _Grid) -> tuple[Mask, Mask]:
-    """Cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
-    level = np.abs(normals[:, 2]) > 0.7 * np.linalg.norm(normals, axis=1)
-    level &= corners[:, :, 2].min(axis=1) > -_BELOW
-    level &= corners[:, :, 2].max(axis=1) < _WALLS[-1]
-    floor, ground = np.zeros((2, *grid.shape), np.bool_)
-    cover(corners, level, grid.origin, grid.cell, ground)
-    cover(corners, level & (corners[:, :, 2].max(axis=1) < _LEVEL), grid.origin, grid.cell, floor)
-    radius = int(_GAP / 2.0 / grid.cell)
-    grown = nearest(ground, radius)[1] >= 0
-    ground |= nearest(~grown, radius)[1] < 0
-    part, count = pieces(~ground & ~walls)
-    if count:
-        sizes = np.bincount(part[part >= 0], minlength=count) * grid.cell**2
-        hole = sizes <= _HOLE
-        for edge in (part[0], part[-1], part[:, 0], part[:, -1]):
-            hole[edge[edge >= 0]] = False
-        ground |= (part >= 0) & hole[part]
-    return floor, ground
-
-
-def _cut(free: Mask, floor: Mask, grid: _Grid) -> Cells:
+def _cut(free: Mask, floor: Mask, grid: Grid) -> Cells:
     """Number (nx, ny) of the room of each free cell; -1: none."""
     squared = nearest(~free, int(_WIDEST / 2.0 / grid.cell))[0]
     width = np.sqrt(squared) * grid.cell
@@ -295,7 +186,7 @@ def _cut(free: Mask, floor: Mask, grid: _Grid) -> Cells:
     return number[own].reshape(basin.shape).astype(np.int32)
 
 
-def _sizes(own: NDArray[np.int64], count: int, grid: _Grid) -> Floats:
+def _sizes(own: NDArray[np.int64], count: int, grid: Grid) -> Floats:
     """Area (count,) [m2] of cells by their number; -1: of none."""
     cells = np.bincount(own[own >= 0], minlength=count)
     return cells.astype(np.float64) * grid.cell**2

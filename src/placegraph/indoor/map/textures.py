@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
     from placegraph.formats.mesh.model import Picture
+    from placegraph.indoor.map.detail import Detail
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.mapping.simplify.detail import Detail
 
 QUALITY = 90
 """WebP quality of textures for which none is asked."""

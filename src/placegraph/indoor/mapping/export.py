@@ -20,7 +20,7 @@ from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.mapping.paint import painted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from os import PathLike
 
     from numpy.typing import ArrayLike, NDArray
@@ -65,18 +65,14 @@ def export(
 
     Parameters
     ----------
-    scene
-        What to write.
-    path
-        File, ending in .glb, .ply or .json.
+    scene, path
+        What to write, and the file, ending in .glb, .ply or .json.
     camera_paths
         Names and (T, 4, 4) map_from_camera of cameras' ways: lines in a .glb, agents in a .json.
     overwrite
         Whether to replace a file that was not written by this function.
 
-    Returns
-    -------
-    The files that were written.
+    Returns the files that were written.
 
     Raises
     ------
@@ -86,18 +82,13 @@ def export(
         The file cannot be written.
 
     """
-    path = Path(path)
-    ending = path.suffix.lower()
+    path, ending = Path(path), Path(path).suffix.lower()
     if ending not in ENDINGS:
         raise OptionError(f"{path} has an unknown ending; a map becomes {', '.join(ENDINGS)}.")
     paths = _checked(camera_paths or {})
     files = [path] if ending != ".ply" else [path, path.with_suffix(".labels.json")]
-    for file in files:
-        if not overwrite and not _ours(file):
-            raise OptionError(
-                f"{file} is there already, and is no earlier export; name another file, or allow it "
-                "to be overwritten (overwrite=True, or --force)."
-            )
+    if not overwrite:
+        _check_free(files)
     if ending == ".glb":
         write_file(path, [_glb(scene, paths)])
     elif ending == ".json":
@@ -109,6 +100,15 @@ def export(
             raise OptionError("camera_paths: a .ply has no place for them; export .glb or .json.")
         _ply(scene, path, files[1])
     return tuple(files)
+
+
+def _check_free(files: Sequence[Path]) -> None:
+    for file in files:
+        if not _ours(file):
+            raise OptionError(
+                f"{file} is there already, and is no earlier export; name another file, or allow it "
+                "to be overwritten (overwrite=True, or --force)."
+            )
 
 
 def losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.formats.mesh.model import Picture
+    from placegraph.indoor.map.detail import Detail
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.mapping.atlas import ColourOf
-    from placegraph.indoor.mapping.simplify.detail import Detail
 
 VIVID = 0.1
 """Colours of two ends of an edge that differ by more than this share of the range are a pattern."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.formats.capture.capture import Capture, Frame, open_capture
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.mapping.sources import FromCapture
+from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses

@@ -16,7 +16,7 @@ from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import Rooms, rooms_of
-from placegraph.indoor.mapping.sources import FromCapture
+from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.maps import house, place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses

@@ -75,10 +75,8 @@ def rooms_of(
 
     Parameters
     ----------
-    scene
-        The map.
-    views
-        What images show of its objects.
+    scene, views
+        The map, and what images show of its objects.
     attributes
         Attribute words to count; without any the vectors are zero.
     count
@@ -103,11 +101,7 @@ def rooms_of(
         rows = np.flatnonzero(scene.scene_of == part)
         if not rows.size:
             continue
-        if rows.size > _MOST:
-            raise OptionError(
-                f"{scene.source or name}: {rows.size} objects in one room; the network relates "
-                f"each to each, which is meant for up to {_MOST}."
-            )
+        _check_size(rows.size, scene.source or name)
         triples = _triples(scene, rows)
         edges, words = complete(len(rows), triples)
         points, mean = clouds.sample(rows, deepcopy(rng))  # merged or alone, it is the same room
@@ -128,6 +122,14 @@ def rooms_of(
         )
         made.append((rows, room))
     return made
+
+
+def _check_size(count: int, name: str) -> None:
+    if count > _MOST:
+        raise OptionError(
+            f"{name}: {count} objects in one room; the network relates each to each, which is meant "
+            f"for up to {_MOST}."
+        )
 
 
 def complete(

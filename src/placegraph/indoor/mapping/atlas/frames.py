@@ -72,12 +72,7 @@ def frame_colours(
         An image cannot be read.
 
     """
-    where = np.asarray(poses, np.float64)
-    if where.shape != (len(frames), 4, 4) or not len(frames) or not np.isfinite(where).all():
-        raise OptionError(
-            f"poses: shape {where.shape} for {len(frames)} frames; each of at least one frame needs "
-            "a finite 4 x 4 map_from_camera."
-        )
+    where = _checked(poses, len(frames))
     if not (np.isfinite(texel) and texel > 0) or views < 1:
         raise OptionError(f"texel is {texel}, views {views}; they must be greater than 0.")
     caster = RayCaster(vertices, triangles)
@@ -93,6 +88,16 @@ def frame_colours(
         return out, known
 
     return colour_of
+
+
+def _checked(poses: ArrayLike, count: int) -> Floats:
+    where = np.asarray(poses, np.float64)
+    if where.shape != (count, 4, 4) or not count or not np.isfinite(where).all():
+        raise OptionError(
+            f"poses: shape {where.shape} for {count} frames; each of at least one frame needs "
+            "a finite 4 x 4 map_from_camera."
+        )
+    return where
 
 
 def _gains(views: Views, vertices: Floats, triangles: NDArray[Any]) -> NDArray[np.float32]:

@@ -132,3 +132,55 @@ def torn(depth, v, u, here, allowed):
         ):
             return True
     return False
+
+
+@kernel(error_model="numpy")
+def farthest(facets, tile):
+    """Greatest reading of every tile (h / tile, w / tile) of `tile`^2 pixels, 0: none."""
+    h, w = facets.shape[:2]
+    out = np.zeros(((h + tile - 1) // tile, (w + tile - 1) // tile), np.float32)
+    for v in range(h):
+        for u in range(w):
+            out[v // tile, u // tile] = max(out[v // tile, u // tile], facets[v, u, 4])
+    return out
+
+
+@kernel(error_model="numpy")
+def visible(places, count, edge, far, tile, eye, shape, pose, band):
+    """Rows of the blocks that a view may see, ascending.
+
+    `far`: of `farthest`; `shape`: height and width [px]; `pose`: (4, 4) camera_from_map.
+    """
+    found = np.empty(count, np.int32)
+    n = 0
+    radius = 0.5 * np.sqrt(3.0) * edge
+    for row in range(count):
+        px, py, pz = (
+            (places[row, 0] + 0.5) * edge,
+            (places[row, 1] + 0.5) * edge,
+            (places[row, 2] + 0.5) * edge,
+        )
+        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+        if z < -radius:
+            continue
+        x = pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]
+        y = pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]
+        left, right, top, low = 0.0, shape[1] - 1.0, 0.0, shape[0] - 1.0
+        front = z - radius
+        if front > NEAR:  # bounds of the sphere's picture, on the safe side
+            left = eye[0] * min((x - radius) / front, (x - radius) / (z + radius)) + eye[2]
+            right = eye[0] * max((x + radius) / front, (x + radius) / (z + radius)) + eye[2]
+            top = eye[1] * min((y - radius) / front, (y - radius) / (z + radius)) + eye[3]
+            low = eye[1] * max((y + radius) / front, (y + radius) / (z + radius)) + eye[3]
+            if right < 0 or low < 0 or left >= shape[1] or top >= shape[0]:
+                continue
+        a, b = int(max(left, 0.0)) // tile, int(min(right, shape[1] - 1.0)) // tile
+        c, d = int(max(top, 0.0)) // tile, int(min(low, shape[0] - 1.0)) // tile
+        deepest = np.float32(0)
+        for i in range(c, d + 1):
+            for j in range(a, b + 1):
+                deepest = max(deepest, far[i, j])
+        if deepest > 0 and front < deepest + band:
+            found[n] = row
+            n += 1
+    return found[:n]

@@ -57,24 +57,19 @@ def fuse(
 
     Parameters
     ----------
-    frames
-        With depth; those without are passed over, and counted.
-    poses
-        (T, 4, 4) map_from_camera [m]; the frames' odometry if not given. Frames whose pose is
-        broken (not finite, not rigid, a slip off both neighbours) are passed over, and counted.
-    voxel
-        Edge of a voxel [m].
+    frames, poses
+        Frames with depth, and (T, 4, 4) map_from_camera [m]; the frames' odometry if not given.
+        Frames without depth, or whose pose is broken (not finite, not rigid, a slip off both
+        neighbours), are passed over, and counted.
+    voxel, reach
+        Edge of a voxel and greatest depth that is used [m].
     truncation
         Distances from the surface beyond this are cut [m]; thinner things come out thicker or not
         at all. Four voxels if not given.
-    reach
-        Greatest depth that is used [m].
     options
         What else can be set.
-    progress
-        Is told how many frames are done, and how many there are.
-    left_out
-        Is told what was passed over, by reason.
+    progress, left_out
+        Are told how many frames are done, of how many; and what was passed over, by reason.
 
     Raises
     ------
@@ -86,15 +81,9 @@ def fuse(
     """
     options = options or FuseOptions()
     counts: Counter[str] = Counter() if left_out is None else left_out
-    if not FINEST <= voxel <= COARSEST:
-        raise OptionError(f"voxel is {voxel}; its edge is {FINEST} to {COARSEST} m.")
-    if truncation is not None and not 1.5 * voxel <= truncation <= 10 * COARSEST:
-        raise OptionError(f"truncation is {truncation}; it is at least 1.5 voxels ({1.5 * voxel}).")
-    if not 0 < reach < np.inf:
-        raise OptionError(f"reach is {reach}; it must be greater than 0 m.")
+    _check(voxel, truncation, reach)
     matrices = checked_poses(frames, poses)
-    edge, why = voxel, ""
-    start = perf_counter()
+    edge, why, start = voxel, "", perf_counter()
     while True:
         band = max(TRUNCATION * edge, LEAST_TRUNCATION) if truncation is None else truncation
         run = _Run(Volume(edge, max(band, 1.5 * edge), 1e9 * options.memory), options, len(frames))
@@ -103,18 +92,23 @@ def fuse(
             run.take(frames, matrices, reach, progress, passed_over)
             break
         except FullError as error:
-            need = (
-                f"{options.memory:g} GB of memory ended at frame {run.done + 1} of {len(frames)} with "
-                f"voxels of {100 * edge:.3g} cm"
-            )
+            need = run.told_end(len(frames))
             if not options.coarsen or COARSER * edge > COARSEST:
                 raise OptionError(
                     f"voxel: {need}; try voxel={COARSER * edge:.3g}, a shorter reach, or fewer frames."
                 ) from error
-            edge *= COARSER
-            why = why or need
+            edge, why = COARSER * edge, why or need
     counts.update(passed_over)
     return run.finish(start, why and f"{why}; they are {100 * edge:.3g} cm now.", counts)
+
+
+def _check(voxel: float, truncation: float | None, reach: float) -> None:
+    if not FINEST <= voxel <= COARSEST:
+        raise OptionError(f"voxel is {voxel}; its edge is {FINEST} to {COARSEST} m.")
+    if truncation is not None and not 1.5 * voxel <= truncation <= 10 * COARSEST:
+        raise OptionError(f"truncation is {truncation}; it is at least 1.5 voxels ({1.5 * voxel}).")
+    if not 0 < reach < np.inf:
+        raise OptionError(f"reach is {reach}; it must be greater than 0 m.")
 
 
 class _Run:
@@ -146,6 +140,13 @@ class _Run:
             self.done += 1
             if progress is not None:
                 progress(self.done, len(frames))
+
+    def told_end(self, total: int) -> str:
+        """Where memory ended."""
+        return (
+            f"{self.options.memory:g} GB of memory ended at frame {self.done + 1} of {total} with "
+            f"voxels of {100 * self.volume.voxel:.3g} cm"
+        )
 
     def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
         """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""

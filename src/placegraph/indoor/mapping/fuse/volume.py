@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.mapping.fuse import volume_kernels as kernels
+from placegraph.indoor.mapping.fuse.depth_kernels import farthest, visible
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE
 from placegraph.threads import share
 
@@ -106,8 +107,8 @@ class Volume:
             self.grow()
         gain = self.gain(view, facets) if gains else 1.0
         back = np.linalg.inv(pose)
-        far = kernels.farthest(facets, TILE)
-        chosen = kernels.visible(
+        far = farthest(facets, TILE)
+        chosen = visible(
             self.places,
             self.count,
             edge,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,16 +52,13 @@ def segment(
 
     Parameters
     ----------
-    vertices
-        (V, 3) [m, map]: z up.
-    triangles
-        (T, 3) rows of vertices.
+    vertices, triangles
+        (V, 3) [m, map], z up; (T, 3) rows of vertices.
     colours
         (V, 3) uint8 sRGB; none: the mesh is of one colour.
-    frames
+    frames, poses
         Frames with `labels()`: ids of labels with names, or ids of objects. Others are passed over.
-    poses
-        (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not given.
+        And (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not given.
     options
         How to cut.
     progress, left_out
@@ -77,10 +75,7 @@ def segment(
     options = options or SegmentOptions()
     spots, rows, shades = _checked(vertices, triangles, colours)
 
-    def tell(stage: str) -> None:
-        if progress is not None:
-            progress(stage, _STAGES.index(stage), len(_STAGES))
-
+    tell = partial(_tell, progress)
     tell("faces")
     faces = Faces.of(spots, rows, shades)
     counts = Counter() if left_out is None else left_out
@@ -93,6 +88,11 @@ def segment(
     named = _by_geometry(cut) if votes is None else cut_by_labels(faces, cut, votes, options)
     floor = cut.structure.floor
     return as_segments(faces, spots, rows, named.groups, named.labels, floor, named.ids)
+
+
+def _tell(progress: Progress | None, stage: str) -> None:
+    if progress is not None:
+        progress(stage, _STAGES.index(stage), len(_STAGES))
 
 
 def _votes(

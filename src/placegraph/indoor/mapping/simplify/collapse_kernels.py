@@ -16,76 +16,17 @@ import numpy as np
 from placegraph.compiled import kernel
 from placegraph.indoor.mapping.simplify.quadric_kernels import (
     face_normal,
+    meeting_point,
     meeting_values,
+    planes_of,
+    quadrics_of,
     wedges_meeting,
 )
 
-BORDER = 10.0
-"""How much more a border edge's plane weighs than a face's: open sheets keep their outline."""
-STUBBY = 1e-4
-"""Share of the squared edge length [m^2 of error per m^2 of area] that breaks ties on flat parts:
-short edges go first, and triangles stay fat."""
 TURN = 0.3
 """Cosine of the angle that a face may turn in one collapse."""
 RING = 250
 """Vertices of more faces than this stay where they are."""
-
-
-@kernel
-def add_plane(quadric, n0, n1, n2, offset, weight):
-    """Add weight * (normal . x + offset)^2 to a quadric (10,): upper triangle of a 4 x 4 matrix."""
-    quadric[0] += weight * n0 * n0
-    quadric[1] += weight * n0 * n1
-    quadric[2] += weight * n0 * n2
-    quadric[3] += weight * n0 * offset
-    quadric[4] += weight * n1 * n1
-    quadric[5] += weight * n1 * n2
-    quadric[6] += weight * n1 * offset
-    quadric[7] += weight * n2 * n2
-    quadric[8] += weight * n2 * offset
-    quadric[9] += weight * offset * offset
-
-
-@kernel
-def error(q, x, y, z):
-    """Value of a quadric (10,) at a point."""
-    return (
-        q[0] * x * x + 2 * q[1] * x * y + 2 * q[2] * x * z + 2 * q[3] * x + q[4] * y * y
-        + 2 * q[5] * y * z + 2 * q[6] * y + q[7] * z * z + 2 * q[8] * z + q[9]
-    )  # fmt: skip
-
-
-@kernel
-def meeting_point(quadrics, points, a, b, q):
-    """Where vertices a and b meet with least error, and that error; `q` (10,) gets their quadric."""
-    for k in range(10):
-        q[k] = quadrics[a, k] + quadrics[b, k]
-    a0, a1, a2 = points[a, 0], points[a, 1], points[a, 2]
-    b0, b1, b2 = points[b, 0], points[b, 1], points[b, 2]
-    best, x, y, z = np.inf, a0, a1, a2
-    # the minimum of the quadric, if it lies near the edge
-    c00, c01, c02 = q[4] * q[7] - q[5] * q[5], q[2] * q[5] - q[1] * q[7], q[1] * q[5] - q[2] * q[4]
-    det = q[0] * c00 + q[1] * c01 + q[2] * c02
-    length = (a0 - b0) ** 2 + (a1 - b1) ** 2 + (a2 - b2) ** 2
-    size = q[0] + q[4] + q[7]
-    if abs(det) > 1e-6 * size * size * size:
-        c11, c12, c22 = (
-            q[0] * q[7] - q[2] * q[2],
-            q[1] * q[2] - q[0] * q[5],
-            q[0] * q[4] - q[1] * q[1],
-        )
-        m0 = -(c00 * q[3] + c01 * q[6] + c02 * q[8]) / det
-        m1 = -(c01 * q[3] + c11 * q[6] + c12 * q[8]) / det
-        m2 = -(c02 * q[3] + c12 * q[6] + c22 * q[8]) / det
-        d0, d1, d2 = m0 - (a0 + b0) / 2, m1 - (a1 + b1) / 2, m2 - (a2 + b2) / 2
-        if d0 * d0 + d1 * d1 + d2 * d2 <= length:
-            best, x, y, z = error(q, m0, m1, m2), m0, m1, m2
-    for share in (0.5, 0.0, 1.0):
-        p0, p1, p2 = a0 + share * (b0 - a0), a1 + share * (b1 - a1), a2 + share * (b2 - a2)
-        e = error(q, p0, p1, p2)
-        if e < best * (1 - 1e-9) - 1e-18:
-            best, x, y, z = e, p0, p1, p2
-    return x, y, z, max(best, 0.0), STUBBY * length * length
 
 
 @kernel
@@ -153,59 +94,6 @@ def folds(v, other, x, y, z, points, faces, head, after):
                 return True
         corner = after[corner]
     return False
-
-
-@kernel
-def planes_of(points, faces, ends, side):
-    """Planes (F + B, 4) of the faces, and of the borders: upright on their face, or zeros."""
-    planes = np.zeros((len(faces) + len(ends), 4))
-    for f in range(len(faces)):
-        n0, n1, n2 = face_normal(points, faces, f)
-        twice = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-        if twice > 0:
-            put_plane(planes[f], n0 / twice, n1 / twice, n2 / twice, points, faces[f, 0])
-    for e in range(len(ends)):
-        n0, n1, n2 = face_normal(points, faces, side[e])
-        a, b = ends[e]
-        d0, d1, d2 = (
-            points[b, 0] - points[a, 0],
-            points[b, 1] - points[a, 1],
-            points[b, 2] - points[a, 2],
-        )
-        w0, w1, w2 = n1 * d2 - n2 * d1, n2 * d0 - n0 * d2, n0 * d1 - n1 * d0
-        length = np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
-        if length > 0:
-            put_plane(
-                planes[len(faces) + e], w0 / length, w1 / length, w2 / length, points, ends[e, 0]
-            )
-    return planes
-
-
-@kernel
-def put_plane(plane, n0, n1, n2, points, v):
-    """Write the plane (4,) with a unit normal through a vertex."""
-    plane[0], plane[1], plane[2] = n0, n1, n2
-    plane[3] = -(n0 * points[v, 0] + n1 * points[v, 1] + n2 * points[v, 2])
-
-
-@kernel
-def quadrics_of(points, faces, ends, planes):
-    """Quadrics (V, 10) of the planes of the faces and of the borders, weighted by area."""
-    quadrics = np.zeros((len(points), 10))
-    for f in range(len(faces)):
-        n0, n1, n2 = face_normal(points, faces, f)
-        weight = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / 6
-        p = planes[f]
-        for k in range(3):
-            add_plane(quadrics[faces[f, k]], p[0], p[1], p[2], p[3], weight)
-    for e in range(len(ends)):
-        p = planes[len(faces) + e]
-        weight = 0.0
-        for k in range(3):
-            weight += BORDER * (points[ends[e, 1], k] - points[ends[e, 0], k]) ** 2
-        for k in range(2):
-            add_plane(quadrics[ends[e, k]], p[0], p[1], p[2], p[3], weight)
-    return quadrics
 
 
 @kernel

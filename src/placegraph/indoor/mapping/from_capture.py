@@ -1,0 +1,167 @@
+"""A scene map's source from an RGB-D capture: fused, cut into objects, coloured by its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.captures import format_of
+from placegraph.formats.mesh.model import Model, Picture, Thing
+
+if TYPE_CHECKING:
+    from collections import Counter
+    from collections.abc import Mapping
+    from os import PathLike
+    from pathlib import Path
+
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.indoor.encode.segmenter import Segmenter
+    from placegraph.indoor.mapping.atlas import ColourOf
+    from placegraph.indoor.mapping.fuse import Fused
+    from placegraph.indoor.mapping.segment import Segments
+
+Progress = Callable[[str, int, int], None]
+"""Is told a stage, how much of it is done, and of how much."""
+UNKNOWN = "unknown"
+"""Label of what nobody named."""
+
+
+@dataclass(frozen=True, slots=True)
+class FromCapture:
+    """How a capture becomes a mesh."""
+
+    frames: slice = field(default_factory=lambda: slice(None))
+    """Which of its frames, such as slice(0, 186)."""
+    poses: str | PathLike[str] | None = None
+    """'odometry', 'trajectory' or a TUM file, as of `open_capture`; None: trajectory.tum where there
+    is one, else what the recorder has."""
+    voxel: float = 0.03
+    """Edge of a voxel of the fused volume [m]."""
+    reach: float = 7.5
+    """Greatest depth that is used [m]."""
+    segmenter: Segmenter | None = None
+    """Labels images that bring no labels; see `placegraph.indoor.encode.segmenter`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A model, and what else is known of the way it looks."""
+
+    model: Model
+    colour_of: ColourOf | None = None
+    """Colours of its surface, sharper than those of its vertices."""
+    notes: tuple[str, ...] = ()
+    """What was found out or taken for granted, in sentences."""
+    finish: Callable[[Model], Source] | None = None
+    """What is left to be done once the model is in metres and upright."""
+
+
+def captured(
+    path: Path,
+    how: FromCapture,
+    left_out: Counter[str],
+    progress: Progress | None = None,
+    *,
+    reader: Mapping[str, Any] | None = None,
+) -> Source:
+    """Model of RGB-D frames: fused, and cut into objects by their labels or by geometry and colour.
+
+    `reader`: options of the recorder's own reader, such as `scale` and `up` of COLMAP. Raises
+    `InputError` where the capture has no depth.
+    """
+    from placegraph.indoor.mapping.atlas import frame_colours
+    from placegraph.indoor.mapping.segment import segment
+
+    told = how.poses is None and (path / "trajectory.tum").exists()
+    capture = _opened(path, how, "trajectory" if told else how.poses, reader or {})
+    left_out.update(capture.left_out)
+    fused = _fused(path, capture, how, left_out, progress)
+    if how.segmenter is not None:
+        from placegraph.indoor.encode.segmenter import labelled
+
+        capture = labelled(capture, how.segmenter)
+    found = segment(
+        fused.vertices, fused.triangles, fused.colours,
+        frames=None if capture.label_camera is None else capture.frames,
+        progress=progress, left_out=left_out,
+    )  # fmt: skip
+    model = Model(
+        path=path, things=things_of(found), vertices=fused.vertices, triangles=fused.triangles,
+        thing_of=found.object_of.astype(np.int64), colours=fused.colours,
+        uv=np.zeros((len(fused.vertices), 2)),
+        picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Picture(None),),
+        floor=found.floor,
+    )  # fmt: skip
+    poses = np.array([f.odometry for f in capture.frames])
+    colour_of = frame_colours(
+        capture.frames, poses, fused.vertices, fused.triangles, progress=_stage(progress, "colours")
+    )
+    notes = _notes(path, told, fused.stats, found.labels)
+    return Source(model, colour_of, (*capture.notes, *notes))
+
+
+def _opened(
+    path: Path, how: FromCapture, poses: str | PathLike[str] | None, reader: Mapping[str, Any]
+) -> Capture:
+    """The frames of a capture that are used; it has depth."""
+    capture = format_of(path).open(path, {"poses": poses, **reader})[how.frames]
+    if not len(capture):
+        raise OptionError(f"frames: {path} has no frame in {_shown(how.frames)}.")
+    if capture.depth_camera is None:
+        raise InputError(
+            f"{path} has no depth images; a map is fused from depth: record them, or build from a mesh."
+        )
+    return capture
+
+
+def _fused(
+    path: Path,
+    capture: Capture,
+    how: FromCapture,
+    left_out: Counter[str],
+    progress: Progress | None,
+) -> Fused:
+    """Surface of a capture; errors name its path."""
+    from placegraph.indoor.mapping.fuse import fuse
+
+    try:
+        return fuse(
+            capture.frames, voxel=how.voxel, reach=how.reach,
+            progress=_stage(progress, "fusing"), left_out=left_out,
+        )  # fmt: skip
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
+
+
+def things_of(found: Segments) -> tuple[Thing, ...]:
+    """Things of what cutting found."""
+    return tuple(map(Thing, found.ids, found.labels, found.names))
+
+
+def _notes(path: Path, told: bool, stats: Any, labels: tuple[str, ...]) -> list[str]:  # noqa: ANN401
+    rate = stats.frames / max(stats.seconds, 1e-9)
+    apart = 100 * stats.agreement
+    notes = [f"{stats.frames} frames fused, {rate:.0f} a second."]
+    notes.append(f"Their depth lies within {apart:.1f} cm of the surface (median).")
+    if told:
+        notes.append(f"Poses are those of {path / 'trajectory.tum'}.")
+    if stats.coarser:
+        notes.append(stats.coarser)
+    known = sum(label != UNKNOWN for label in labels)
+    notes.append(f"It was cut into {len(labels)} objects, {known} of them with a label.")
+    return notes
+
+
+def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else lambda done, total: progress(stage, done, total)
+
+
+def _shown(frames: slice) -> str:
+    parts = [frames.start, frames.stop, *([frames.step] if frames.step else [])]
+    return ":".join("" if part is None else str(part) for part in parts)
