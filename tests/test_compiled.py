@@ -11,7 +11,7 @@ import pytest
 from numba import typeof
 from numba.core import config
 
-from placegraph import compiled, kept
+from placegraph import kept
 from placegraph.fingerprint import fingerprint
 
 CALLEE = """
@@ -41,7 +41,7 @@ BOTH = ["compiled_caller.total", "compiled_callee.times"]
 def _fresh(monkeypatch, tmp_path):
     monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    compiled.use_folder(tmp_path / "kept")
+    kept.use_folder(tmp_path / "kept")
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def total(monkeypatch, tmp_path):
             monkeypatch.setitem(sys.modules, path.stem, module)
             exec(compile(text, path, "exec"), module.__dict__)  # noqa: S102  # never from a .pyc
         told = []
-        with compiled.listening(lambda name, done: told.append((name, done))):
+        with kept.listening(lambda name, done: told.append((name, done))):
             answer = module.total(values)
         begun = [name for name, done in told if not done]
         assert sorted(begun) == sorted(name for name, done in told if done)
@@ -119,7 +119,7 @@ def test_named_tuples_are_told_apart_by_home_and_fields():
 
 def test_a_folder_that_cannot_be_written_is_replaced_with_one_warning(total, tmp_path):
     (tmp_path / "file").touch()
-    compiled.use_folder(tmp_path / "file" / "below")
+    kept.use_folder(tmp_path / "file" / "below")
     with pytest.warns(UserWarning, match="cannot be kept in .*below; it is kept in") as said:
         assert total(np.arange(4.0)) == (18.0, BOTH)
     assert len(said) == 1
@@ -141,7 +141,7 @@ def test_a_folder_that_can_no_longer_be_written(total, tmp_path):
 
 def test_code_is_never_run_from_a_folder_that_others_can_write(total, tmp_path):
     (tmp_path / "file").touch()
-    compiled.use_folder(tmp_path / "file" / "below")
+    kept.use_folder(tmp_path / "file" / "below")
     open_to_all = tmp_path / f"placegraph-{os.getuid()}"
     open_to_all.mkdir()
     open_to_all.chmod(0o777)
@@ -152,11 +152,11 @@ def test_code_is_never_run_from_a_folder_that_others_can_write(total, tmp_path):
 
 def test_the_chosen_folder_comes_before_the_set_one_and_that_before_our_own(monkeypatch, tmp_path):
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "set"))
-    assert compiled.folders() == [tmp_path / "kept"]
-    compiled.use_folder(None)
-    assert compiled.folders() == [tmp_path / "set"]
+    assert kept.folders() == [tmp_path / "kept"]
+    kept.use_folder(None)
+    assert kept.folders() == [tmp_path / "set"]
     monkeypatch.setattr(config, "CACHE_DIR", "")
-    own, user = compiled.folders()
+    own, user = kept.folders()
     assert own.parts[-3:] == ("placegraph", "__pycache__", "kernels")
     assert user.name == "kernels"
 
@@ -168,7 +168,7 @@ def test_what_is_shipped_beside_the_package_is_read_and_the_rest_kept_elsewhere(
     shipped, user = tmp_path / "kept", tmp_path / "user"
     monkeypatch.setattr(kept._Folders, "_wanted", [shipped, user])
     monkeypatch.setattr(kept, "_writable", lambda folder: folder != shipped)
-    compiled.use_folder(None)
+    kept.use_folder(None)
     assert total(np.arange(4.0)) == (18.0, [])
     assert not user.exists()
     assert total(np.arange(4)) == (18.0, BOTH)
@@ -179,10 +179,10 @@ def test_two_processes_compile_nothing_twice(total, tmp_path):
     total(np.arange(4.0))  # writes both files
     program = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "import numpy as np; from placegraph import compiled; from compiled_caller import total\n"
-        "compiled.use_folder(sys.argv[2])\n"
+        "import numpy as np; from placegraph import kept; from compiled_caller import total\n"
+        "kept.use_folder(sys.argv[2])\n"
         "print('ready', flush=True); input()\n"
-        "with compiled.listening(lambda name, done: print(name) if done else None):\n"
+        "with kept.listening(lambda name, done: print(name) if done else None):\n"
         "    total(np.arange(3.0))\n"
     )
     processes = [

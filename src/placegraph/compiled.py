@@ -34,12 +34,11 @@ from numba.core.serialize import dumps
 
 from placegraph import kept
 from placegraph.fingerprint import fingerprint
-from placegraph.kept import folders, use_folder
+from placegraph.kept import folders, tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-__all__ = ["Kernel", "folders", "kernel", "listening", "use_folder"]
+    from pathlib import Path
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:  # noqa: ANN401
@@ -56,16 +55,6 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     made = Kernel(function, locals={}, targetoptions=options)
     made.enable_caching()
     return made
-
-
-@contextmanager
-def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
-    """Call ``listener(name, done)`` before and after each compiling, in whichever thread."""
-    _LISTENERS.append(listener)
-    try:
-        yield
-    finally:
-        _LISTENERS.remove(listener)
 
 
 class _Part(CPUDispatcher):
@@ -103,6 +92,10 @@ class Kernel(_Part):
             self._part = _Part(self.py_func, locals={}, targetoptions=self.targetoptions | bare)
             self._part.enable_caching()
         return self._part
+
+    def is_kept(self, types: tuple[Any, ...]) -> bool:
+        """Whether code for arguments of these types need not be compiled."""
+        return types in self.overloads or any(f.exists() for f in self._cache.files(types))
 
     def get_call_template(self, args: Any, kws: Any) -> Any:  # noqa: ANN401  # numba's
         """How a call from another kernel is typed."""
@@ -158,45 +151,43 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
         if not self._enabled:
             return None
         rtsys.initialize(target_context)
-        file = _file(sig)
-        found = self._load(file, target_context)
-        if found is None and self._take_lock():
-            found = self._load(file, target_context)  # by whom we waited for
+        found = self._load(sig, target_context)
         if found is None:
-            _tell(self.name, done=False)
+            tell(self.name, done=False)
+            self._take_lock()
+            found = self._load(sig, target_context)  # by whom was told, or whom we waited for
         return found
+
+    def files(self, sig: Any) -> list[Path]:  # noqa: ANN401  # numba's
+        return [place / self._folder / _file(sig) for place in folders()]
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:  # noqa: ANN401
         if self._enabled and not data.library.has_dynamic_globals:
             code = dumps(_bare(data._reduce(), linked=not isinstance(self._of, Kernel)))  # noqa: SLF001
             kept.FOLDERS.keep(f"{self._folder}/{_file(sig)}", code)
-        _tell(self.name, done=True)
+        tell(self.name, done=True)
 
     def give_up_lock(self) -> None:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
-    def _load(self, file: str, target_context: Any) -> CompileResult | None:  # noqa: ANN401
-        for place in folders():
+    def _load(self, sig: Any, target_context: Any) -> CompileResult | None:  # noqa: ANN401
+        for file in self.files(sig):
             with suppress(OSError, EOFError, pickle.UnpicklingError):  # cut short by a crash
-                code = pickle.loads((place / self._folder / file).read_bytes())  # noqa: S301
+                code = pickle.loads(file.read_bytes())  # noqa: S301
                 return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None
 
-    def _take_lock(self) -> bool:
-        """Wait for another process that compiles this kernel; False where we have the lock already."""
+    def _take_lock(self) -> None:
+        """Wait for another process that compiles this kernel; a kernel that calls itself has it."""
         if self._lock is not None:
-            return False
+            return
         with suppress(OSError):  # a file system without locks: twice the work, the same code
             folder = kept.FOLDERS.write / self._folder
             folder.mkdir(exist_ok=True)
             self._lock = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
             fcntl.flock(self._lock, fcntl.LOCK_EX)
-        return True
-
-
-_LISTENERS: list[Callable[[str, bool], None]] = []
 
 
 @contextmanager
@@ -224,11 +215,6 @@ def _bare(reduced: tuple[Any, ...], *, linked: bool) -> tuple[Any, ...]:
         linkable = llvmlite.binding.parse_assembly(defined).as_bitcode()
     environments = tuple(each for each in environments if each.consts)
     return ((name, kind, (code, linkable)), described, *others, environments)
-
-
-def _tell(name: str, *, done: bool) -> None:
-    for listener in _LISTENERS:
-        listener(name, done)
 
 
 def _file(sig: Any) -> str:  # noqa: ANN401  # numba's

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="attr-defined"
 """What is made once and found again by the next process: compiled code, grammars, unpacked tables.
 
 Folders are looked through in this order, and what is new goes to the first that can be written:
@@ -12,13 +13,13 @@ import os
 import stat
 import tempfile
 import warnings
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from os import PathLike
 
 T = TypeVar("T")
@@ -32,6 +33,25 @@ def use_folder(folder: str | PathLike[str] | None) -> None:
 def folders() -> list[Path]:
     """Folders that are looked through for compiled code, first to last."""
     return FOLDERS.read
+
+
+@contextmanager
+def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
+    """Call ``listener(name, done)`` when code is not found, and when it was compiled; in any thread.
+
+    A listener that has it compiled elsewhere, before it returns, spares this process the work.
+    """
+    _LISTENERS.append(listener)
+    try:
+        yield
+    finally:
+        _LISTENERS.remove(listener)
+
+
+def tell(name: str, *, done: bool) -> None:
+    """Tell who listens that a kernel is to be compiled, or was."""
+    for listener in _LISTENERS:
+        listener(name, done)
 
 
 def kept(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
@@ -52,11 +72,11 @@ class _Folders:
     """Where compiled code is kept; looked up when first needed, since options come before."""
 
     def __init__(self) -> None:
-        self._chosen: Path | None = None
+        self.chosen: Path | None = None
         self._private: Path | None = None
 
     def choose(self, folder: Path | None) -> None:
-        self._chosen = folder
+        self.chosen = folder
         self.__dict__.pop("write", None)
 
     @property
@@ -81,8 +101,8 @@ class _Folders:
 
     @property
     def _wanted(self) -> list[Path]:
-        if self._chosen is not None:
-            return [self._chosen]
+        if self.chosen is not None:
+            return [self.chosen]
         from numba import config
         from numba.misc.appdirs import AppDirs
 
@@ -104,6 +124,7 @@ class _Folders:
 
 
 FOLDERS = _Folders()
+_LISTENERS: list[Callable[[str, bool], None]] = []
 
 
 def _writable(folder: Path) -> bool:

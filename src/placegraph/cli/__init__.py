@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +12,10 @@ from rich.console import Console
 
 from placegraph.cli import library
 from placegraph.cli.city import commands as city
+from placegraph.cli.compiling import Compiling, warm_up
 from placegraph.cli.scene import commands as scene
 from placegraph.errors import InputError, PlacegraphError
+from placegraph.kept import listening, use_folder
 
 app = typer.Typer(
     name="placegraph",
@@ -24,12 +27,15 @@ app = typer.Typer(
 app.add_typer(city.app, name="city")
 app.add_typer(scene.app, name="scene")
 app.add_typer(library.app, name="library")
+app.command("warm")(warm_up)
 
 
 def main() -> None:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
+    warnings.formatwarning = lambda message, *_: f"placegraph: {message}\n"
     try:
-        app()
+        with listening(Compiling(sys.argv[1:])):
+            app()
     except PlacegraphError as error:
         Console(stderr=True, soft_wrap=True).print(
             f"placegraph: {error}", style="red", markup=False, highlight=False
@@ -44,7 +50,12 @@ def main() -> None:
 @app.callback(invoke_without_command=True)
 def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    compiled: Annotated[
+        Path | None, typer.Option(help="Folder to keep compiled code in.", show_default=False)
+    ] = None,
 ) -> None:
+    if compiled is not None:
+        use_folder(compiled)
     if version:
         from placegraph import __version__
 

@@ -25,7 +25,22 @@ def progress_bar(*, hidden: bool) -> Progress:
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
     hidden = hidden or not console.is_terminal
-    return Progress(*columns, console=console, disable=hidden, transient=True)
+    return _Bar(*columns, console=console, disable=hidden, transient=True)
+
+
+class _Bar(Progress):
+    def start(self) -> None:
+        OPEN.append(self)
+        super().start()
+
+    def stop(self) -> None:
+        super().stop()
+        if self in OPEN:
+            OPEN.remove(self)
+
+
+OPEN: list[Progress] = []
+"""Bars that are shown now; a second one would write over the first, so that lines are added to it."""
 
 
 def show_facts(told: dict[str, object]) -> None:

@@ -72,6 +72,20 @@ def decoys(
     write_decoys(out, typer.echo)
 
 
+@app.command("kernels", hidden=True)
+def kernels(
+    data: Annotated[Path, typer.Option(help="Folder of the shared data.")] = ROOT
+    / "../shared/data",
+    out: Annotated[Path, typer.Option("--out", "-o", help="List to write.")] = (
+        ROOT / "src/placegraph/kernels.txt"
+    ),
+) -> None:
+    """List what each command compiles, by running them all."""
+    from placegraph_lab.make.kernels import list_kernels
+
+    out.write_text(list_kernels(data, typer.echo), encoding="utf-8")
+
+
 @app.command("appearance", hidden=True)
 def appearance(
     homes: Annotated[int, typer.Option(min=0, max=1000, help="Procedural homes.")] = 0,

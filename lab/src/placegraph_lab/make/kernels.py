@@ -1,0 +1,137 @@
+"""The list of what each command compiles (`placegraph.warm`), found by running them on real data."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from placegraph.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+HEAD = """\
+# What each command compiles: the kernels that Python calls, and the types of their arguments; those
+# that take longest come first. Written by `placegraph-lab kernels`; read by `placegraph.warm`.
+"""
+QUERIES = (
+    "I'm at a fountain. The Casino de Monte-Carlo is south of me and the Hotel de Paris is to the southwest.",
+    "I am between a bank and a school. There is no bus stop here. Two benches are near the church.",
+    "The bakery is 50 m north of a bank, and the bank is near a street.",
+)
+FIRST, LATER = "house/seq00 --frames 0:10", "house/seq02 --frames 10:20"
+RUNS = {
+    "city build": [
+        "{data}/osm/monaco_2025.osm.pbf -o m.city",
+        "{data}/osm/toronto_downtown_2020.osm.bz2 -o t.city",
+    ],
+    "city locate": [
+        *(f"{city}.city {shlex.quote(text)}" for text in QUERIES for city in "mt"),
+        f"m.city {shlex.quote(QUERIES[0])} --near 7.4277,43.7394 --radius 300",
+        f"m.city {shlex.quote(QUERIES[0])} --matcher relational",
+    ],
+    "city locate, by the network": [f"m.city {shlex.quote(QUERIES[0])} --matcher transformer"],
+    "city check": ["m.city"],
+    "city track": ["m.city < walk.txt"],
+    "city embed": ["m.city -o m.vectors"],
+    "scene build": ["{data}/house/map/house.glb -o h.scene"],
+    "scene build, of frames": ["{data}/office -o o.scene --frames 0:186:6"],
+    "scene localize": [
+        f"h.scene {{data}}/{FIRST}",
+        "o.scene {data}/office --frames 240:260:4",
+    ],
+    "scene localize, without depth": [f"h.scene {{data}}/{LATER} --no-depth"],
+    "scene localize, with a sentence": [
+        f"h.scene {{data}}/{LATER} --description 'I see a fridge. I am facing the window.'",
+    ],
+    "scene refine": [f"h.scene {{data}}/{LATER} --pose 2.5,1.3,1.7,12"],
+    "scene render": [
+        "h.scene --out seen --pose 2.5,1.3,1.7,12 --camera {data}/house/seq02/camera.json",
+    ],
+    "scene check": ["h.scene"],
+    "scene diff": ["h.scene {data}/house/seq02 --frames ::6 -o changes.json"],
+    "scene update": ["h.scene changes.json -o now.scene"],
+    "scene export": ["h.scene h.glb"],
+    "scene info": ["h.scene --png plan.png"],
+    "library build": ["h.scene o.scene -o p.library"],
+    "library search": [f"p.library {{data}}/{LATER}"],
+    "library search, by a sentence": ["p.library 'a bedroom with a bed and a wardrobe'"],
+    "library localize": [f"p.library {{data}}/{LATER}"],
+}
+WALK = "A fountain is north of me.\nI walked about 100 metres south. There is a bank to my east.\n"
+PROGRAM = """
+import contextlib, json, sys
+from placegraph.cli import app
+with contextlib.suppress(SystemExit):
+    app(sys.argv[2:], standalone_mode=False)
+from placegraph.compiled import Kernel
+from placegraph.warm import spelled
+names, calls = {}, {}
+for name, module in list(sys.modules.items()):
+    for found in vars(module).values() if name.startswith("placegraph.") else ():
+        if isinstance(found, Kernel):
+            for types in found.overloads:
+                size = max((p.stat().st_size for p in found._cache.files(types)), default=0)
+                calls[spelled(found, types, names)] = size
+json.dump([names, calls], open(sys.argv[1], "w"))
+"""
+
+
+def list_kernels(data: Path, say: Callable[[str], None]) -> str:
+    """Text of the list, from running all commands on the shared data in folder `data`."""
+    names: dict[str, str] = {}
+    calls: dict[str, dict[str, int]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "walk.txt").write_text(WALK, encoding="utf-8")
+        for label, run in [(label, run) for label, runs in RUNS.items() for run in runs]:
+            words = [
+                *label.partition(",")[0].split(),
+                *shlex.split(run.format(data=data.resolve())),
+            ]
+            theirs, found = _called(words, Path(folder))
+            _merge(theirs, found, names, calls.setdefault(label, {}))
+            say(f"{len(found):4} {label}")
+    lines = [f"{name} = {text}" for text, name in names.items()]
+    for label, found in calls.items():
+        lines += ["", f"[{label}]", *sorted(found, key=lambda call: (-found[call], call))]
+    return HEAD + "\n".join(lines) + "\n"
+
+
+def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, int]]:
+    """Names of tuples by definition, and bytes of code by call, of one command."""
+    given = (folder / words[-1]).read_text("utf-8") if "<" in words else None
+    words = words[: words.index("<")] if "<" in words else words
+    out = folder / "calls.json"
+    done = subprocess.run(  # noqa: S603  # our own
+        [sys.executable, "-c", PROGRAM, out, *words],
+        cwd=folder, input=given, text=True, capture_output=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise InputError(f"placegraph {shlex.join(words)} failed: {done.stderr.strip()[-500:]}")
+    theirs, found = json.loads(out.read_text("utf-8"))
+    return theirs, found
+
+
+def _merge(
+    theirs: dict[str, str], found: dict[str, int], names: dict[str, str], calls: dict[str, int]
+) -> None:
+    """Take the calls of one run over; its names of tuples may mean others than those before."""
+    renamed: dict[str, str] = {}
+    for text, name in theirs.items():
+        plain = name.rstrip("0123456789")
+        alike = sum(known.rstrip("0123456789") == plain for known in names.values())
+        renamed[name] = names.setdefault(_spell(text, renamed), f"{plain}{alike or ''}")
+    for call, size in found.items():
+        calls[_spell(call, renamed)] = size
+
+
+def _spell(text: str, renamed: dict[str, str]) -> str:
+    """Replace names of tuples where they stand as words among arguments."""
+    head, bracket, rest = text.partition("(")
+    return head + bracket + re.sub(r"\b[A-Z]\w*\b", lambda m: renamed.get(m[0], m[0]), rest)

@@ -1,0 +1,90 @@
+"""What is compiled before a command can go on: one line that says how far it is, and that it is once."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import typer
+
+from placegraph.cli.common import OPEN, Quiet, progress_bar
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class Compiling:
+    """Listens for a kernel that is not found, and has all that the command will need compiled at once.
+
+    `words` are those of the command line, without the program's name.
+    """
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self._words = words
+        self._busy = False
+
+    def __call__(self, name: str, done: bool) -> None:
+        """Take part: `kept.listening`."""
+        if done or self._busy:
+            return
+        from placegraph.warm import calls_with, missing
+
+        self._busy = True  # what is imported here may itself be compiled
+        try:
+            lacking = missing(calls_with(name, self._words))
+            compile_all(lacking, hidden="--quiet" in self._words)
+        finally:
+            self._busy = False
+
+
+def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
+    """Compile on all processors, and say how far it is; returns what failed, as of `warm.warm`."""
+    from placegraph.warm import warm
+
+    if not calls:
+        return []
+    done = 0
+    shown = OPEN[-1] if OPEN else progress_bar(hidden=hidden)
+    with nullcontext() if OPEN else shown:
+        line = shown.add_task(_line(done, len(calls)), total=None)
+
+        def told(_call: str) -> None:
+            nonlocal done
+            done += 1
+            shown.update(line, description=_line(done, len(calls)))
+
+        try:
+            return warm(calls, told)
+        finally:
+            shown.remove_task(line)
+
+
+def warm_up(quiet: Quiet = False) -> None:
+    """Compile everything now, on all processors, so that no first use has to wait.
+
+    Code is kept beside the package or in your cache folder, or in `placegraph --compiled FOLDER`,
+    and is valid for this processor, this Python and this version of numba.
+    """
+    from placegraph.kept import FOLDERS
+    from placegraph.warm import commands, missing
+
+    start = perf_counter()
+    calls = list(dict.fromkeys(call for its in commands().values() for call in its))
+    lacking = missing(calls)
+    failed = compile_all(lacking, hidden=quiet)
+    for reason in failed:
+        typer.echo(f"placegraph: cannot compile {reason}", err=True)
+    if not quiet:
+        seconds = perf_counter() - start
+        typer.echo(
+            f"{len(lacking) - len(failed)} of {len(calls)} functions compiled in {seconds:.0f} s; "
+            f"all are kept in {FOLDERS.write}."
+        )
+    if failed:
+        sys.exit(1)
+
+
+def _line(done: int, total: int) -> str:
+    return f"Compiling for this machine, once: {done} of {total} functions"

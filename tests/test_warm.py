@@ -1,0 +1,99 @@
+"""The list of what commands compile holds, and what it lists is compiled before it is called."""
+
+import inspect
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from numba.core import types
+
+from placegraph import cli, kept, warm
+from placegraph.cli.compiling import Compiling
+
+SMALL = "indoor.map.mesh_order_kernels.code(readonly(int32[::1]), int32[::1])"
+CALLS = list(dict.fromkeys(call for calls in warm.commands().values() for call in calls))
+
+
+@pytest.fixture(autouse=True)
+def _fresh(monkeypatch, tmp_path):
+    monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
+    kept.use_folder(tmp_path / "kept")
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_calls_are_kernels_and_types_of_today(call):
+    kernel, args = warm._found(call), warm._types_of(call, warm._words())
+    assert len(args) == len(inspect.signature(kernel.py_func).parameters)
+    definitions = (line.split(" = ") for line in warm._lines() if " = " in line)
+    names = {text: name for name, text in definitions}
+    assert warm.spelled(kernel, args, names) == call
+
+
+def test_types_are_read_as_they_are_spelled():
+    words = warm._words()
+    args = (
+        types.float64, types.Array(types.float32, 2, "C"), types.Array(types.uint8, 3, "A"),
+        types.Array(types.int64, 2, "F"), types.Array(types.int32, 1, "C", readonly=True),
+        types.UniTuple(types.int64, 2), types.Tuple((types.boolean, types.float64)),
+        words["Surfaces"], types.Omitted(1), types.none,
+    )  # fmt: skip
+    kernel = warm._found(SMALL)
+    assert warm._types_of(warm.spelled(kernel, args, {
+        line.split(" = ")[1]: line.split(" = ")[0] for line in warm._lines() if " = " in line
+    }), words) == args  # fmt: skip
+
+
+def test_the_simplest_kind_of_a_command():
+    build = warm.commands()["scene build"]
+    assert (
+        warm.calls_with("placegraph.indoor.map.rooms_kernels.flood", ["scene", "build", "x"])
+        == build
+    )
+    fused = "placegraph.indoor.mapping.fuse.volume_kernels.integrate"
+    assert len(warm.calls_with(fused, ["scene", "build", "x"])) > len(build)
+    assert warm.calls_with(fused, ["city", "locate", "x"]) == []
+
+
+def test_compiled_before_it_is_called():
+    told = []
+    assert warm.missing([SMALL, SMALL]) == [SMALL]
+    bad = SMALL.replace("int32[::1])", "float64)")
+    failed = warm.warm([SMALL, bad], told.append)
+    assert sorted(told) == sorted([SMALL, bad])
+    assert [reason.split(":")[0] for reason in failed] == [bad.split(":")[0]]
+    assert warm.missing([SMALL]) == []
+
+
+def test_the_command_compiles_what_is_missing(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(warm, "commands", lambda: {"scene build": [SMALL]})
+    monkeypatch.setattr("sys.argv", ["placegraph", "--compiled", str(tmp_path / "mine"), "warm"])
+    for said in ("1 of 1 functions compiled in", "0 of 1 functions compiled in"):
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert not end.value.code
+        out = capsys.readouterr().out
+        assert out.startswith(said)
+        assert str(tmp_path / "mine") in out
+    assert len(list(Path(tmp_path, "mine").glob("*mesh_order_kernels.code*/*.nbc"))) == 1
+
+
+def test_a_kernel_not_found_has_all_of_its_command_compiled(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        warm, "warm", lambda calls, told: (asked.append(calls), told(calls[0]), [])[-1]
+    )
+    listener = Compiling(["scene", "build", "house.glb"])
+    listener("placegraph.indoor.map.rooms_kernels.flood", done=True)
+    listener("placegraph.no.such.kernel", done=False)
+    assert asked == []
+    listener("placegraph.indoor.map.rooms_kernels.flood", done=False)
+    assert asked == [warm.commands()["scene build"]]
+
+
+@pytest.mark.all
+def test_the_list_is_complete(shared):
+    from placegraph_lab.make.kernels import list_kernels
+
+    today = list_kernels(shared / "data", lambda _: None)
+    listed = files("placegraph").joinpath("kernels.txt").read_text("utf-8")
+    assert set(today.splitlines()) <= set(listed.splitlines())
