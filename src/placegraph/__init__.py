@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.language import rank_scenes
     from placegraph.indoor.library import SceneLibrary, SearchOptions
     from placegraph.indoor.mapping.merge import merge_scenes
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import matcher
     from placegraph.indoor.scene_map import SceneMap
@@ -33,7 +35,9 @@ _HOME = {
     "Capture": "placegraph.formats.capture.capture",
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.estimate",
+    "FilterOptions": "placegraph.indoor.options",
     "Frame": "placegraph.formats.capture.capture",
+    "Prior": "placegraph.indoor.pose.prior",
     "RefineOptions": "placegraph.indoor.refine",
     "Refinement": "placegraph.estimate",
     "Region": "placegraph.vectors",
@@ -58,7 +62,9 @@ __all__ = [
     "Capture",
     "CityMap",
     "Estimate",
+    "FilterOptions",
     "Frame",
+    "Prior",
     "RefineOptions",
     "Refinement",
     "Region",

@@ -174,7 +174,8 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
 
     def _load(self, sig: Any, target_context: Any) -> CompileResult | None:  # noqa: ANN401
         for file in self.files(sig):
-            with suppress(OSError, EOFError, pickle.UnpicklingError):  # cut short by a crash
+            # cut short by a crash; or of arguments whose class has moved since
+            with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
                 code = pickle.loads(file.read_bytes())  # noqa: S301
                 return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None

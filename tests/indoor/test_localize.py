@@ -24,7 +24,7 @@ from placegraph.indoor.encode.instances import ClassesOfInstances
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.search import Prior
+from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.threads import limited
 

@@ -1,141 +1,75 @@
-"""A capture finds its pose in a scene map: table, filter in passes, polish, verdict."""
+"""A capture finds its pose in a scene map: table, filter in passes, polish, verdict, refinement."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import for_map
 from placegraph.indoor.likelihood.observe import sight
-from placegraph.indoor.likelihood.scorer import Scorer
-from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.frames import chosen_frames
-from placegraph.indoor.pose.motion import keyframes
-from placegraph.indoor.pose.sequence import Sequence_, leveled, usable
-from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
+from placegraph.indoor.pose.passes import run_passes
+from placegraph.indoor.pose.polish import polished
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.tracker import Tracker
+from placegraph.indoor.pose.verdict import verdict
+from placegraph.indoor.pose.window import Window, observe
+from placegraph.indoor.refine import RefineOptions, Refining, refined
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import ArrayLike
+    from collections.abc import Sequence
 
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.encode import Encoder, MapEncoder
-    from placegraph.indoor.language import Sentence
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.pose.search import Prior
     from placegraph.indoor.refine.matching import Matcher
-
-    Progress = Callable[[str, int, int], None]
 
 WINDOW = 30
 """Frames that are searched and fitted together; a longer capture is tracked."""
 
 
-def localize(
+def localized(
     scene: Scene,
     capture: Capture | Sequence[Frame],
     *,
-    frames: slice | Sequence[int] | None = None,
-    prior: Prior | None = None,
-    description: str | Sentence | None = None,
-    shares: ArrayLike | None = None,
-    encoder: str | Encoder | MapEncoder | None = None,
-    options: FilterOptions | None = None,
     refine: bool | RefineOptions = True,
     matcher: str | Matcher = "auto",
-    seed: int = 0,
-    device: str = "auto",
-    progress: Progress | None = None,
+    **asked: Any,  # noqa: ANN401  # of `PoseQuery.of`
 ) -> PoseEstimate:
-    """Where the last frame of a capture, and every other, was taken.
-
-    The same seed on the same machine gives the same answer; the map is only read.
-
-    Parameters
-    ----------
-    capture
-        A capture, or frames in order of time.
-    frames
-        Which of them; all if not given.
-    prior
-        Roughly where the first frame was taken, if known; else the whole map is searched.
-    description
-        What somebody says of where the last frame was taken: "next to the sofa, facing the window"
-        (of a capture that is tracked, being longer than `WINDOW`, the first). It shapes the first
-        particles, and counts as one witness for the poses found.
-    shares
-        (S,) of a merged map: share of the first particles that each of its scenes gets.
-    encoder
-        Says what patches show: a name such as ``appearance``, an `Encoder`, or one bound to this
-        map; the capture's own labels if not given.
-    options
-        `FilterOptions`; what measured best if not given.
-    refine
-        Fit the best mode to images and depth, to centimetres; `RefineOptions` say how.
-    matcher
-        How images are matched with renderings of the map: ``auto`` and ``guided`` need no extra;
-        ``sift``, ``xfeat``, ``roma``, ``romav2`` need theirs; or a `Matcher` of one's own.
-    seed
-        Of all randomness.
-    device
-        ``auto``, ``cpu`` or ``cuda`` (extra ``gpu``).
-    progress
-        Called with what is done, how far, and of how much.
-
-    Raises
-    ------
-    OptionError
-        No frame is chosen; nothing that the frames show can be compared with the map; the
-        description says nothing that the map has.
-    MapError
-        The map holds vectors of another encoder.
-    InputError
-        An image is broken.
-    MissingExtraError
-        The device or the matcher asked for needs an extra.
-
-    """
-    options = options or FilterOptions()
-    if seed < 0:
-        raise OptionError(f"seed is {seed}; a seed is not negative.")
-    chosen = chosen_frames(capture, frames)
-    stamps = np.array([frame.stamp for frame in chosen])
-    kept = keyframes(stamps, leveled(chosen), options.every, options.every_metre)
-    chosen = [chosen[i] for i in kept]
+    """The answer to a question in keywords; parameters and errors: `SceneMap.localize`."""
     if not isinstance(refine, bool | RefineOptions):
         raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
-    refining = RefineOptions() if refine is True else refine or None
-    matching = chosen_matcher(matcher, device) if refining else None
-    reading = None if encoder is None else for_map(encoder, scene)
-    sequence = None
-    if len(chosen) > WINDOW:
-        from placegraph.indoor.pose.tracker import Tracker, follow
+    query = PoseQuery.of(scene, capture, **asked)
+    options = refine if isinstance(refine, RefineOptions) else None
+    return localize(query, Refining.of(options, matcher, query.device) if refine else None)
 
-        if prior is not None:
-            raise OptionError(
-                f"prior: a capture of {len(chosen)} frames is tracked, which starts without one; "
-                "choose fewer frames."
-            )
-        tracker = Tracker(
-            scene, options=options, encoder=reading, seed=seed, device=device,
-            description=description, shares=shares,
-        )  # fmt: skip
-        coarse = follow(tracker, chosen, progress)
-        senses = usable(scene, options)
-        sightings = [sight(frame, None, senses) for frame in chosen[-WINDOW:]] if refining else []
-    else:
-        scorer = Scorer(scene, options.likelihood, device)
-        sequence = Sequence_.of(scene, chosen, reading, options, scorer, description, shares)
-        coarse = sequence.localized(prior, np.random.default_rng(seed), progress)
-        sightings = sequence.sightings
-    if refining is None:
-        return coarse
-    return refine_estimate(
-        coarse, scene, sightings, matcher=matching, options=refining, device=device,
-        progress=progress, sequence=sequence,
-    )  # fmt: skip
+
+def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
+    """Where the last frame asked about, and every other, was taken (SG2Loc, Sec. 3).
+
+    The same query on the same machine gives the same answer. `refining` says how the best mode is
+    fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
+    """
+    if len(query.frames) > WINDOW:
+        tracker = Tracker(query)
+        estimate = tracker.follow(query.frames)
+        return refined(_tail(query, tracker), estimate, refining) if refining else estimate
+    rng = np.random.default_rng(query.seed)
+    window = observe(query)
+    seeds = search(window, rng)
+    passes = run_passes(window, seeds, rng)
+    fits = polished(window, passes.modes, seeds, rng)
+    estimate = verdict(window, fits)
+    seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
+    stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
+    estimate = replace(estimate, stats=stats, history=passes.history)
+    return refined(window, estimate, refining, explained=True) if refining else estimate
+
+
+def _tail(query: PoseQuery, tracker: Tracker) -> Window:
+    """The newest frames of a tracked capture, without what an encoder says of them."""
+    newest = [sight(frame, None, query.options) for frame in query.frames[-WINDOW:]]
+    return Window(query, tracker.scorer, newest)

@@ -97,6 +97,11 @@ class Likelihood:
         check_numbers(self)
         check_positive(self, "object_patches", "depth_floor", "sigma", "depth_clip")
 
+    @property
+    def tempered(self) -> bool:
+        """Whether a filter may flatten it and the polish fit it; Eq. 2 is taken at its word."""
+        return self.kind == "calibrated"
+
 
 @dataclass(frozen=True, slots=True)
 class Pass:

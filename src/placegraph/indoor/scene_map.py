@@ -10,7 +10,7 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
     from os import PathLike
     from pathlib import Path
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.language import Sentence
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.mapping.change.options import DiffOptions
     from placegraph.indoor.mapping.check import Finding
     from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.prior import Prior
+    from placegraph.indoor.pose.query import Progress
     from placegraph.indoor.pose.tracker import Tracker
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import Matcher
@@ -57,10 +60,10 @@ class SceneMap(Scene):
 
     def localize(
         self,
-        capture: Capture,
+        capture: Capture | Sequence[Frame],
         *,
-        frames: Any = None,  # noqa: ANN401  # see `localize`
-        prior: Any = None,  # noqa: ANN401  # see `localize`
+        frames: slice | Sequence[int] | None = None,
+        prior: Prior | None = None,
         description: str | Sentence | None = None,
         shares: ArrayLike | None = None,
         encoder: str | Encoder | MapEncoder | None = None,
@@ -69,15 +72,59 @@ class SceneMap(Scene):
         matcher: str | Matcher = "auto",
         seed: int = 0,
         device: str = "auto",
-        progress: Callable[[str, int, int], None] | None = None,
+        progress: Progress | None = None,
     ) -> PoseEstimate:
         """Where the last frame of a capture, and every other, was taken.
 
-        Parameters, result and errors: `placegraph.indoor.localize.localize`.
-        """
-        from placegraph.indoor.localize import localize
+        The same seed on the same machine gives the same answer; the map is only read.
 
-        return localize(
+        Parameters
+        ----------
+        capture
+            A capture, or frames in order of time.
+        frames
+            Which of them; all if not given.
+        prior
+            Roughly where the first frame was taken, if known; else the whole map is searched.
+        description
+            What somebody says of where the last frame was taken: "next to the sofa, facing the
+            window" (of a capture that is tracked, being longer than `localize.WINDOW`, the first). It
+            shapes the first particles, and counts as one witness for the poses found.
+        shares
+            (S,) of a merged map: share of the first particles that each of its scenes gets.
+        encoder
+            Says what patches show: a name such as ``appearance``, an `Encoder`, or one bound to this
+            map; the capture's own labels if not given.
+        options
+            `FilterOptions`; what measured best if not given.
+        refine
+            Fit the best mode to images and depth, to centimetres; `RefineOptions` say how.
+        matcher
+            How images are matched with renderings of the map: ``auto`` and ``guided`` need no extra;
+            ``sift``, ``xfeat``, ``roma``, ``romav2`` need theirs; or a `Matcher` of one's own.
+        seed
+            Of all randomness.
+        device
+            ``auto``, ``cpu`` or ``cuda`` (extra ``gpu``).
+        progress
+            Called with what is done, how far, and of how much.
+
+        Raises
+        ------
+        OptionError
+            No frame is chosen; nothing that the frames show can be compared with the map; the
+            description says nothing that the map has.
+        MapError
+            The map holds vectors of another encoder.
+        InputError
+            An image is broken.
+        MissingExtraError
+            The device or the matcher asked for needs an extra.
+
+        """
+        from placegraph.indoor.localize import localized
+
+        return localized(
             self, capture, frames=frames, prior=prior, description=description, shares=shares,
             encoder=encoder, options=options, refine=refine, matcher=matcher, seed=seed,
             device=device, progress=progress,
@@ -85,26 +132,59 @@ class SceneMap(Scene):
 
     def refine(
         self,
-        capture: Capture,
+        capture: Capture | Sequence[Frame],
         map_from_camera: ArrayLike,
         *,
-        frames: Any = None,  # noqa: ANN401  # see `localize`
+        frames: slice | Sequence[int] | None = None,
         matcher: str | Matcher = "auto",
         options: RefineOptions | None = None,
         seed: int = 0,
         device: str = "auto",
-        progress: Callable[[str, int, int], None] | None = None,
+        progress: Progress | None = None,
     ) -> PoseEstimate:
         """The pose of the last frame, from where it is roughly known to have been taken.
 
-        Parameters, result and errors: `placegraph.indoor.refine.refine`.
-        """
-        from placegraph.indoor.refine import refine
+        For those who know where they are from elsewhere: a marker, a map of Wi-Fi, the last session.
+        Where there is depth, the neighbourhood is searched first, as wide as `RefineOptions.reach`
+        says.
 
-        return refine(
-            self, capture, map_from_camera, frames=frames, matcher=matcher, options=options,
-            seed=seed, device=device, progress=progress,
+        Parameters
+        ----------
+        capture, frames, matcher, seed, device, progress
+            As of `localize`. Of more than 30 frames the newest 30 are used.
+        map_from_camera
+            (4, 4) of the last frame chosen, to about 0.3 m and 15 degrees.
+        options
+            `RefineOptions`; what measured best if not given.
+
+        Returns
+        -------
+        PoseEstimate
+            `OK` at the refined pose, or `AMBIGUOUS` at the pose that was given, with the reason in
+            `refinement`.
+
+        Raises
+        ------
+        OptionError
+            The pose is not rigid, no frame is chosen, or an option is out of its range.
+        InputError
+            An image is broken, or a matcher's weights are.
+        MissingExtraError
+            The matcher or the device asked for needs an extra.
+
+        """
+        from placegraph.indoor.options import FilterOptions
+        from placegraph.indoor.pose.query import PoseQuery
+        from placegraph.indoor.refine import Refining, refine
+        from placegraph.indoor.render import checked_pose
+
+        refining = Refining.of(options, matcher, device)
+        senses = FilterOptions(depth=refining.options.depth, colour=bool(refining.options.images))
+        query = PoseQuery.of(
+            self, capture, frames=frames, options=senses, seed=seed, device=device,
+            progress=progress,
         )  # fmt: skip
+        return refine(query, checked_pose(map_from_camera), refining)
 
     def render(
         self,
@@ -163,8 +243,12 @@ class SceneMap(Scene):
 
         return export(self, path, overwrite=overwrite)
 
-    def tracker(self, camera: Camera, *, seed: int = 0, **options: Any) -> Tracker:  # noqa: ANN401
-        """Localizer for one frame at a time; see `placegraph.indoor.pose.tracker.Tracker`."""
+    def tracker(self, camera: Camera, *, seed: int = 0, **known: Any) -> Tracker:  # noqa: ANN401
+        """Localizer for one frame at a time (`pose.tracker.Tracker`), for frames of a camera.
+
+        `known`: options, encoder, description, shares and device, as of `localize`.
+        """
+        from placegraph.indoor.pose.query import PoseQuery
         from placegraph.indoor.pose.tracker import Tracker
 
-        return Tracker(self, camera, seed=seed, **options)
+        return Tracker(PoseQuery.of(self, seed=seed, **known), camera)

@@ -14,6 +14,7 @@ from placegraph.estimate import Status
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.likelihood.depth_unit import FACTORS, check_unit, hint, suspected_factor
+from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import FINE, sight, views
 from placegraph.indoor.options import FilterOptions
 
@@ -39,7 +40,9 @@ def suspected(scene, frames):
 
 def _views(scene, frames):
     background = scene.visibility(OPTIONS).background
-    return views([sight(f, None, OPTIONS) for f in frames], FINE, OPTIONS, background)
+    return views(
+        [sight(f, None, OPTIONS) for f in frames], FINE, model_of(OPTIONS.likelihood), background
+    )
 
 
 def test_metres_are_metres(room, flat, walk, flat_walk):

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, level_from_camera
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.likelihood.observe import Background, combine, noise, sight, views
+from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.view import Background
 from placegraph.indoor.map.surface_kernels import opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
 
@@ -49,7 +51,8 @@ class Says:
 
 
 def view_of(seen, stride=10.0, encoder=None, options=OPTIONS, around=None):
-    (view,) = views([sight(seen, encoder, options)], stride, options, around or background())
+    model = model_of(options.likelihood)
+    (view,) = views([sight(seen, encoder, options)], stride, model, around or background())
     return view
 
 
@@ -311,17 +314,20 @@ def test_what_fills_many_patches_counts_in_part():
     first = patches((6, 6), rows=[0] * 30 + [1] * 5 + [-1])
     second = patches((6, 6), rows=[0] * 6 + [1] * 4 + [2] * 3 + [-1] * 23)
     sightings = [sight(frame(), Says(p), options) for p in (first, second)]
-    one, two = views(sightings, 20.0, options, background())
+    one, two = views(sightings, 20.0, model_of(few), background())
     wall = math.sqrt(9 / 36)
     np.testing.assert_allclose(one.weight, [wall] * 30 + [1.0] * 5 + [0, 0], rtol=1e-6)
     np.testing.assert_allclose(two.weight[:13], [wall] * 6 + [1.0] * 7, rtol=1e-6)
     assert (two.weight[13:] == 0).all()
     # a frame that has no patches among others that have
-    mixed = views([sightings[0], sight(frame(), None, options)], 20.0, options, background())
+    mixed = views([sightings[0], sight(frame(), None, options)], 20.0, model_of(few), background())
     assert [v.terms[0] for v in mixed] == [True, False]
     assert not mixed[1].weight.any()
-    paper = FilterOptions(likelihood=Likelihood(kind="gaussian", object_patches=9.0))
-    assert views(sightings, 20.0, paper, background())[0].weight.tolist() == [1] * 35 + [0, 0]
+    paper = Likelihood(kind="gaussian", object_patches=9.0)
+    assert views(sightings, 20.0, model_of(paper), background())[0].weight.tolist() == [1] * 35 + [
+        0,
+        0,
+    ]
 
 
 # ---------------------------------------------------------------------------------- depth
@@ -402,22 +408,26 @@ def test_colours_are_means_of_cells():
 
 def test_scores_add_up():
     scores = np.array([[1.0, 2.0, 4.0], [-3.0, 0.5, 0.25]], np.float32)
-    got = combine(scores, ALL, Likelihood())
+    got = model_of(Likelihood()).combined(scores, ALL)
     assert got.tolist() == [7.0, -2.25]
-    assert combine(scores, np.array([True, False, True]), Likelihood()).tolist() == [5.0, -2.75]
+    assert model_of(Likelihood()).combined(scores, np.array([True, False, True])).tolist() == [
+        5.0,
+        -2.75,
+    ]
 
 
 def test_eq_2():
     """-(2 (1 + l1 + l2) - (s + l1 d + l2 c))^2 / (2 sigma^2)."""
-    model = Likelihood(kind="gaussian", sigma=0.3, depth_lambda=0.5, colour_lambda=0.25)
+    options = Likelihood(kind="gaussian", sigma=0.3, depth_lambda=0.5, colour_lambda=0.25)
+    model = model_of(options)
     scores = np.array([[2, 2, 2], [1.5, 1.0, 0.4]], np.float32)
-    got = combine(scores, ALL, model)
+    got = model.combined(scores, ALL)
     assert got[0] == 0.0
     assert got[1] == pytest.approx(-((3.5 - (1.5 + 0.5 + 0.1)) ** 2) / (2 * 0.09))
     # a term that is not there asks for nothing
-    only = combine(scores, np.array([True, False, False]), model)
+    only = model.combined(scores, np.array([True, False, False]))
     assert only[1] == pytest.approx(-(0.5**2) / 0.18)
-    even = combine(scores, ALL, Likelihood(kind="gaussian"))
+    even = model_of(Likelihood(kind="gaussian")).combined(scores, ALL)
     assert even[1] == pytest.approx(-((6 - 2.9) ** 2) / 0.08, rel=1e-6)  # the paper's 6
 
 
@@ -426,5 +436,5 @@ def test_compiled_code_gets_the_options_numbers():
         depth_floor=0.01, depth_slope=0.02, depth_gain=3.0, near_cost=4.0, far_cost=5.0,
         depth_weight=6.0, colour_weight=7.0, depth_clip=8.0,
     )  # fmt: skip
-    assert noise(model) == (False, 0.01, 0.02, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
-    assert noise(Likelihood(kind="gaussian")).gaussian is True
+    assert model_of(model).noise == (False, 0.01, 0.02, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
+    assert model_of(Likelihood(kind="gaussian")).noise.gaussian is True

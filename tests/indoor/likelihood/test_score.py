@@ -8,19 +8,19 @@ import pytest
 
 from placegraph.geometry import Camera, level_from_camera, rotation_z
 from placegraph.indoor.encode.instances import InstancesEncoder
-from placegraph.indoor.likelihood.observe import noise, sight, views
-from placegraph.indoor.likelihood.score import View
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, score_poses
+from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, look, score_poses
+from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.surface import Surface
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
-from placegraph.indoor.pose.evidence_kernels import look
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.embree import obstacle
 
-CALIBRATED = noise(Likelihood())
-PAPER = noise(Likelihood(kind="gaussian"))
+CALIBRATED = model_of(Likelihood()).noise
+PAPER = model_of(Likelihood(kind="gaussian")).noise
 MODELS = pytest.mark.parametrize("model", [CALIBRATED, PAPER], ids=["calibrated", "paper"])
 
 
@@ -204,7 +204,7 @@ def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
     encoder = InstancesEncoder(room) if kind == "instances" else None
     frame = walk[4]
     around = room.visibility(options).background
-    (view,) = views([sight(frame, encoder, options)], 10.0, options, around)
+    (view,) = views([sight(frame, encoder, options)], 10.0, model_of(options.likelihood), around)
     at = truth(walk)[4]
     yaw = math.atan2(at[1, 2], at[0, 2])
     poses = np.array([*at[:3, 3], yaw]) + rng.normal(size=(40, 4)) * (0.1, 0.1, 0.05, 0.05)

@@ -8,8 +8,9 @@ import pytest
 from placegraph.geometry import between, compose, level_from_camera, split_pose, wrap
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood import visibility
-from placegraph.indoor.likelihood.observe import noise, sight, views
-from placegraph.indoor.likelihood.score import View
+from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.panoramas import HIGHEST, range_of
@@ -19,12 +20,12 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.motion import level_poses
 from placegraph.indoor.pose.search import SEEDS, table_seeds
-from placegraph.indoor.pose.sequence import own_encoder
+from placegraph.indoor.pose.window import own_encoder
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
-NOISE = noise(Likelihood())
+NOISE = model_of(Likelihood()).noise
 ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2 - 1) * HIGHEST
 HALL = {
     "floor": ((0, 0, -0.1), (8, 6, 0)),
@@ -415,7 +416,9 @@ def sighted(scene, capture, truth, cues):
     options = OPTIONS.only(**cues)
     around = scene.visibility(options).background
     encoder = own_encoder(scene, capture[0]) if cues.get("semantic") else None
-    seen = views([sight(f, encoder, options) for f in capture], 10.0, options, around)
+    seen = views(
+        [sight(f, encoder, options) for f in capture], 10.0, model_of(options.likelihood), around
+    )
     poses = level_poses(capture.odometry, capture.gravity)
     return seen, poses, split_pose(truth(capture))[0]
 
@@ -469,7 +472,7 @@ def test_seeds_are_poses_of_the_frame_asked_for(room, walk, truth):
 
 def test_table_and_rays_agree_on_which_poses_are_good(room, walk, truth, rng):
     """Ranks of the table against brute force: the same views scored by rays at the same poses."""
-    from placegraph.indoor.likelihood.scorer import Scorer
+    from placegraph.indoor.likelihood.score import Scorer
 
     seen, poses, _ = sighted(room, walk, truth, {"semantic": True, "depth": True})
     table, scorer = room.visibility(OPTIONS), Scorer(room, OPTIONS.likelihood)

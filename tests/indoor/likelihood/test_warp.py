@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from placegraph.indoor.likelihood.observe import noise
-from placegraph.indoor.likelihood.score import View
+from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.score_kernels import score_poses
+from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.likelihood.warp import WarpScorer
 from placegraph.indoor.options import Likelihood
 from placegraph.indoor.rays.warp import WarpCaster
@@ -50,7 +50,7 @@ def test_scores_agree(room, kind, rng):
     poses = np.column_stack([rng.uniform(low, high, (200, 3)), rng.uniform(-3, 3, 200)])
     poses[:100] = poses[0] + rng.normal(size=(100, 4)) * 0.05
     scorer = WarpScorer(room, "cpu")
-    model = noise(Likelihood(kind=kind))
+    model = model_of(Likelihood(kind=kind)).noise
     for terms in ([True, True, True], [True, False, False], [False, True, False]):
         view = _view(room, poses[0], rng, terms)
         alike = _alike(room, poses, view)
@@ -80,7 +80,7 @@ def _alike(scene, poses, view):
 
 def test_more_poses_than_fit_at_once(room, rng, monkeypatch):
     poses = np.column_stack([rng.uniform(*room.bounds, (50, 3)), rng.uniform(-3, 3, 50)])
-    view, model = _view(room, poses[0], rng, [True, True, True]), noise(Likelihood())
+    view, model = _view(room, poses[0], rng, [True, True, True]), model_of(Likelihood()).noise
     scorer = WarpScorer(room, "cpu")
     whole = scorer.score(poses, view, model)
     monkeypatch.setattr("placegraph.indoor.likelihood.warp.BATCH", 7 * len(view.directions))

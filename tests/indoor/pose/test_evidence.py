@@ -13,11 +13,12 @@ from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bound
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.scorer import Scorer
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score_kernels import look
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
-from placegraph.indoor.pose.evidence_kernels import look
 from placegraph.indoor.pose.motion import level_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -65,7 +66,7 @@ def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
     labels = kind == "labels"
     encoder = bound(LabelsEncoder(grid), scene) if labels else InstancesEncoder(scene, grid)
     around = scene.visibility(options).background
-    seen = views([sight(frame, encoder, options)], 4.0, options, around)
+    seen = views([sight(frame, encoder, options)], 4.0, model_of(options.likelihood), around)
     return agreement(Scorer(scene, options.likelihood), pose, seen, np.zeros((1, 4)))
 
 
@@ -171,7 +172,9 @@ def walked(room, walk, truth):
     """Scorer, true pose of the last frame, views of ten frames and steps to them."""
     encoder = InstancesEncoder(room)
     around = room.visibility(OPTIONS).background
-    seen = views([sight(f, encoder, OPTIONS) for f in walk], 10.0, OPTIONS, around)
+    seen = views(
+        [sight(f, encoder, OPTIONS) for f in walk], 10.0, model_of(OPTIONS.likelihood), around
+    )
     poses = level_poses(walk.odometry, walk.gravity)
     pose, _ = split_pose(truth(walk)[-1])
     return Scorer(room, OPTIONS.likelihood), pose, seen, between(poses[-1], poses)
@@ -210,7 +213,12 @@ def test_colours_are_told_per_sample_of_the_image(walked):
 def test_eq_2_can_be_explained_too(room, walk, truth):
     options = FilterOptions(likelihood=Likelihood(kind="gaussian"))
     around = room.visibility(options).background
-    seen = views([sight(walk[-1], InstancesEncoder(room), options)], 10.0, options, around)
+    seen = views(
+        [sight(walk[-1], InstancesEncoder(room), options)],
+        10.0,
+        model_of(options.likelihood),
+        around,
+    )
     pose, _ = split_pose(truth(walk)[-1])
     got = agreement(Scorer(room, options.likelihood), pose, seen, np.zeros((1, 4)))
     assert got.semantic > 0.8

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from placegraph.geometry import between, compose, split_pose, wrap
 from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.scorer import Scorer
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import level_poses
 from placegraph.indoor.pose.polish import (
@@ -193,7 +194,12 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     """From 20 cm and 3 degrees off, by all cues together."""
     options = FilterOptions()
     around = room.visibility(options).background
-    seen = views([sight(f, InstancesEncoder(room), options) for f in walk], 10.0, options, around)
+    seen = views(
+        [sight(f, InstancesEncoder(room), options) for f in walk],
+        10.0,
+        model_of(options.likelihood),
+        around,
+    )
     poses = level_poses(walk.odometry, walk.gravity)
     rig = Round(seen, between(poses[-1], poses), 5, 4, 60.0)
     true = split_pose(truth(walk)[-1])[0]

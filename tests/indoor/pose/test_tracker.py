@@ -11,7 +11,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, pose_matrix, split_pose
 from placegraph.indoor.localize import WINDOW
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.tracker import KEPT, Tracker
+from placegraph.indoor.pose.tracker import KEPT
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -177,7 +177,7 @@ def test_frames_of_another_camera(room, film):
 
 
 def test_frames_that_show_nothing(room, film):
-    tracker = Tracker(room, film.camera, options=FilterOptions().only(depth=True))
+    tracker = room.tracker(film.camera, options=FilterOptions().only(depth=True))
     bare = Frame.from_arrays(film[0].rgb(), film.camera, gravity=film[0].gravity)
     with pytest.raises(OptionError, match="nothing to compare"):
         tracker.update(bare)

@@ -11,9 +11,9 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.depth import Surfaces, readings
-from placegraph.indoor.refine.joint import Problem
+from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.pixels import Sights
+from placegraph.indoor.refine.solve import Problem
 from placegraph.indoor.scene_map import SceneMap
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)

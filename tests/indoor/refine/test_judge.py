@@ -7,8 +7,8 @@ import pytest
 
 from placegraph.geometry import Camera
 from placegraph.indoor.refine.judge import BENT, FARTHEST, FARTHEST_BLIND, NOTHING, judged, moved
+from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.pixels import Sights
 from placegraph.indoor.refine.refiner import Fitted, Refiner
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -9,9 +9,11 @@ import pytest
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.estimate import Status
 from placegraph.formats.capture.capture import open_capture
-from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.refine import RefineOptions, chosen_matcher, refine_estimate
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.window import observe
+from placegraph.indoor.refine import RefineOptions, Refining
+from placegraph.indoor.refine import refined as refined_in
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -124,14 +126,14 @@ def test_what_is_lost_is_not_refined(flat, walk):
     lost = flat.localize(walk, frames=FIVE)
     assert lost.status is Status.LOST
     assert lost.refinement is None
-    sightings = [sight(f, None, FilterOptions()) for f in list(walk)[:5]]
-    assert refine_estimate(lost, flat, sightings) is lost
+    window = observe(PoseQuery.of(flat, walk, frames=FIVE))
+    assert refined_in(window, lost, Refining.of(None, "auto")) is lost
 
 
 def test_sightings_of_the_newest_frames_are_enough(room, walk, coarse, exact, kit):
     """Of a long capture only the last frames are refined; those before stay as they were."""
-    newest = [sight(f, None, FilterOptions()) for f in list(walk)[6:]]
-    estimate = refine_estimate(coarse, room, newest)
+    newest = observe(PoseQuery.of(room, walk, frames=slice(6, None)))
+    estimate = refined_in(newest, coarse, Refining.of(None, "auto"))
     assert estimate.refinement.accepted
     np.testing.assert_array_equal(estimate.trajectory[:6], coarse.trajectory[:6])
     assert kit.off(estimate.trajectory[-1], exact.poses[-1])[0] < 0.01
@@ -163,10 +165,10 @@ def test_unknown_matchers_are_refused_before_any_work(room, walk, name):
 
 
 def test_auto_and_guided_need_no_extra():
-    assert chosen_matcher("auto") is None
-    assert chosen_matcher("guided") is None
+    assert Refining.of(None, "auto").matcher is None
+    assert Refining.of(None, "guided").matcher is None
     mine = GuidedMatcher(radius=8)
-    assert chosen_matcher(mine) is mine
+    assert Refining.of(None, mine).matcher is mine
 
 
 # ------------------------------------------------------------------------ from a rough pose

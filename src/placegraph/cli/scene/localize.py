@@ -32,7 +32,7 @@ from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.pose.search import Prior
+    from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
 
 
@@ -162,7 +162,7 @@ def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) 
 
 
 def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | None:
-    from placegraph.indoor.pose.search import Prior
+    from placegraph.indoor.pose.prior import Prior
 
     if near is None:
         if yaw_deg is not None:

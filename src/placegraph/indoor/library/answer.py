@@ -14,7 +14,7 @@ from placegraph.indoor.language import read, score
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import encode
 from placegraph.indoor.library.search import patch_weights, ratio, scores
-from placegraph.indoor.pose.frames import chosen_frames
+from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,9 +19,9 @@ from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import unused
 from placegraph.indoor.library.answer import search as search_in
-from placegraph.indoor.localize import localize as localize_in
+from placegraph.indoor.localize import localized
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.pose.frames import chosen_frames
+from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -52,7 +52,7 @@ def localize(
     description: str | None = None,
     encoder: str | Encoder | None = None,
     progress: Callable[[str, int, int], None] | None = None,
-    **options: Any,  # noqa: ANN401  # of `indoor.localize`
+    **options: Any,  # noqa: ANN401  # of `SceneMap.localize`
 ) -> PoseEstimate:
     """In which scene of a library a capture was taken, and where in it.
 
@@ -76,7 +76,7 @@ def localize(
     progress
         Called with what is done, how far, and of how much.
     **options
-        Of `placegraph.indoor.localize.localize`: options, refine, matcher, seed, device.
+        Of `SceneMap.localize`: options, refine, matcher, seed, device.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def localize(
     reader = _reader(library, chosen, encoder)
     scene = merge_scenes({m.scene: _with(library, m.scene, reader) for m in candidates})
     merging = perf_counter() - start
-    estimate = localize_in(
+    estimate = localized(
         scene, chosen, shares=_shares(scene, candidates), description=_useful(description, scene),
         encoder=reader, progress=progress, **options,
     )  # fmt: skip

@@ -13,7 +13,7 @@ from placegraph.geometry import between, level_from_camera
 from placegraph.indoor.encode import patches_of
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS
-from placegraph.indoor.pose.sequence import leveled
+from placegraph.indoor.pose.query import leveled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

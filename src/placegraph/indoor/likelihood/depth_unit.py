@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.observe import Background, Sighting
-    from placegraph.indoor.likelihood.score import View
+    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.likelihood.view import Background, View
 
 FACTORS = (1000.0, 100.0, 39.37, 10.0, 5.0, 3.281)
 """What units are mistaken by: mm, cm, inches, 0.1 mm for mm, TUM's 1/5000 m for mm, feet."""

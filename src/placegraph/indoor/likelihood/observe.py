@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.geometry import level_from_camera
-from placegraph.indoor.likelihood.score import Noise, View
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH
+from placegraph.indoor.likelihood.view import View
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +23,9 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.encode import MapEncoder, Patches
-    from placegraph.indoor.options import FilterOptions, Likelihood
+    from placegraph.indoor.likelihood.model import Model
+    from placegraph.indoor.likelihood.view import Background
+    from placegraph.indoor.options import FilterOptions
 
 COARSE = 40.0
 """Stride of what is looked up in the table and of the first round of the polish [px]."""
@@ -65,44 +66,24 @@ def sight(frame: Frame, encoder: MapEncoder | None, options: FilterOptions) -> S
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Background:
-    """What a camera sees in a map when nothing is known of where it is.
-
-    Every likelihood is a ratio against this: a floor seen at the depth where all floors are seen
-    says nothing, and a ray that leaves the map counts as much as it knows: nothing.
-    """
-
-    objects: NDArray[np.float64]
-    """(N,) share of each object among all rays of the visibility table that hit."""
-    ranges: NDArray[np.float64]
-    """(bands of elevation, bins) share of each range among the rays of a band that hit."""
-    distances: NDArray[np.float64]
-    """(bins,) range of each bin [m]."""
-    highest: float
-    """Elevation at which the bands end, above and below the horizon [rad]."""
-
-
 def views(
-    sightings: Sequence[Sighting], stride: float, options: FilterOptions, background: Background
+    sightings: Sequence[Sighting], stride: float, model: Model, background: Background
 ) -> list[View]:
-    """Views of frames of one sequence, `stride` pixels of the colour image between samples.
+    """Views of frames of one window, `stride` pixels of the colour image between samples.
 
-    An object seen in many patches of the sequence is weighted down (`Likelihood.object_patches`),
+    An object seen in many patches of the window is weighted down (`Likelihood.object_patches`),
     which is why the frames come together.
     """
-    weights = _patch_weights([s.patches for s in sightings], options.likelihood)
-    return [
-        _view(s, w, stride, options.likelihood, background)
-        for s, w in zip(sightings, weights, strict=True)
-    ]
+    weights = _patch_weights([s.patches for s in sightings], model)
+    pairs = zip(sightings, weights, strict=True)
+    return [_view(sighting, weight, stride, model, background) for sighting, weight in pairs]
 
 
 def _view(
     sighting: Sighting,
     weight: NDArray[np.float32],
     stride: float,
-    likelihood: Likelihood,
+    model: Model,
     background: Background,
 ) -> View:
     frame, patches = sighting.frame, sighting.patches
@@ -113,7 +94,7 @@ def _view(
     if patches is not None:
         cell = samples.cells(patches.camera, *patches.grid)
         patch = np.where(inside, np.where(cell >= 0, cell, len(patches.rows)), -1)
-        semantic = _semantic(patches, likelihood, background)
+        semantic = _semantic(patches, model, background)
     directions = samples.directions @ sighting.level.T
     depth = np.zeros(len(inside), np.float32)
     if sighting.depth is not None:
@@ -130,40 +111,11 @@ def _view(
         semantic=semantic,
         weight=weight,
         depth=depth,
-        usual_depth=usual_depth(depth, directions, likelihood, background),
+        usual_depth=model.usual_depth(depth, directions, background),
         colour=colour,
         footprint=samples.footprint,
         terms=np.array([patches is not None, sighting.depth is not None, sighting.rgb is not None]),
     )
-
-
-def noise(likelihood: Likelihood) -> Noise:
-    """Parameters of the compiled observation model."""
-    return Noise(
-        gaussian=likelihood.kind == "gaussian",
-        depth_floor=likelihood.depth_floor,
-        depth_slope=likelihood.depth_slope,
-        depth_gain=likelihood.depth_gain,
-        near_cost=likelihood.near_cost,
-        far_cost=likelihood.far_cost,
-        depth_weight=likelihood.depth_weight,
-        colour_weight=likelihood.colour_weight,
-        depth_clip=likelihood.depth_clip,
-    )
-
-
-def combine(
-    scores: NDArray[np.float32], terms: NDArray[np.bool_], likelihood: Likelihood
-) -> NDArray[np.float64]:
-    """Log-likelihoods (N,) of scores (N, 3): their sum or, under ``gaussian``, Eq. 2."""
-    s = scores.astype(np.float64)
-    if likelihood.kind == "calibrated":
-        return np.asarray(s[:, terms].sum(axis=1))
-    factors = np.ones(3)
-    factors[DEPTH], factors[COLOUR] = likelihood.depth_lambda, likelihood.colour_lambda
-    factors *= terms
-    missing = 2.0 * factors.sum() - s @ factors
-    return np.asarray(-(missing**2) / (2.0 * likelihood.sigma**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,70 +208,19 @@ def _opponents(rgb: NDArray[np.uint8], samples: _Samples) -> NDArray[np.float32]
     return out.astype(np.float32)
 
 
-def reading_ratio(
-    error: NDArray[np.floating], sd: NDArray[np.floating], model: Likelihood | Noise
-) -> NDArray[np.floating]:
-    """Log-likelihood of readings whose map lies `error` [m] beyond them; `score._depth` in arrays."""
-    with np.errstate(invalid="ignore"):
-        good = 1.0 / (1.0 + (error / sd) ** 2)
-    cost = np.where(error > 0, model.near_cost, model.far_cost)
-    return np.asarray(good * model.depth_gain - (1.0 - good) * cost)
-
-
-def usual_depth(
-    depth: NDArray[np.float32],
-    directions: NDArray[np.float64],
-    likelihood: Likelihood,
-    background: Background,
-) -> NDArray[np.float32]:
-    """Log of the mean likelihood ratio (R,) of each reading over all places of the map."""
-    out = np.zeros(len(depth), np.float32)
-    rows = np.flatnonzero(depth > 0)
-    if likelihood.kind == "gaussian" or not rows.size:
-        return out
-    reach = np.linalg.norm(directions[rows], axis=1)
-    measured = (depth[rows] * reach)[:, None]
-    elevation = np.arcsin(directions[rows, 2] / reach)
-    bands = len(background.ranges)
-    band = ((elevation / background.highest + 1.0) / 2.0 * bands).astype(int)
-    # the floor of the deviation is a bin of the table: finer is not known of the usual
-    sd = likelihood.depth_floor + 0.1 + likelihood.depth_slope * measured
-    ratio = np.exp(reading_ratio(background.distances[None, :] - measured, sd, likelihood))
-    share = background.ranges[np.clip(band, 0, bands - 1)]
-    out[rows] = np.log(np.maximum((ratio * share).sum(axis=1), 1e-3))
-    return out
-
-
-def _semantic(
-    patches: Patches, likelihood: Likelihood, background: Background
-) -> NDArray[np.float32]:
+def _semantic(patches: Patches, model: Model, background: Background) -> NDArray[np.float32]:
     """What each patch says of each object and, last column, of none: (P + 1, N + 1).
 
     The last row is for samples that lie in no patch.
     """
     # only the rows that are said: a merged map's table has thousands
     said, row = np.unique(patches.rows, return_inverse=True)
-    cosines = patches.table[said]
-    count = cosines.shape[1]
-    if likelihood.kind == "gaussian":
-        best = cosines >= cosines.max(axis=1, keepdims=True) - 1e-6
-        table = np.where(best, cosines + 1.0, 0.0)
-        nowhere = 0.0
-    else:
-        logits = cosines / (likelihood.sharpness or patches.temperature)
-        share = np.exp(logits - logits.max(axis=1, keepdims=True))
-        share /= share.sum(axis=1, keepdims=True)
-        table = (1.0 - likelihood.wrong) * share * count + likelihood.wrong
-        table /= (table @ background.objects)[:, None]
-        nowhere = 1.0
-    table = np.concatenate([table, np.full((len(table), 1), nowhere)], axis=1)
-    table = np.concatenate([table[row.ravel()], np.ones((1, count + 1))])
+    table = model.named(patches.table[said], patches.temperature, background.objects)
+    table = np.concatenate([table[row.ravel()], np.ones((1, table.shape[1]))])
     return np.ascontiguousarray(table, np.float32)
 
 
-def _patch_weights(
-    sequence: Sequence[Patches | None], likelihood: Likelihood
-) -> list[NDArray[np.float32]]:
+def _patch_weights(sequence: Sequence[Patches | None], model: Model) -> list[NDArray[np.float32]]:
     """Weight (P + 1,) of each patch of each frame; zero where it says nothing."""
     rows = [
         np.zeros(1, np.int64) - 1
@@ -328,11 +229,7 @@ def _patch_weights(
         for p in sequence
     ]
     seen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
-    counts = np.bincount(seen[seen >= 0], minlength=1).astype(np.float64)
-    if likelihood.kind == "gaussian":
-        share = np.ones(len(counts))
-    else:
-        share = np.sqrt(np.minimum(1.0, likelihood.object_patches / np.maximum(counts, 1.0)))
+    share = model.shares(np.bincount(seen[seen >= 0], minlength=1).astype(np.float64))
     return [np.append(np.where(r >= 0, share[r], 0.0), 0.0).astype(np.float32) for r in rows]
 
 

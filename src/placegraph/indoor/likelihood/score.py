@@ -1,63 +1,83 @@
-"""How well poses explain one frame: rays, semantics, depth and colour in one compiled loop.
-
-Hits never leave the loop: a packet of 16 rays (a tile of 4 x 4 samples of one pose) is traced and
-at once compared with what the camera saw at the same 16 points.
-"""
+"""Scores poses on the device asked for, and keeps count of what it cost."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.geometry import compose
+from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.score_kernels import score_poses
 
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.view import View
+    from placegraph.indoor.map.scene import Scene
+    from placegraph.indoor.options import Likelihood
 
-class View(NamedTuple):
-    """One frame at one stride: R = 16 * tiles samples, what they see, and what it would mean.
 
-    Samples stand in tiles of 4 x 4; a sample outside the image has patch -1.
+class Scorer:
+    """Log-likelihoods of poses in one map, under one likelihood.
+
+    `device`: ``cpu``, ``cuda`` (or ``cuda:1``; extra ``gpu``), or ``auto``: the CPU, which for the
+    few hundred particles the visibility table leaves is as quick as a transfer.
     """
 
-    directions: NDArray[np.float32]
-    """(R, 3) rays in the level frame, of length 1 along the optical axis: distances are depths."""
-    patch: NDArray[np.int32]
-    """(R,) patch of each sample."""
-    semantic: NDArray[np.float32]
-    """(P + 1, N + 1) likelihood ratio of what a patch says if it sees object n, against anywhere;
-    column N: the map ends there. Under ``gaussian``: cosine + 1 where they agree."""
-    weight: NDArray[np.float32]
-    """(P + 1,) weight of each patch; 0: it says nothing. The last patch is for samples in none."""
-    depth: NDArray[np.float32]
-    """(R,) along the optical axis [m]; 0: no reading."""
-    usual_depth: NDArray[np.float32]
-    """(R,) log-likelihood of the reading if nothing is known of where the camera is."""
-    colour: NDArray[np.float32]
-    """(R, 3) `surface.opponent` of the image, averaged over what each sample stands for."""
-    footprint: float
-    """Angle between neighbouring samples [rad]."""
-    terms: NDArray[np.bool_]
-    """(3,) which terms are there and wanted."""
+    def __init__(self, scene: Scene, likelihood: Likelihood, device: str = "auto") -> None:
+        self.scene = scene
+        self.model = model_of(likelihood)
+        self.rays = 0
+        self.poses = 0
+        self.seconds = 0.0
+        self.device = "cpu" if device == "auto" else device
+        self._warp = None
+        if self.device != "cpu":
+            if not self.device.startswith("cuda"):
+                raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
+            from placegraph.indoor.likelihood.warp import WarpScorer
 
+            self._warp = WarpScorer(scene, self.device)
 
-class Noise(NamedTuple):
-    """Parameters of the observation model (`options.Likelihood`)."""
+    def terms(self, poses: Floats, view: View) -> NDArray[np.float32]:
+        """Scores (N, 3) of poses (N, 4): semantic, depth, colour; see `score_poses`."""
+        start = perf_counter()
+        poses = np.ascontiguousarray(poses, np.float64)
+        if self._warp is not None:
+            scores = self._warp.score(poses, view, self.model.noise)
+        else:
+            scene = self.scene
+            scores = score_poses(scene.caster.tracer, scene.surface, poses, view, self.model.noise)
+        self.rays += len(poses) * len(view.directions)
+        self.poses += len(poses)
+        self.seconds += perf_counter() - start
+        return np.asarray(scores)
 
-    gaussian: bool
-    """Eq. 2's scores in [0, 2] instead of log-likelihoods."""
-    depth_floor: float
-    """Standard deviation of depth at 0 m [m] ..."""
-    depth_slope: float
-    """... and what it gains a metre."""
-    depth_gain: float
-    """Log-likelihood of a perfect reading above one that fits nothing."""
-    near_cost: float
-    """Log-likelihood lost by a reading nearer than the map: something stands in front."""
-    far_cost: float
-    """... and by one beyond the map's surface: something is gone."""
-    depth_weight: float
-    """Independent readings that a full image of depth is worth."""
-    colour_weight: float
-    """Independent samples that a full image of colour is worth."""
-    depth_clip: float
-    """Eq. of Sec. 3.4: depth errors are clipped here [m]."""
+    def stats(self) -> dict[str, Any]:
+        """What it has cost so far."""
+        return {
+            "poses_scored": self.poses,
+            "rays": self.rays,
+            "seconds_scoring": round(self.seconds, 4),
+            "device": self.device,
+        }
+
+    def __call__(self, poses: Floats, view: View) -> Floats:
+        """Log-likelihoods (N,) of poses (N, 4) against one view."""
+        return self.model.combined(self.terms(poses, view), view.terms)
+
+    def together(self, poses: Floats, views: Sequence[View], steps: Floats) -> Floats:
+        """Log-likelihoods (N,) of poses (N, 4) of a reference frame against a whole sequence.
+
+        `steps`: (T, 4) from the reference frame to that of each view, by odometry.
+        """
+        total = np.zeros(len(poses))
+        for view, step in zip(views, steps, strict=True):
+            total += self(compose(poses, step), view)
+        return total

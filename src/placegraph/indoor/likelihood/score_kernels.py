@@ -196,3 +196,19 @@ def _correlation(moments, hits):
             rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
             total -= np.log(np.float32(1.0) - rho * rho)
     return total / np.float32(6.0)
+
+
+@kernel
+def look(tracer, pose, directions):
+    """Triangles (R,) int32, -1: none, and depths (R,) float32 [m] from one pose (4,)."""
+    n = len(directions)
+    triangles = np.empty(n, np.int32)
+    distances = np.empty(n, np.float32)
+    packet, ints, valid = new_packet()
+    for tile in range(n // LANES):
+        aim(packet, pose, directions, tile * LANES)
+        trace16(tracer, packet, ints, valid)
+        for lane in range(LANES):
+            triangles[tile * LANES + lane] = ints[TRIANGLE, lane]
+            distances[tile * LANES + lane] = packet[FAR, lane]
+    return triangles, distances

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.likelihood.observe import Background, reading_ratio
+from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
+from placegraph.indoor.likelihood.view import Background
 from placegraph.indoor.map.panoramas import DIRECTIONS, HIGHEST, as_bytes, range_of
 from placegraph.indoor.map.panoramas_kernels import (
     AZIMUTHS,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.indoor.likelihood.score import Noise, View
+    from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
 

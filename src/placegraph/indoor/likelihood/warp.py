@@ -12,7 +12,7 @@ from placegraph.indoor.rays.warp import WarpCaster, quietly
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.indoor.likelihood.score import Noise, View
+    from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.rays.warp import WarpArray
 
@@ -21,7 +21,7 @@ BATCH = 4_000_000
 
 
 class WarpScorer:
-    """Scores of poses on a device, as `score.score_poses` gives them.
+    """Scores of poses on a device, as `score_kernels.score_poses` gives them.
 
     Parameters
     ----------

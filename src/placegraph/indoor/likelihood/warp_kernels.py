@@ -1,4 +1,4 @@
-"""The observation model of `indoor.score` for NVIDIA Warp: the same equations, in four steps.
+"""The observation model of `score_kernels` for NVIDIA Warp: the same equations, in four steps.
 
 Every ray is traced and compared by a thread of its own (`shade`). What it finds is summed without
 atomics, over the 16 samples of a tile (`sum_tiles`) and over those of a patch (`sum_patches`), and
@@ -20,7 +20,7 @@ NO_COLOUR = wp.constant(wp.float32(-1.0))
 
 @wp.struct
 class Noise:
-    """`score.Noise`."""
+    """`view.Noise`."""
 
     gaussian: int
     depth_floor: float
@@ -35,7 +35,7 @@ class Noise:
 
 @wp.struct
 class View:
-    """`score.View`, and its samples sorted by patch: those of patch p are `samples[starts[p]:]`."""
+    """`view.View`, and its samples sorted by patch: those of patch p are `samples[starts[p]:]`."""
 
     directions: wp.array(dtype=wp.vec3)
     patch: wp.array(dtype=wp.int32)
@@ -60,7 +60,7 @@ class View:
 
 @wp.func
 def depth_term(expected: float, measured: float, noise: Noise) -> float:
-    """`score._depth`."""
+    """`score_kernels._depth`."""
     if noise.gaussian != 0:
         return wp.min(wp.abs(expected - measured) / noise.depth_clip, 1.0)
     error = (expected - measured) / (noise.depth_floor + noise.depth_slope * measured)
@@ -149,7 +149,7 @@ def sum_tiles(
     colour: wp.array2d(dtype=wp.vec3),
     sums: wp.array3d(dtype=wp.float32),
 ):
-    """Pose n, tile t: sums over its 16 samples, and the SSIM of its lightness (`score._colour`)."""
+    """Pose n, tile t: sums over its 16 samples, and the SSIM of its lightness (`score_kernels._colour`)."""
     n, t = wp.tid()
     far = float(0.0)
     hits = float(0.0)
@@ -199,7 +199,7 @@ def sum_patches(
     semantic: wp.array2d(dtype=wp.float32),
     said: wp.array2d(dtype=wp.float32),
 ):
-    """Pose n, patch p: what it says of the shares of objects it should see (`score._semantic`)."""
+    """Pose n, patch p: what it says of the shares of objects it should see (`score_kernels._semantic`)."""
     n, p = wp.tid()
     first = view.starts[p]
     last = view.starts[p + 1]
@@ -223,7 +223,7 @@ def finish(
     said: wp.array2d(dtype=wp.float32),
     scores: wp.array2d(dtype=wp.float32),
 ):
-    """Pose n: its three scores (`score.score_poses`)."""
+    """Pose n: its three scores (`score_kernels.score_poses`)."""
     n = wp.tid()
     total = float(0.0)
     if view.has_semantic != 0:
@@ -256,7 +256,7 @@ def finish(
 
 @wp.func
 def correlation(sums: wp.array3d(dtype=wp.float32), n: int, k: int, hits: float) -> float:
-    """-log(1 - rho^2) of channel k of pose n (`score._correlation`)."""
+    """-log(1 - rho^2) of channel k of pose n (`score_kernels._correlation`)."""
     # variances are small differences of large sums
     q1 = wp.float64(0.0)
     r1 = wp.float64(0.0)

@@ -9,17 +9,17 @@ import numpy as np
 
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import compose
-from placegraph.indoor.likelihood.observe import reading_ratio
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
-from placegraph.indoor.pose.evidence_kernels import look
+from placegraph.indoor.likelihood.calibrated import reading_ratio
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, look
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from placegraph.indoor.likelihood.score import View
-    from placegraph.indoor.likelihood.scorer import Scorer
+    from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.score import Scorer
+    from placegraph.indoor.likelihood.view import View
     from placegraph.indoor.map.scene import Scene
 
 
@@ -41,17 +41,15 @@ class Agreement:
     """Of readings where the map has a surface, the share within one deviation; NaN: none."""
     colour: float
     """Mean log-likelihood of the colours per independent sample [nat]; NaN: no colours."""
-    weights: NDArray[np.float64]
+    weights: Floats
     """(N,) what the patches and readings that concern each object told for the pose [nat]."""
-    told: NDArray[np.float64]
+    told: Floats
     """(N,) how many patches or readings concern each object."""
 
 
-def agreement(
-    scorer: Scorer, pose: NDArray[np.float64], views: Sequence[View], steps: NDArray[np.float64]
-) -> Agreement:
+def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats) -> Agreement:
     """Agreement of a pose (4,) of the reference frame with all frames of the sequence."""
-    scene, noise = scorer.scene, scorer.noise
+    scene, noise = scorer.scene, scorer.model.noise
     count = len(scene)
     weights, told = np.zeros(count), np.zeros(count)
     samples = hits = 0
@@ -97,7 +95,7 @@ def _concerned(
     patch: NDArray[np.int32],
     objects: NDArray[np.int32],
     said: NDArray[np.bool_],
-    logs: NDArray[np.float64],
+    logs: Floats,
 ) -> NDArray[np.int64]:
     """Object that each patch in `said` speaks for or against, by what it sees: `objects` of hits.
 

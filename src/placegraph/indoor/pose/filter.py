@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
-    from placegraph.indoor.likelihood.score import View
-    from placegraph.indoor.likelihood.scorer import Scorer
+    from placegraph.indoor.likelihood.score import Scorer
+    from placegraph.indoor.likelihood.view import View
     from placegraph.indoor.options import FilterOptions
 
 FEWEST = 24
@@ -51,10 +51,10 @@ class ParticleFilter:
         """Update (Sec. 3.3): weights times likelihoods, flattened where they would leave too few.
 
         A likelihood sharper than the particles are dense makes the nearest particle win by chance;
-        it is tempered until a tenth of them stay effective. Eq. 2 (``gaussian``) is left as it is.
+        it is tempered until a tenth of them stay effective. The paper's Eq. 2 is left as it is.
         """
         values = self.scorer(self.particles.poses, view)
-        flat = 1.0 if self.options.likelihood.kind == "gaussian" else self._flatten(values)
+        flat = self._flatten(values) if self.options.likelihood.tempered else 1.0
         explained = float(values.max())
         self.dropped = self.usual is not None and explained < self.usual - _DROP
         self.usual = (

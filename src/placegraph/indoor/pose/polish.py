@@ -1,6 +1,6 @@
-"""Modes fitted to the whole sequence at once: better poses from fewer particles.
+"""Modes fitted to the whole window at once: better poses from fewer particles.
 
-Over a few metres odometry hardly bends, so the sequence is a rig with one unknown pose of four
+Over a few metres odometry hardly bends, so the window is a rig with one unknown pose of four
 degrees of freedom. Samples are drawn around each mode again and again: they are weighed by all
 frames together, and the next are drawn from their mean and spread (the cross-entropy method). Modes
 that fall hopelessly behind are left where they are, as rivals that the best must be told from.
@@ -13,16 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import between
+from placegraph.indoor.likelihood.observe import COARSE, FINE, spread
 from placegraph.indoor.pose.particles import APART, TURNED, distinct, log_sum, moments
+from placegraph.indoor.pose.search import SCREENED
+from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.random import Generator
-    from numpy.typing import NDArray
 
-    from placegraph.indoor.likelihood.score import View
-    from placegraph.indoor.likelihood.scorer import Scorer
+    from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.score import Scorer
+    from placegraph.indoor.likelihood.view import View
+    from placegraph.indoor.pose.window import Window
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
@@ -34,15 +39,15 @@ _SAMPLES = 56
 class Fit:
     """A pose of the reference frame, fitted to all frames."""
 
-    pose: NDArray[np.float64]
+    pose: Floats
     """(4,)"""
     log_likelihood: float
-    """Of the whole sequence [nat]."""
-    spread: NDArray[np.float64]
+    """Of the whole window [nat]."""
+    spread: Floats
     """(4,) standard deviations from which the next samples would be drawn."""
-    samples: NDArray[np.float64]
+    samples: Floats
     """(N, 4) poses of the last rounds."""
-    values: NDArray[np.float64]
+    values: Floats
     """(N,) their log-likelihoods."""
 
 
@@ -51,7 +56,7 @@ class Round:
     """One level of the polish."""
 
     views: Sequence[View]
-    steps: NDArray[np.float64]
+    steps: Floats
     """(T, 4) from the reference frame to each view."""
     rounds: int
     """Samples are drawn so often."""
@@ -61,9 +66,7 @@ class Round:
     """Modes further behind the best [nat] are dropped before."""
 
 
-def polish(
-    scorer: Scorer, starts: NDArray[np.float64], levels: Sequence[Round], rng: Generator
-) -> list[Fit]:
+def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generator) -> list[Fit]:
     """Fits at the modes `starts` (M, 4) of the reference frame, best first, coarse to fine.
 
     A mode that falls behind is not polished further but stays in the list, as far behind the best
@@ -106,13 +109,7 @@ def _survivors(
     return able, kept[len(able) :]
 
 
-def refine(
-    scorer: Scorer,
-    pose: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    level: Round,
-    rng: Generator,
-) -> Fit:
+def refine(scorer: Scorer, pose: Floats, spread: Floats, level: Round, rng: Generator) -> Fit:
     """Fit of one pose (4,), known to about `spread` (4,), to all frames."""
     return _fit(scorer, Fit(pose, 0.0, spread, pose[None], np.zeros(1)), level, rng)
 
@@ -140,7 +137,41 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     return Fit(pose, float(scores[best]), spread, drawn, scores)
 
 
-def probabilities(values: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+def polished(window: Window, modes: Floats, seeds: Floats, rng: Generator) -> list[Fit]:
+    """Fits of the last frame's pose to all frames of a window, best first."""
+    with timed(window.seconds, "polish"):
+        if not (window.options.polish and window.options.likelihood.tempered):
+            return polish(window.scorer, modes, [round_of(window, FINE, rounds=0, most=8)], rng)
+        # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
+        levels = [
+            round_of(window, COARSE, rounds=2, most=8, frames=5),
+            round_of(window, COARSE, rounds=3, most=4, gap=250.0),
+            round_of(window, FINE, rounds=4, most=3, gap=150.0),
+        ]
+        return polish(window.scorer, np.concatenate([modes, seeds[:8]]), levels, rng)
+
+
+def round_of(
+    window: Window,
+    stride: float,
+    *,
+    rounds: int,
+    most: int = 1,
+    gap: float = np.inf,
+    frames: int = SCREENED,
+) -> Round:
+    """A level of the polish of the last frame's pose.
+
+    Coarse levels look at frames spread over the window, fine ones at the newest: drift has bent the
+    way to the others.
+    """
+    looked = window.newest if stride == FINE else spread(len(window), frames)
+    views = window.views(stride)
+    steps = between(window.poses[-1], window.poses[looked])
+    return Round([views[i] for i in looked], steps, rounds, most, gap)
+
+
+def probabilities(values: Floats, temperature: float) -> Floats:
     """Probabilities (M,) of modes by log-likelihoods (M,): witnesses are not independent."""
     logs = values / temperature
     return np.asarray(np.exp(logs - log_sum(logs)))
@@ -153,7 +184,7 @@ TILT = 0.006
 """Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
 
 
-def covariance_of(fit: Fit) -> NDArray[np.float64]:
+def covariance_of(fit: Fit) -> Floats:
     """Covariance (6, 6) of a fit from its samples: x, y, z, and a turn about the map's axes."""
     logs = (fit.values - fit.values.max()) / _SOFT
     _, covariance = moments(fit.samples, np.exp(logs))

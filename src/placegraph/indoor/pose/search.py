@@ -1,17 +1,17 @@
-"""First particles: where the visibility table says the sequence could be, around a prior, or everywhere."""
+"""Where frames of a window could have been taken: the table is asked before a ray is cast."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import between
-from placegraph.indoor.likelihood.observe import spread
+from placegraph.indoor.likelihood.observe import COARSE, spread
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 from placegraph.indoor.pose.particles import distinct
+from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,50 +19,66 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
-    from placegraph.indoor.likelihood.score import Noise, View
+    from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.pose.leaning import Leaning
+    from placegraph.indoor.pose.prior import Leaning
+    from placegraph.indoor.pose.window import Window
 
 LOOKS = 5
-"""Frames of a sequence that are looked up in the table."""
+"""Frames of a window that are looked up in the table."""
 SEEDS = 48
 """Places kept of them."""
+SCREENED = 10
+"""Frames that screen the seeds."""
+_TRIES = 8  # poses tried around each seed
 _POOL = 6000  # best cells among which distinct seeds are looked for
 _UNTOLD = 0.3  # share of seeds that do not listen to a description
 _FEWEST = 3  # seeds of a merged scene, however small its share
 
 
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """Roughly where the first frame was taken: standard deviations of a Gaussian."""
+def search(window: Window, rng: Generator) -> Floats:
+    """Seeds (K, 4): poses of the last frame that explain several frames at once, best first.
 
-    x: float
-    y: float
-    z: float | None = None
-    """[m, map]; None: one of the camera heights."""
-    yaw: float | None = None
-    """[rad]; None: any."""
-    spread: float = 1.0
-    """Of the position [m]."""
-    turn: float = 0.3
-    """Of the yaw [rad]."""
+    None where a prior says where to look, or the start is the paper's.
 
-    def __post_init__(self) -> None:
-        numbers = (self.x, self.y, self.z or 0.0, self.yaw or 0.0, self.spread, self.turn)
-        if not np.isfinite(numbers).all() or self.spread <= 0 or self.turn <= 0:
-            raise OptionError("prior: numbers must be finite, spread and turn greater than 0.")
+    Raises
+    ------
+    OptionError
+        The map has no free place at the camera's height.
+
+    """
+    with timed(window.seconds, "table"):
+        if not len(window.table):
+            raise OptionError(
+                f"heights: {window.scene.source or 'the map'} has no free place at "
+                f"{window.options.heights} m above its floor; give the camera's height."
+            )
+        views = window.views(COARSE)
+    if window.options.start == "uniform" or window.query.prior is not None:
+        return np.zeros((0, 4))
+    with timed(window.seconds, "search"):
+        poses, last = window.poses, len(window) - 1
+        noise = window.scorer.model.noise
+        seeds, _ = table_seeds(window.table, views, poses, noise, last, leaning=window.leaning)
+        tries = around(seeds, _TRIES, 0.3, 0.06, rng)
+        looked = spread(len(window), SCREENED)
+        steps = between(poses[last], poses[looked])
+        values = window.scorer.together(tries, [views[i] for i in looked], steps)
+        values = values.reshape(len(seeds), _TRIES)
+        best = tries.reshape(len(seeds), _TRIES, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
+        return np.asarray(best[np.argsort(-values.max(axis=1), kind="stable")])
 
 
 def table_seeds(
     table: VisibilityTable,
     views: Sequence[View],
-    poses: NDArray[np.float64],
+    poses: Floats,
     noise: Noise,
     reference: int,
     most: int = SEEDS,
     leaning: Leaning | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
 
     `poses`: (T, 4) odometry of all views, level. The frames looked up are spread over the sequence.
@@ -88,7 +104,7 @@ def table_seeds(
 
 def _best(
     table: VisibilityTable, ranks: NDArray[np.float32], rows: NDArray[np.int64], most: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Distinct poses (K, 4) of some positions, best first, and their ranks."""
     flat = ranks[rows].ravel()
     pool = np.argpartition(-flat, min(_POOL, flat.size - 1))[:_POOL]
@@ -98,43 +114,9 @@ def _best(
     return found[kept], flat[pool][kept].astype(np.float64)
 
 
-def around(
-    seeds: NDArray[np.float64], each: int, box: float, turn: float, rng: Generator
-) -> NDArray[np.float64]:
+def around(seeds: Floats, each: int, box: float, turn: float, rng: Generator) -> Floats:
     """`each` poses (K * each, 4) spread evenly in a box around each seed; the first is the seed."""
     out = np.repeat(seeds, each, axis=0)
     offset = rng.uniform(-1.0, 1.0, out.shape) * np.array([box / 2, box / 2, box / 2, turn])
     offset[::each] = 0.0
     return out + offset
-
-
-def everywhere(
-    table: VisibilityTable, floors: NDArray[np.float64], options: FilterOptions, rng: Generator
-) -> NDArray[np.float64]:
-    """The paper's start (Sec. 3.1): `per_cell` poses a free cell and height, yaws at random.
-
-    `table`: of the same spacing; `floors`: (K,) floor under its positions.
-    """
-    cells = np.unique(np.column_stack([table.positions[:, :2], floors]), axis=0)
-    count = len(options.heights) * options.per_cell
-    out = np.empty((len(cells) * count, 4))
-    out[:, :2] = np.repeat(cells[:, :2], count, axis=0)
-    out[:, :2] += rng.uniform(-0.5, 0.5, (len(out), 2)) * table.spacing
-    heights = np.tile(np.repeat(options.heights, options.per_cell), len(cells))
-    out[:, 2] = np.repeat(cells[:, 2], count) + heights
-    out[:, 3] = rng.uniform(-np.pi, np.pi, len(out))
-    return out
-
-
-def near_prior(
-    prior: Prior, floor: float, count: int, options: FilterOptions, rng: Generator
-) -> NDArray[np.float64]:
-    """`count` poses (count, 4) drawn around a prior."""
-    out = rng.normal(size=(count, 4)) * np.array([prior.spread, prior.spread, 0.05, prior.turn])
-    out[:, :2] += (prior.x, prior.y)
-    out[:, 2] += floor + rng.choice(options.heights, count) if prior.z is None else prior.z
-    if prior.yaw is None:
-        out[:, 3] = rng.uniform(-np.pi, np.pi, count)
-    else:
-        out[:, 3] += prior.yaw
-    return out

@@ -18,27 +18,23 @@ from placegraph.geometry import (
     split_pose,
     wrap,
 )
-from placegraph.indoor.encode import for_map
 from placegraph.indoor.likelihood.observe import FINE, sight
-from placegraph.indoor.likelihood.scorer import Scorer
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.filter import ParticleFilter
 from placegraph.indoor.pose.particles import Particles, moments
-from placegraph.indoor.pose.polish import NARROWEST, Fit, refine
-from placegraph.indoor.pose.sequence import Sequence_, leveled, own_encoder, usable
+from placegraph.indoor.pose.polish import NARROWEST, Fit, polished, refine, round_of
+from placegraph.indoor.pose.query import leveled
+from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.verdict import verdict
+from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
+    from collections.abc import Sequence
 
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
-    from placegraph.indoor.encode import Encoder, MapEncoder
-    from placegraph.indoor.language import Sentence
+    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.likelihood.observe import Sighting
-    from placegraph.indoor.map.scene import Scene
+    from placegraph.indoor.pose.query import PoseQuery
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""
@@ -62,36 +58,19 @@ class Tracker:
 
     Parameters
     ----------
-    scene
-        The map; only read.
+    query
+        What is asked, without frames; its description and shares are of where the stream begins, and
+        forgotten once the pose is known.
     camera
         Camera of the frames; frames of another are refused.
-    options, encoder, seed, device
-        As of `localize`.
-    description, shares
-        As of `localize`, of where it begins: forgotten once the pose is known.
 
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        camera: Camera | None = None,
-        *,
-        options: FilterOptions | None = None,
-        encoder: str | Encoder | MapEncoder | None = None,
-        seed: int = 0,
-        device: str = "auto",
-        description: str | Sentence | None = None,
-        shares: ArrayLike | None = None,
-    ) -> None:
-        self.scene = scene
+    def __init__(self, query: PoseQuery, camera: Camera | None = None) -> None:
+        self.query = query
         self.camera = camera
-        self.options = usable(scene, options or FilterOptions())
-        self.encoder = None if encoder is None else for_map(encoder, scene)
-        self.description, self.shares = description, shares
-        self.rng = np.random.default_rng(seed)
-        self.scorer = Scorer(scene, self.options.likelihood, device)
+        self.rng = np.random.default_rng(query.seed)
+        self.scorer = Scorer(query.scene, query.options.likelihood, query.device)
         self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
         self._filter: ParticleFilter | None = None
         self._last: Frame | None = None
@@ -117,10 +96,10 @@ class Tracker:
         """
         if self.camera is not None and frame.camera != self.camera:
             raise OptionError("frame: taken by another camera than the tracker was made for.")
-        if self.encoder is None:
-            self.encoder = own_encoder(self.scene, frame)
-        sighting = sight(frame, self.encoder, self.options)
-        if not (sighting.patches or sighting.depth is not None or sighting.rgb is not None):
+        if self.query.encoder is None:
+            self.query = replace(self.query, encoder=own_encoder(self.query.scene, frame))
+        sighting = sight(frame, self.query.encoder, self.query.options)
+        if not shows_something(sighting):
             raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
         keyframe = self._is_keyframe(frame)
         estimate = self._follow(sighting) if self.following else None
@@ -132,6 +111,33 @@ class Tracker:
             estimate = self._search(sighting) if due else self._carried(frame)
         self._last, self._answer = frame, estimate
         return estimate
+
+    def follow(self, frames: Sequence[Frame]) -> PoseEstimate:
+        """The last pose of a long capture, and a trajectory of poses as they were known.
+
+        Frames before the pose was first known are led back from there by odometry.
+        """
+        if self.query.prior is not None:
+            raise OptionError(
+                f"prior: a capture of {len(frames)} frames is tracked, which starts without one; "
+                "choose fewer frames."
+            )
+        known: list[Floats | None] = []
+        for i, frame in enumerate(frames):
+            estimate = self.update(frame)
+            sure = estimate.status is Status.OK and estimate.best is not None
+            known.append(estimate.best.map_from_camera if sure and estimate.best else None)
+            if self.query.progress:
+                self.query.progress("tracking", i + 1, len(frames))
+        rows = [i for i, matrix in enumerate(known) if matrix is not None]
+        stats = {"known": len(rows), "frames": len(frames)} | self.scorer.stats()
+        if not rows:
+            return replace(estimate, stats=stats)
+        trajectory = _filled(known, rows, frames)
+        if estimate.best is not None:
+            trajectory[-1] = estimate.best.map_from_camera
+        stamped = np.array([f.index for f in frames])
+        return replace(estimate, trajectory=trajectory, frames=stamped, stats=stats)
 
     def reset(self) -> None:
         """Forget the pose and all frames."""
@@ -145,17 +151,18 @@ class Tracker:
         """Move, weigh and fit; None where the pose had to be given up."""
         assert self._filter is not None and self._last is not None  # noqa: S101, PT018  following
         frame = sighting.frame
-        window = [*list(self.keyframes)[-FITTED + 1 :], sighting]
-        sequence = self._sequence(window)
+        recent = [*list(self.keyframes)[-FITTED + 1 :], sighting]
+        window = Window(self.query, self.scorer, recent)
         step = _steps([self._last, frame])[1]
         self._filter.renew()
         self._filter.move(step)
-        view = sequence.views(FINE)[-1]
+        view = window.views(FINE)[-1]
         self._filter.weigh(view)
         mean, covariance = moments(self._filter.particles.poses, self._filter.particles.weights)
         spread = np.clip(np.sqrt(np.diag(covariance)), 2.0 * NARROWEST, 10.0 * NARROWEST)
-        fit = refine(self.scorer, mean, spread, sequence.round(FINE, rounds=2), self.rng)
-        estimate = verdict(sequence, [fit])
+        level = round_of(window, FINE, rounds=2)
+        fit = refine(self.scorer, mean, spread, level, self.rng)
+        estimate = verdict(window, [fit])
         self._doubts = 0 if estimate.status is Status.OK else self._doubts + 1
         if self._doubts >= PATIENCE:
             self._filter, self._doubts = None, 0
@@ -166,11 +173,11 @@ class Tracker:
 
     def _settle(self, fit: Fit) -> None:
         """Gather the particles around a fit."""
-        self.description = self.shares = None
+        self.query = replace(self.query, description=None, shares=None)
         spread = np.maximum(fit.spread, 2.0 * NARROWEST)
         poses = fit.pose + self.rng.normal(size=(PARTICLES, 4)) * spread
         self._filter = ParticleFilter(
-            self.scorer, self.options, self.rng, Particles.even(poses), PARTICLES
+            self.scorer, self.query.options, self.rng, Particles.even(poses), PARTICLES
         )
 
     # ------------------------------------------------------------------------------ searching
@@ -179,8 +186,10 @@ class Tracker:
         """Look the keyframes, and the newest frame, up in the whole map."""
         self._waited = 0
         known = [s for s in self.keyframes if s is not newest]
-        sequence = self._sequence([*known[-KEPT + 1 :], newest])
-        estimate, fits = sequence.searched(self.rng)
+        window = Window(self.query, self.scorer, [*known[-KEPT + 1 :], newest])
+        seeds = search(window, self.rng)
+        fits = polished(window, seeds[:4], seeds, self.rng)
+        estimate = verdict(window, fits)
         if estimate.status is Status.OK:
             self._doubts = 0
             self._settle(fits[0])
@@ -208,12 +217,6 @@ class Tracker:
             frames=np.array([frame.index]),
         )
 
-    def _sequence(self, sightings: list[Sighting]) -> Sequence_:
-        poses = leveled([s.frame for s in sightings])
-        return Sequence_(
-            self.scene, self.options, self.scorer, sightings, poses, self.description, self.shares
-        )
-
     def _is_keyframe(self, frame: Frame) -> bool:
         if not self.keyframes:
             return True
@@ -221,7 +224,7 @@ class Tracker:
         return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
 
 
-def _steps(frames: Sequence[Frame]) -> NDArray[np.float64]:
+def _steps(frames: Sequence[Frame]) -> Floats:
     """(T, 4), step t from frame t - 1 to frame t; the first is none."""
     poses = leveled(frames)
     steps = np.zeros_like(poses)
@@ -229,47 +232,7 @@ def _steps(frames: Sequence[Frame]) -> NDArray[np.float64]:
     return steps
 
 
-def follow(
-    tracker: Tracker,
-    frames: Sequence[Frame],
-    progress: Callable[[str, int, int], None] | None,
-) -> PoseEstimate:
-    """`localize` for a long capture: its last pose, and a trajectory of poses as they were known.
-
-    Frames before the pose was first known are led back from there by odometry.
-    """
-    known: list[NDArray[np.float64] | None] = []
-    for i, frame in enumerate(frames):
-        estimate = tracker.update(frame)
-        sure = estimate.status is Status.OK and estimate.best is not None
-        known.append(estimate.best.map_from_camera if sure and estimate.best else None)
-        if progress:
-            progress("tracking", i + 1, len(frames))
-    rows = [i for i, matrix in enumerate(known) if matrix is not None]
-    stats = {
-        "known": len(rows),
-        "frames": len(frames),
-        "rays": tracker.scorer.rays,
-        "poses_scored": tracker.scorer.poses,
-        "seconds_scoring": round(tracker.scorer.seconds, 4),
-        "device": tracker.scorer.device,
-    }
-    if not rows:
-        return replace(estimate, stats=stats)
-    trajectory = _filled(known, rows, frames)
-    if estimate.best is not None:
-        trajectory[-1] = estimate.best.map_from_camera
-    return replace(
-        estimate,
-        trajectory=trajectory,
-        frames=np.array([f.index for f in frames]),
-        stats=stats,
-    )
-
-
-def _filled(
-    known: list[NDArray[np.float64] | None], rows: list[int], frames: Sequence[Frame]
-) -> NDArray[np.float64]:
+def _filled(known: list[Floats | None], rows: list[int], frames: Sequence[Frame]) -> Floats:
     """Matrices (T, 4, 4): unknown ones by odometry from the nearest known, the earlier of two."""
     poses = leveled(frames)
     out = np.empty((len(frames), 4, 4))

@@ -12,25 +12,19 @@ from placegraph.geometry import between, compose, pose_matrix
 from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
-from placegraph.indoor.pose.polish import covariance_of, probabilities
+from placegraph.indoor.pose.polish import covariance_of, probabilities, round_of
+from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from placegraph.estimate import Evidence
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.pose.leaning import Leaning
     from placegraph.indoor.pose.polish import Fit
-    from placegraph.indoor.pose.sequence import Sequence_
+    from placegraph.indoor.pose.prior import Leaning
+    from placegraph.indoor.pose.window import Window
 
-TEMPERATURE = 2.7
-"""Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
-that their sum is taken for worth sqrt(T) of them."""
-TEMPERATURE_DEPTH = 4.0
-"""The same where depth takes part: its errors are the map's, and go together."""
 SURE = 0.9
 """Probability of the best mode from which on the answer is `OK`."""
 SURER = 0.999
@@ -50,78 +44,61 @@ _LENIENT = 0.15  # how much less the newest frame alone must agree
 _COLOURS_AGREE, _COLOURS_CONTRADICT = 0.12, 0.005
 
 
-def verdict(sequence: Sequence_, fits: list[Fit]) -> PoseEstimate:
+def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
     """Estimate of the last frame from fits, best first."""
-    scene = sequence.scene
-    last = len(sequence) - 1
-    looked = sequence.newest()
-    views_ = sequence.views(FINE)
-    steps = between(sequence.poses[last], sequence.poses)
-    levels = np.stack([s.level for s in sequence.sightings])
+    with timed(window.seconds, "verdict"):
+        steps = between(window.poses[-1], window.poses)
+        views, looked = window.views(FINE), window.newest
+        told_apart = [views[i] for i in looked]
 
-    def agreed_at(fit: Fit) -> Agreement:
-        return agreement(sequence.scorer, fit.pose, [views_[i] for i in looked], steps[looked])
+        def agreed_at(fit: Fit) -> Agreement:
+            return agreement(window.scorer, fit.pose, told_apart, steps[looked])
 
-    heat = TEMPERATURE if np.isnan(agreed_at(fits[0]).depth) else TEMPERATURE_DEPTH
-    gaussian = sequence.options.likelihood.kind == "gaussian"  # Eq. 2 is taken at its word
-    fits, shares = _shared(sequence, fits, 1.0 if gaussian else heat * np.sqrt(len(looked)))
-    agreed = [agreed_at(f) for f in fits[:_EXPLAINED]]
-    modes = []
-    for i, (fit, share) in enumerate(zip(fits, shares, strict=True)):
-        matrix = pose_matrix(fit.pose, levels[last])
-        row = scene.scene_at(fit.pose[:2])
-        modes.append(
-            PoseMode(
-                map_from_camera=matrix,
-                pose=fit.pose,
-                covariance=WIDENED * covariance_of(fit),
-                probability=float(share),
-                scene=scene.scenes[row],
-                scene_from_camera=scene.scene_from_map[row] @ matrix,
-                explain=partial(_explained, sequence.leaning, scene, agreed[i], fit.pose)
-                if i < len(agreed)
-                else tuple,
-            )
+        depth = not np.isnan(agreed_at(fits[0]).depth)
+        fits, shares = _shared(window, fits, window.scorer.model.heat(len(looked), depth=depth))
+        agreed = [agreed_at(fit) for fit in fits[:_EXPLAINED]]
+        modes = tuple(
+            _mode(window, fit, share, agreed[i] if i < len(agreed) else None)
+            for i, (fit, share) in enumerate(zip(fits, shares.tolist(), strict=True))
         )
-    told = float(fits[0].log_likelihood) / len(looked)
-    status, reason = judge(agreed[0], modes, told)
-    if status is Status.OK and len(sequence) > 1:
-        newest = agreement(sequence.scorer, fits[0].pose, views_[last:], steps[last:])
-        against = disagreement(newest, _PATCHES_TELL, _LENIENT)
-        if against:
-            status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
-    looks = any(s.patches is not None and not s.patches.named for s in sequence.sightings)
-    if status is Status.OK and looks and not _seen_otherwise(agreed[0]):
-        status = Status.AMBIGUOUS
-        reason = "One place fits best, but what patches look like says too little of it alone."
-    if status is Status.OK and sequence.leaning is not None:
-        against = sequence.leaning.against(fits[0].pose)
-        if against:
-            status, reason = Status.AMBIGUOUS, f"{reason} But that is not what was said: {against}."
-    if status is not Status.OK:
-        reason = f"{reason} {_unit(sequence)}".rstrip()
-    return PoseEstimate(
-        status=status,
-        modes=tuple(modes),
-        reason=reason,
-        trajectory=pose_matrix(compose(fits[0].pose, steps), levels),
-        frames=np.array([s.frame.index for s in sequence.sightings]),
-    )
+        told = float(fits[0].log_likelihood) / len(looked)
+        status, reason = _status(window, modes, agreed[0], told)
+        return PoseEstimate(
+            status=status,
+            modes=modes,
+            reason=reason,
+            trajectory=pose_matrix(compose(fits[0].pose, steps), window.levels),
+            frames=np.array([s.frame.index for s in window.sightings]),
+        )
 
 
-def _shared(
-    sequence: Sequence_, fits: list[Fit], heat: float
-) -> tuple[list[Fit], NDArray[np.float64]]:
+def _shared(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Floats]:
     """Fits, likeliest first, and their probabilities.
 
     What somebody said of the place is no image: it is a witness of its own, and counts in full.
     """
     shares = probabilities(np.array([f.log_likelihood for f in fits]), heat)
-    if sequence.leaning is None:
+    if window.leaning is None:
         return fits, shares
-    shares *= np.exp(sequence.leaning.at(np.stack([f.pose for f in fits])))
+    shares *= np.exp(window.leaning.at(np.stack([f.pose for f in fits])))
     order = np.argsort(-shares, kind="stable")
     return [fits[i] for i in order], shares[order] / shares.sum()
+
+
+def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> PoseMode:
+    scene, matrix = window.scene, pose_matrix(fit.pose, window.levels[-1])
+    row = scene.scene_at(fit.pose[:2])
+    return PoseMode(
+        map_from_camera=matrix,
+        pose=fit.pose,
+        covariance=WIDENED * covariance_of(fit),
+        probability=share,
+        scene=scene.scenes[row],
+        scene_from_camera=scene.scene_from_map[row] @ matrix,
+        explain=tuple
+        if agreed is None
+        else partial(_explained, window.leaning, scene, agreed, fit.pose),
+    )
 
 
 def _explained(
@@ -131,20 +108,40 @@ def _explained(
     return said + explain(scene, agreed)
 
 
-def evidence_at(sequence: Sequence_, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
+def evidence_at(window: Window, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
     """Finds what the newest frames say of a pose (4,) of the last one; the frames are let go."""
-    newest = sequence.round(FINE, rounds=0)
-    agreed = agreement(sequence.scorer, pose, newest.views, newest.steps)
-    return partial(_explained, sequence.leaning, sequence.scene, agreed, pose)
+    newest = round_of(window, FINE, rounds=0)
+    agreed = agreement(window.scorer, pose, newest.views, newest.steps)
+    return partial(_explained, window.leaning, window.scene, agreed, pose)
 
 
 _EXPLAINED = 3  # modes that can be explained
 
 
-def _unit(sequence: Sequence_) -> str:
-    """That depth looks to be in another unit; empty where it does not."""
-    frame = sequence.sightings[-1].frame
-    return hint(sequence.views(FINE), sequence.table.background, frame)
+def _status(
+    window: Window, modes: Sequence[PoseMode], agreed: Agreement, told: float
+) -> tuple[Status, str]:
+    """Status and reason by all frames together, by the newest alone, and by what was said."""
+    status, reason = judge(agreed, modes, told)
+    pose, last = modes[0].pose, window.views(FINE)[-1:]
+    if status is Status.OK and len(window) > 1:
+        newest = agreement(window.scorer, pose, last, np.zeros((1, 4)))
+        against = disagreement(newest, _PATCHES_TELL, _LENIENT)
+        if against:
+            status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
+    looks = any(s.patches is not None and not s.patches.named for s in window.sightings)
+    if status is Status.OK and looks and not _seen_otherwise(agreed):
+        status = Status.AMBIGUOUS
+        reason = "One place fits best, but what patches look like says too little of it alone."
+    if status is Status.OK and window.leaning is not None:
+        against = window.leaning.against(pose)
+        if against:
+            status, reason = Status.AMBIGUOUS, f"{reason} But that is not what was said: {against}."
+    if status is not Status.OK:  # depth may look to be in another unit
+        frame = window.sightings[-1].frame
+        unit = hint(window.views(FINE), window.table.background, frame)
+        reason = f"{reason} {unit}".rstrip()
+    return status, reason
 
 
 def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[Status, str]:

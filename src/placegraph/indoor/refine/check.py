@@ -14,7 +14,7 @@ import numpy as np
 from placegraph.indoor.rays.layout import LANES
 from placegraph.indoor.refine.depth import distances
 from placegraph.indoor.refine.fit_kernels import correlations
-from placegraph.indoor.refine.images import smaller
+from placegraph.indoor.refine.match import smaller
 from placegraph.indoor.refine.matching.guided import lightness, resized
 
 if TYPE_CHECKING:

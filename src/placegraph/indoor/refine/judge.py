@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.geometry import vector_from_rotation
-from placegraph.indoor.pose.clock import timed
+from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
-from placegraph.indoor.refine.focal import better_focal
-from placegraph.indoor.refine.joint import odometry_errors
-from placegraph.indoor.refine.scale import scales
+from placegraph.indoor.refine.intrinsics import better_focal, scales
+from placegraph.indoor.refine.solve import odometry_errors
 
 if TYPE_CHECKING:
     from placegraph.geometry import Floats

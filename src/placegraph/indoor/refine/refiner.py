@@ -10,29 +10,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.pose.clock import timed
+from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
-from placegraph.indoor.refine.images import look, solve_frame, solve_rig, turned
-from placegraph.indoor.refine.joint import Problem, Solution, solve
+from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.pixels import Sights
-from placegraph.indoor.refine.uncertainty import covariance
+from placegraph.indoor.refine.solve import Problem, Solution, covariance, solve
 from placegraph.indoor.render import Renderer
 from placegraph.threads import processors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
+    from placegraph.indoor.pose.query import Progress
+    from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
-
-    Progress = Callable[[str, int, int], None]
 
 DEPTH_WIDTHS = ((10.0, 6.0), (5.0, 3.0), (3.0, 2.0))
 """Kernels of depth and pixels from a start within a hand's breadth, in standard deviations."""
@@ -115,6 +113,19 @@ class Refiner:
     known: tuple[Floats, Floats] | None = None
     """As `Problem.known`."""
     stats: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, window: Window, options: RefineOptions, matcher: Matcher | None) -> Refiner:
+        """Refiner of the frames of a window."""
+        return cls(
+            scene=window.scene,
+            frames=[s.frame for s in window.sightings],
+            depths=[s.depth for s in window.sightings],
+            queries=[s.rgb for s in window.sightings],
+            options=options,
+            matcher=matcher,
+            device=window.query.device,
+        )
 
     def __post_init__(self) -> None:
         self.surfaces = Surfaces.of(self.scene)

@@ -16,8 +16,9 @@ from placegraph.errors import PlacegraphError
 from placegraph.formats.capture.capture import open_capture
 from placegraph.geometry import level_from_camera, rotation_z, split_pose
 from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.scorer import Scorer
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
@@ -34,8 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.observe import Background
-    from placegraph.indoor.likelihood.score import View
+    from placegraph.indoor.likelihood.view import Background, View
 
 PARTICLES = (50, 200, 1000, 5000)
 STRIDES = (40.0, 20.0, 10.0, 5.0)
@@ -132,7 +132,7 @@ def view_of(scene: SceneMap, folder: Path, stride: float, background: Background
     frame = open_capture(folder)[0]
     options = FilterOptions()
     sighting = sight(frame, InstancesEncoder(scene), options)
-    return views([sighting], stride, options, background)[0]
+    return views([sighting], stride, model_of(options.likelihood), background)[0]
 
 
 def cost(

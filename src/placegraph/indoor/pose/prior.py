@@ -1,4 +1,4 @@
-"""What is known of a pose before the frames are looked at: a sentence, and which scene it is in."""
+"""What is known of a pose before the frames are looked at: roughly where, a sentence, which scene."""
 
 from __future__ import annotations
 
@@ -17,6 +17,27 @@ if TYPE_CHECKING:
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.map.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Roughly where the first frame was taken: standard deviations of a Gaussian."""
+
+    x: float
+    y: float
+    z: float | None = None
+    """[m, map]; None: one of the camera heights."""
+    yaw: float | None = None
+    """[rad]; None: any."""
+    spread: float = 1.0
+    """Of the position [m]."""
+    turn: float = 0.3
+    """Of the yaw [rad]."""
+
+    def __post_init__(self) -> None:
+        numbers = (self.x, self.y, self.z or 0.0, self.yaw or 0.0, self.spread, self.turn)
+        if not np.isfinite(numbers).all() or self.spread <= 0 or self.turn <= 0:
+            raise OptionError("prior: numbers must be finite, spread and turn greater than 0.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from placegraph.estimate import Status
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.leaning import Leaning
+from placegraph.indoor.pose.prior import Leaning
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,12 @@
 Unknown are the poses of all frames, six degrees of freedom each. Depth readings and matched points
 tie each frame to the map, odometry ties it to its neighbours, gravity to the vertical; Gauss-Newton
 with weights that are set anew at each step, from a wide robust kernel to a narrow one.
+
+How well the poses are then known is more than the fit says. Its own covariance takes errors for
+independent. What is wrong with a map is not: a wall that stands two centimetres off does so for every
+reading of it, and the pose goes with it; more readings do not make a map truer. How far the map is off
+is not known, but two things tell its order: how far frames, each pulled by what it sees, part from
+what odometry says of their way, and how far right matches miss.
 """
 
 from __future__ import annotations
@@ -22,8 +28,8 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.refine.depth import Readings, Surfaces
+    from placegraph.indoor.refine.match import Sights
     from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.refine.pixels import Sights
 
 READINGS = 200.0
 """Independent readings that the depth of one frame is worth: neighbours err together."""
@@ -230,3 +236,57 @@ def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Flo
     weights = 1.0 / np.square(deviations)
     g += (np.concatenate([shift, turn], axis=1) * weights).ravel()
     h[np.diag_indices(len(h))] += np.tile(weights, len(poses))
+
+
+PULL = 5.0
+"""Error common to all frames, in units of how far they part from their way (benchmark)."""
+MISS = 0.65
+"""Error common to all frames, in units of what matches miss by (benchmark)."""
+UNEXPLAINED = 0.02
+"""Error common to all frames if no reading of depth were explained [m] (benchmark)."""
+LEAST = 0.003
+"""No map is truer than this [m]."""
+ALONE = 0.015
+"""Error of a single frame that no other can tell [m]."""
+UPRIGHT = 0.5
+"""Share of the error that goes into height: floors and table tops agree better than walls."""
+_MEDIAN = 1.4826  # standard deviations in a median absolute deviation
+
+
+def covariance(problem: Problem, solution: Solution) -> Floats:
+    """(6, 6) of the last frame of a solution: the fit's own, and what is common to all frames."""
+    shift, away = common_error(problem, solution)
+    turn = shift / away
+    tilt = min(turn, problem.options.tilt)
+    common = np.square([shift, shift, UPRIGHT * shift, tilt, tilt, turn])
+    return solution.covariance() + np.diag(common)
+
+
+def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
+    """What a trajectory is off by as a whole, as a standard deviation [m], and how far is seen [m].
+
+    The distance makes turns of shifts.
+    """
+    errors, _ = odometry_errors(problem, solution.poses)
+    pulled = PULL * float(np.sqrt(np.mean(errors[:, :3] ** 2))) if len(errors) else ALONE
+    unexplained = UNEXPLAINED * float(np.nan_to_num(solution.cost))
+    found, away = [LEAST, float(np.hypot(pulled, unexplained))], []
+    depths = [r.depth[r.depth > 0] for r in problem.readings if r is not None]
+    if any(map(len, depths)):
+        away.append(float(np.median(np.concatenate(depths))))
+    if any(map(len, problem.sights)):
+        missed, far = _missed(problem.sights, solution.poses)
+        found.append(MISS * missed)
+        away.append(far)
+    return max(found), float(np.mean(away)) if away else 1.0
+
+
+def _missed(sights: Sequence[Sights], poses: Floats) -> tuple[float, float]:
+    """By how much matches miss, at their distance [m], and that distance [m]."""
+    angles, far = [], []
+    for seen, pose in zip(sights, poses, strict=True):
+        if len(seen):
+            angles.append(seen.errors(pose) / seen.focal)
+            far.append(np.linalg.norm(seen.points - pose[:3, 3], axis=1))
+    distance = float(np.median(np.concatenate(far)))
+    return _MEDIAN / np.sqrt(2.0) * float(np.median(np.concatenate(angles))) * distance, distance

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.geometry import rotation_from_vector, rotation_z, vector_from_rotation
+from placegraph.indoor.likelihood.observe import REFERENCE
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.matching.guided import resized
-from placegraph.indoor.refine.pixels import Sights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,6 +29,64 @@ _DIGITS = 7  # a tenth of a micrometre
 _STEEP = 0.15
 """A match is not lifted where depth changes by more than this share within a pixel or two: which of
 the two surfaces was meant, nobody knows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """M points of the map that one frame was matched with."""
+
+    points: Floats
+    """(M, 3) [m, map]"""
+    pixels: Floats
+    """(M, 2) where the frame's colour image shows them [px]."""
+    rays: Floats
+    """(M, 2) the same without the camera: x and y where z is 1."""
+    sigma: Floats
+    """(M,) standard deviation of the pixels [px]."""
+    focal: float
+    """[px]"""
+    unit: float
+    """Pixels of this camera in one of an image `REFERENCE` wide: what tolerances are given in."""
+
+    @classmethod
+    def of(
+        cls,
+        points: Floats,
+        pixels: Floats,
+        camera: Camera,
+        sigma: float,
+    ) -> Sights:
+        """Sights of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide]."""
+        rays = camera.directions(pixels)[:, :2] if len(pixels) else np.zeros((0, 2))
+        unit = max(camera.width, camera.height) / REFERENCE
+        sigmas = np.full(len(points), sigma * unit)
+        return cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)
+
+    @classmethod
+    def none(cls) -> Sights:
+        """No point."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0, 1.0)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Sights:
+        """Some of them."""
+        return replace(
+            self,
+            points=self.points[rows],
+            pixels=self.pixels[rows],
+            rays=self.rays[rows],
+            sigma=self.sigma[rows],
+        )
+
+    def errors(self, map_from_camera: Floats) -> Floats:
+        """Reprojection errors (M,) [px] at a pose (4, 4); infinite behind the camera."""
+        at = (self.points - map_from_camera[:3, 3]) @ map_from_camera[:3, :3]
+        ahead = at[:, 2] > 1e-3
+        xy = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
+        off = self.focal * np.linalg.norm(xy - self.rays, axis=1)
+        return np.where(ahead, off, np.inf)
 
 
 def turned(map_from_camera: Floats, options: RefineOptions) -> list[Floats]:

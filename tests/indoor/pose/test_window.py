@@ -1,8 +1,10 @@
+"""What a window of frames keeps."""
+
 import time
 
 import pytest
 
-from placegraph.indoor.pose.clock import timed
+from placegraph.indoor.pose.window import timed
 
 
 def test_seconds_add_up_by_stage():

@@ -7,7 +7,7 @@ from placegraph.errors import OptionError
 from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.indoor.pose.frames import chosen_frames
+from placegraph.indoor.pose.query import chosen_frames
 
 CAMERA = Camera(8, 6, 8.0, 8.0, 4.0, 3.0)
 

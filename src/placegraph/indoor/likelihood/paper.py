@@ -1,0 +1,54 @@
+"""The paper's likelihood, taken at its word (SG2Loc Sec. 3.3, 3.4, Eq. 2)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.likelihood.view import Noise
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.view import Background
+    from placegraph.indoor.options import Likelihood
+
+
+class Paper:
+    """Scores of semantics, depth and colour in [0, 2], and a Gaussian of what is missing to 2."""
+
+    def __init__(self, options: Likelihood) -> None:
+        self.options = options
+        self.noise = Noise.of(options, gaussian=True)
+
+    def named(self, cosines: Floats, temperature: float, usual: Floats) -> Floats:  # noqa: ARG002
+        """Sec. 3.3: cosine + 1 where patch and object agree, (M, N + 1); see `Model`."""
+        best = cosines >= cosines.max(axis=1, keepdims=True) - 1e-6
+        table = np.where(best, cosines + 1.0, 0.0)
+        return np.concatenate([table, np.zeros((len(table), 1))], axis=1)
+
+    def shares(self, counts: Floats) -> Floats:
+        """Every patch counts in full."""
+        return np.ones(len(counts))
+
+    def usual_depth(
+        self,
+        depth: NDArray[np.float32],
+        directions: Floats,  # noqa: ARG002  of `Model`
+        background: Background,  # noqa: ARG002  of `Model`
+    ) -> NDArray[np.float32]:
+        """Scores are not ratios: nothing is usual."""
+        return np.zeros(len(depth), np.float32)
+
+    def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
+        """Eq. 2: -(2 (1 + l1 + l2) - (s + l1 d + l2 c))^2 / (2 sigma^2); terms not there ask nothing."""
+        o = self.options
+        factors = np.array([1.0, o.depth_lambda, o.colour_lambda]) * terms
+        missing = 2.0 * factors.sum() - scores.astype(np.float64) @ factors
+        return np.asarray(-(missing**2) / (2.0 * o.sigma**2))
+
+    def heat(self, frames: int, *, depth: bool) -> float:  # noqa: ARG002  of `Model`
+        """Eq. 2 is a log-likelihood already."""
+        return 1.0

@@ -1,0 +1,145 @@
+"""A window: frames that are looked at together, read, encoded, and with steps between them."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.indoor.encode import bound
+from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.likelihood.depth_unit import check_unit
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.visibility import visibility
+from placegraph.indoor.pose.prior import Leaning
+from placegraph.indoor.pose.query import leveled
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Floats
+    from placegraph.indoor.encode import MapEncoder
+    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.likelihood.view import View
+    from placegraph.indoor.likelihood.visibility import VisibilityTable
+    from placegraph.indoor.map.scene import Scene
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.query import PoseQuery
+
+NEWEST = 12
+"""Frames that the last round of the polish is fitted to."""
+
+
+@contextmanager
+def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the time spent inside to a stage's seconds."""
+    start = perf_counter()
+    try:
+        yield
+    finally:
+        seconds[stage] = seconds.get(stage, 0.0) + perf_counter() - start
+
+
+@dataclass(eq=False)
+class Window:
+    """Frames of one capture in one map; what is derived from them is made once."""
+
+    query: PoseQuery
+    """What was asked; its frames may be more than those of the window."""
+    scorer: Scorer
+    sightings: list[Sighting]
+    seconds: dict[str, float] = field(default_factory=dict)
+    """What each stage took."""
+    _views: dict[float, list[View]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.sightings)
+
+    @property
+    def scene(self) -> Scene:
+        """The map."""
+        return self.query.scene
+
+    @property
+    def options(self) -> FilterOptions:
+        """How it is localized."""
+        return self.query.options
+
+    @cached_property
+    def poses(self) -> Floats:
+        """(T, 4) odometry, level."""
+        return leveled([s.frame for s in self.sightings])
+
+    @cached_property
+    def levels(self) -> Floats:
+        """(T, 3, 3) level_from_camera."""
+        return np.stack([s.level for s in self.sightings])
+
+    @property
+    def table(self) -> VisibilityTable:
+        """The map's table."""
+        return visibility(self.scene, self.options)
+
+    @cached_property
+    def leaning(self) -> Leaning | None:
+        """What is known beforehand of the last frame's pose."""
+        return Leaning.of(self.scene, self.table, self.query.description, self.query.shares)
+
+    @cached_property
+    def newest(self) -> NDArray[np.int64]:
+        """Rows of the newest frames, which the last level is fitted to."""
+        return np.arange(max(0, len(self) - NEWEST), len(self))
+
+    def views(self, stride: float) -> list[View]:
+        """Views of all frames at a stride."""
+        if stride not in self._views:
+            background = self.table.background
+            self._views[stride] = views(self.sightings, stride, self.scorer.model, background)
+        return self._views[stride]
+
+
+def observe(query: PoseQuery) -> Window:
+    """Read and encode the frames that are asked about.
+
+    Raises
+    ------
+    OptionError
+        Nothing can be compared with the map.
+    InputError
+        An image is broken, or depth is not in metres (`depth_unit.check_unit`).
+
+    """
+    scene = query.scene
+    window = Window(query, Scorer(scene, query.options.likelihood, query.device), [])
+    with timed(window.seconds, "reading"):
+        encoder = query.encoder or own_encoder(scene, query.frames[0])
+        window.sightings = [sight(frame, encoder, query.options) for frame in query.frames]
+    if not any(shows_something(s) for s in window.sightings):
+        raise OptionError(
+            "Nothing to compare: the frames have no depth and no labels that the map knows, and "
+            "the map has no colours (or these terms are switched off)."
+        )
+    check_unit(float(np.linalg.norm(np.ptp(scene.bounds, axis=0))), window.sightings)
+    return window
+
+
+def shows_something(sighting: Sighting) -> bool:
+    """Whether a frame has anything that can be compared with the map."""
+    return bool(sighting.patches) or sighting.depth is not None or sighting.rgb is not None
+
+
+def own_encoder(scene: Scene, frame: Frame) -> MapEncoder | None:
+    """Encoder of the labels that a capture brings itself; None where it brings none."""
+    if frame.label_kind == "instances":
+        return InstancesEncoder(scene)
+    return bound(LabelsEncoder(), scene) if frame.label_kind else None

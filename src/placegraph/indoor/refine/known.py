@@ -1,0 +1,99 @@
+"""Refinement of a pose that somebody knows roughly, without a search of the whole map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.estimate import PoseEstimate, PoseMode, Status
+from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
+from placegraph.indoor.likelihood.observe import COARSE, FINE
+from placegraph.indoor.pose import polish
+from placegraph.indoor.pose.verdict import verdict
+from placegraph.indoor.pose.window import observe
+from placegraph.indoor.refine.refinement import MOST, tried
+from placegraph.indoor.refine.refiner import Refiner
+
+if TYPE_CHECKING:
+    from placegraph.geometry import Floats
+    from placegraph.indoor.pose.query import PoseQuery
+    from placegraph.indoor.pose.window import Window
+    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.indoor.refine.refinement import Refining
+
+_NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
+_SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]
+
+
+def refine(query: PoseQuery, given: Floats, refining: Refining) -> PoseEstimate:
+    """The pose of the last frame asked about, from where (4, 4) it is roughly known to be.
+
+    Where there is depth, the neighbourhood is searched first. Errors: `SceneMap.refine`.
+    """
+    query = replace(query, frames=query.frames[-MOST:])
+    window = observe(query)
+    odometry = np.stack([f.odometry for f in query.frames])
+    coarse = given @ np.linalg.inv(odometry[-1]) @ odometry
+    start = coarse
+    if any(s.depth is not None for s in window.sightings):
+        start = _searched(window, given, refining.options)
+    refiner = Refiner.of(window, refining.options, refining.matcher)
+    refiner.known = coarse, np.maximum(_reach(refining.options), _SHARPEST)
+    told = tried(window, _given(window, coarse, refining.options), refiner, start, explained=True)
+    status, reason = _status(window, told)
+    return replace(told, status=status, reason=reason)
+
+
+def _status(window: Window, told: PoseEstimate) -> tuple[Status, str]:
+    """What the filter's verdict says of the pose, were it the only one; not OK where it was given."""
+    assert told.best is not None and told.refinement is not None  # noqa: S101, PT018  made so
+    pose = told.best.pose
+    level = polish.round_of(window, FINE, rounds=0)
+    values = window.scorer.together(pose[None], level.views, level.steps)
+    fit = polish.Fit(pose, float(values[0]), polish.NARROWEST, pose[None], values)
+    alone = verdict(window, [fit])
+    if alone.status is Status.OK and not told.refinement.accepted:
+        return Status.AMBIGUOUS, told.refinement.reason
+    return alone.status, alone.reason
+
+
+def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
+    """Trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
+    rng = np.random.default_rng(window.query.seed)
+    pose, _ = split_pose(given)
+    reach = _reach(options)[[0, 1, 2, 5]]
+    wide = polish.round_of(window, COARSE, rounds=4)
+    fit = polish.refine(window.scorer, pose, reach, wide, rng)
+    spread = np.maximum(fit.spread, _NEARLY)
+    narrow = polish.round_of(window, FINE, rounds=2)
+    fit = polish.refine(window.scorer, fit.pose, spread, narrow, rng)
+    # what no reading holds, such as the height between bare walls, wanders off
+    off = fit.pose - pose
+    off[3] = wrap(off[3])
+    found = pose + np.clip(off, -3.0 * reach, 3.0 * reach)
+    steps = between(window.poses[-1], window.poses)
+    return pose_matrix(compose(found, steps), window.levels)
+
+
+def _reach(options: RefineOptions) -> Floats:
+    """Standard deviations (6,) [m], [rad] of a pose that somebody gave."""
+    way, turn = options.reach
+    return np.array([way, way, 0.3 * way, turn, turn, turn])
+
+
+def _given(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
+    """What is known before: a pose that somebody gave."""
+    matrix, scene = coarse[-1], window.scene
+    row = scene.scene_at(matrix[:2, 3])
+    mode = PoseMode(
+        map_from_camera=matrix,
+        pose=split_pose(matrix)[0],
+        covariance=np.diag(np.square(_reach(options))),
+        probability=1.0,
+        scene=scene.scenes[row],
+        scene_from_camera=scene.scene_from_map[row] @ matrix,
+    )
+    rows = np.array([f.index for f in window.query.frames])
+    return PoseEstimate(Status.AMBIGUOUS, (mode,), "", trajectory=coarse, frames=rows)

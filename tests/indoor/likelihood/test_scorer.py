@@ -1,0 +1,53 @@
+"""Scores of poses, alone and as a rig, and what they cost."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import MissingExtraError, OptionError
+from placegraph.geometry import compose
+from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.options import FilterOptions, Likelihood
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+OPTIONS = FilterOptions()
+
+
+@pytest.fixture(scope="module")
+def seen(room, walk):
+    around_ = room.visibility(OPTIONS).background
+    return views(
+        [sight(f, None, OPTIONS) for f in walk[:3]], 20.0, model_of(OPTIONS.likelihood), around_
+    )
+
+
+def test_scores_are_counted(room, seen):
+    scorer = Scorer(room, OPTIONS.likelihood)
+    poses = np.array([[2.0, 1.5, 1.6, 0.1], [2.2, 1.5, 1.6, 0.3]])
+    terms = scorer.terms(poses, seen[0])
+    assert terms.shape == (2, 3)
+    assert scorer.poses == 2
+    assert scorer.rays == 2 * len(seen[0].directions)
+    values = scorer(poses, seen[0])
+    np.testing.assert_allclose(values, scorer.model.combined(terms, seen[0].terms))
+    assert scorer.poses == 4
+    assert scorer.seconds > 0
+    assert scorer.device == "cpu"
+
+
+def test_a_sequence_is_scored_as_a_rig(room, seen):
+    """All frames together: each at the pose that odometry leads to."""
+    scorer = Scorer(room, OPTIONS.likelihood)
+    poses = np.array([[2.0, 1.5, 1.6, 0.1], [2.2, 1.5, 1.6, 0.3]])
+    steps = np.array([[0, 0, 0, 0], [0.2, 0.1, 0, 0.3], [-0.1, 0, 0.02, -1.0]])
+    expected = sum(scorer(compose(poses, s), v) for s, v in zip(steps, seen, strict=True))
+    np.testing.assert_allclose(scorer.together(poses, seen, steps), expected)
+    with pytest.raises(ValueError, match="shorter"):
+        scorer.together(poses, seen, steps[:2])
+
+
+@pytest.mark.parametrize("device", ["gpu", "tpu", "", "cuda:x"])
+def test_devices_that_are_none(room, device):
+    with pytest.raises((OptionError, MissingExtraError), match=r"device is|install"):
+        Scorer(room, Likelihood(), device)

@@ -1,0 +1,72 @@
+"""First particles of a pass: around a prior, or everywhere."""
+
+import math
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.indoor.likelihood.visibility import floor_under
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.passes import everywhere, near_prior
+from placegraph.indoor.pose.prior import Prior
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+OPTIONS = FilterOptions()
+
+
+# --------------------------------------------------------------------------------- prior
+
+
+def test_poses_about_a_prior(rng):
+    prior = Prior(2.0, -1.0, z=1.4, yaw=0.7, spread=0.5, turn=0.2)
+    got = near_prior(prior, 0.0, 20_000, OPTIONS, rng)
+    np.testing.assert_allclose(got.mean(axis=0), [2.0, -1.0, 1.4, 0.7], atol=0.02)
+    np.testing.assert_allclose(got.std(axis=0), [0.5, 0.5, 0.05, 0.2], rtol=0.03)
+
+
+def test_what_a_prior_leaves_open_is_anything(rng):
+    got = near_prior(Prior(0.0, 0.0), 10.0, 20_000, OPTIONS, rng)
+    # heights are those of cameras above the floor that is there
+    assert got[:, 2].mean() == pytest.approx(11.65, abs=0.01)
+    assert 0.1 < got[:, 2].std() < 0.14
+    turns = np.histogram(got[:, 3], bins=8, range=(-np.pi, np.pi))[0]
+    assert turns.sum() == 20_000
+    assert turns.min() > 2200
+
+
+@pytest.mark.parametrize(
+    "change", [{"x": math.nan}, {"z": math.inf}, {"yaw": math.nan}, {"spread": 0}, {"turn": -1}]
+)
+def test_priors_that_are_none(change):
+    with pytest.raises(OptionError, match="prior"):
+        Prior(**{"x": 0.0, "y": 0.0} | change)
+
+
+# ---------------------------------------------------------------------------- everywhere
+
+
+def test_the_papers_start(room, rng):
+    """Sec. 3.1: so many yaws a free cell and height, all over the free floor."""
+    options = FilterOptions(start="uniform", spacing=0.4, per_cell=3, heights=(1.5, 1.7))
+    table = room.visibility(options)
+    floors = floor_under(room, table.positions[:, :2])
+    got = everywhere(table, floors, options, rng)
+    assert len(got) == len(table) * 2 * 3
+    for low, high in zip(got.min(axis=0)[:2], got.max(axis=0)[:2], strict=True):
+        assert low < high
+    cells = np.floor((got[:, :2] - table.origin) / table.spacing).astype(int)
+    free = table.index[0, cells[:, 0], cells[:, 1]]
+    assert (np.bincount(free, minlength=len(table)) == 6).all()
+    assert np.unique(got[:, 2]).round(3).tolist() == (room.floors[0] + [1.5, 1.7]).round(3).tolist()
+    assert (np.abs(got[:, 3]) <= np.pi).all()
+    assert np.histogram(got[:, 3], bins=4)[0].min() > len(got) / 8
+
+
+def test_layers_do_not_multiply_cells(room, rng):
+    options = FilterOptions(start="uniform", spacing=0.5, per_cell=1, heights=(0.8, 1.6))
+    table = room.visibility(options)
+    assert table.index.shape[0] > 1
+    floors = floor_under(room, table.positions[:, :2])
+    cells = len(np.unique(table.positions[:, :2], axis=0))
+    assert len(everywhere(table, floors, options, rng)) == 2 * cells
