@@ -11,8 +11,8 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.language.likeness import EXACT, fits, kind_by_name, kinds_of, likenesses
-from placegraph.indoor.map.relation_words import canonical
 from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
+from placegraph.indoor.map.relations.words import canonical
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

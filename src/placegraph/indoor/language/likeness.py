@@ -12,7 +12,7 @@ import numpy as np
 
 from placegraph.indoor.encode.words import vector
 from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.relation_words import same_thing
+from placegraph.indoor.map.relations.words import same_thing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,8 +14,8 @@ import numpy as np
 
 from placegraph.indoor.language.likeness import table, usual
 from placegraph.indoor.language.sentence import Kind
-from placegraph.indoor.map.relation_words import readings
 from placegraph.indoor.map.relations import NEXT_TO
+from placegraph.indoor.map.relations.words import readings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -61,7 +61,7 @@ class Statement:
     things: tuple[int, ...]
     """Rows of `Sentence.mentions`."""
     relation: str = ""
-    """Of RELATED, by a name that `relation_words` knows; of NEAR how: "in front of", "on"."""
+    """Of RELATED, by a name that `map.relations.words` knows; of NEAR how: "in front of", "on"."""
     bearing: float = 0.0
     """Of TOWARDS: direction of the thing from where the speaker looks [rad, left is +pi/2]."""
     wide: bool = False

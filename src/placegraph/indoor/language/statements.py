@@ -9,7 +9,7 @@ from placegraph.indoor.language.chunk import attributes
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.parse import Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
-from placegraph.indoor.map.relation_words import same_thing
+from placegraph.indoor.map.relations.words import same_thing
 from placegraph.language.check import Ignored
 
 if TYPE_CHECKING:

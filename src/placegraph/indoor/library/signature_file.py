@@ -172,7 +172,7 @@ def decoys(encoders: Sequence[Encoder]) -> list[Signature]:
     """Signatures of homes that are in no library, with vectors of these encoders.
 
     A library of one scene could say nothing of what is rare, and every capture would be of the best of
-    its scenes. So drawn homes of many styles stand beside it (`scripts/decoys.py` makes them, of homes
+    its scenes. So drawn homes of many styles stand beside it (`placegraph-lab decoys` makes them, of homes
     that no figure is taken on): they tell what is usual in homes, and a capture that fits some of them
     as well as any scene was taken elsewhere. Speaker verification calls such a set a cohort.
 

@@ -12,8 +12,8 @@ from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered
-from placegraph.indoor.map.relation_words import BIGGER, PART, canonical
 from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
+from placegraph.indoor.map.relations.words import BIGGER, PART, canonical
 from placegraph.indoor.map.rooms import rooms_of, with_rooms
 from placegraph.indoor.map.scene import S
 from placegraph.indoor.map.structure import structure

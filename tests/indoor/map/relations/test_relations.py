@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from placegraph.indoor.map.boxes import overlap
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import RELATIONS, relate
+from placegraph.indoor.map.relations.boxes import overlap
 
 FLOOR = {"floor": ((0, 0, -0.1), (8, 6, 0))}
 
@@ -272,7 +272,7 @@ def test_a_diagonal_triangle_passes_a_corner():
 @pytest.mark.parametrize("count", [400])
 def test_many_objects(count, boxes, rng):
     """The sweep finds what a plain search over all pairs finds."""
-    from placegraph.indoor.map.boxes import NEXT, boxes_of, near_pairs
+    from placegraph.indoor.map.relations.boxes import NEXT, boxes_of, near_pairs
 
     low = rng.uniform(0, 30, (count, 3))
     model = boxes(

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.graph import SceneGraph
-from placegraph.indoor.map.relation_words import (
+from placegraph.indoor.map.relations import RELATIONS
+from placegraph.indoor.map.relations.words import (
     CANONICAL,
     canonical,
     find,
@@ -14,7 +15,6 @@ from placegraph.indoor.map.relation_words import (
     readings,
     same_thing,
 )
-from placegraph.indoor.map.relations import RELATIONS
 
 SUBSET = (
     "supported by|left|right|front|behind|close by|inside|bigger than|smaller than|higher than|"

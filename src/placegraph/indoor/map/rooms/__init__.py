@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.map.room_cells import (
+from placegraph.indoor.map.rooms.cells import (
     BELOW,
     CELL,
     Corners,
@@ -36,7 +36,7 @@ from placegraph.indoor.map.room_cells import (
     ground_cells,
     wall_cells,
 )
-from placegraph.indoor.map.rooms_kernels import areas_within, flood, nearest
+from placegraph.indoor.map.rooms.rooms_kernels import areas_within, flood, nearest
 from placegraph.indoor.map.structure import structure
 
 if TYPE_CHECKING:

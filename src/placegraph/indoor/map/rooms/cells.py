@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.rooms_kernels import cover, cut, nearest, pieces
+from placegraph.indoor.map.rooms.rooms_kernels import cover, cut, nearest, pieces
 from placegraph.indoor.map.structure import NAMELESS, structure
 
 if TYPE_CHECKING:

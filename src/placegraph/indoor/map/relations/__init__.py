@@ -23,7 +23,7 @@ map's) are never inside, above or next to anything.
 
 Where rooms are known, A *same room* B besides, and B same room A: as few as tell it of all, namely
 the shortest tree through the things of a room. It goes on from one to the next: what is connected
-by such relations is in one room (`placegraph.indoor.map.relation_words.find` follows them).
+by such relations is in one room (`placegraph.indoor.map.relations.words.find` follows them).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.map.boxes import (
+from placegraph.indoor.map.relations.boxes import (
     NEXT,
     Boxes,
     Triangles,
