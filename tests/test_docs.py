@@ -10,6 +10,7 @@ above is skipped, with its reason.
 
 import contextlib
 import io
+import pkgutil
 import re
 import shlex
 import shutil
@@ -24,7 +25,7 @@ from placegraph import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LONG = {"docs/howto-library.md", "docs/howto-maps.md"}
 """Pages that `make test-all` alone runs."""
 SHELL = ("bash", "sh", "shell", "console")
@@ -142,6 +143,26 @@ def test_page(page, request, tmp_path, monkeypatch):
         if block.needs_shared and not SHARED.is_dir():
             pytest.skip(f"{block} needs ../shared")
         run(block, namespace, monkeypatch)
+
+
+PATH = re.compile(r"`((?:src|lab|tests|docs|examples)/[\w./-]+)")
+NAME = re.compile(r"`((?:placegraph|placegraph_lab)(?:\.\w+)+)")
+
+
+def exists(name):
+    """Whether a dotted name is that of a module, or of something in one."""
+    with contextlib.suppress(ImportError, AttributeError):
+        pkgutil.resolve_name(name)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_and_names_that_are_spoken_of_exist(page):
+    text = page.read_text("utf-8")
+    missing = [path for path in PATH.findall(text) if not (ROOT / path.rstrip(".")).exists()]
+    missing += [name for name in NAME.findall(text) if not exists(name)]
+    assert not missing
 
 
 # --- the runner itself ---
