@@ -9,7 +9,7 @@ def private() -> SimpleNamespace:
     """Options without public names, and drawn worlds: a town's OpenStreetMap file, a home's scene map."""
     from placegraph.indoor.mapping.from_capture import FromCapture
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.pose.search import Prior
+    from placegraph.indoor.pose.prior import Prior
     from placegraph_lab.worlds.home.home import home, scene_of
     from placegraph_lab.worlds.town.town import Town
 

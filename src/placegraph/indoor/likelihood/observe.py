@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
+    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.encode import MapEncoder, Patches
     from placegraph.indoor.likelihood.model import Model
     from placegraph.indoor.likelihood.view import Background
@@ -43,7 +43,7 @@ class Sighting:
     """One frame, read and encoded once; views at any stride are cut from it."""
 
     frame: Frame
-    level: NDArray[np.float64]
+    level: Floats
     """(3, 3) level_from_camera"""
     patches: Patches | None
     depth: NDArray[np.float32] | None
@@ -122,7 +122,7 @@ def _view(
 class _Samples:
     """Sample points of a camera at one stride, in tiles of 4 x 4."""
 
-    uv: NDArray[np.float64]
+    uv: Floats
     """(R, 2) [px]"""
     inside: NDArray[np.bool_]
     """(R,) false for those that only fill up tiles."""
@@ -131,7 +131,7 @@ class _Samples:
     column: NDArray[np.int64]
     shape: tuple[int, int]
     """Rows and columns of cells."""
-    directions: NDArray[np.float64]
+    directions: Floats
     """(R, 3) in the camera, z = 1."""
     footprint: float
     """Angle between neighbours [rad]."""

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Floats
     from placegraph.indoor.options import Likelihood
 
 
@@ -22,11 +23,11 @@ class Background:
     says nothing, and a ray that leaves the map counts as much as it knows: nothing.
     """
 
-    objects: NDArray[np.float64]
+    objects: Floats
     """(N,) share of each object among all rays of the visibility table that hit."""
-    ranges: NDArray[np.float64]
+    ranges: Floats
     """(bands of elevation, bins) share of each range among the rays of a band that hit."""
-    distances: NDArray[np.float64]
+    distances: Floats
     """(bins,) range of each bin [m]."""
     highest: float
     """Elevation at which the bands end, above and below the horizon [rad]."""

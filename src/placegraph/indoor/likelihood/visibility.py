@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
@@ -52,10 +53,10 @@ _MAPPED = 0.1  # nor where less than this share of its panorama is mapped
 class VisibilityTable:
     """Panoramas from all free positions of a map, at one or more heights."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """(K, 3) [m, map]; positions of one layer after those of another."""
     panoramas: Panoramas
-    origin: NDArray[np.float64]
+    origin: Floats
     """(2,) lower corner of the grid [m]."""
     spacing: float
     index: NDArray[np.int32]
@@ -71,12 +72,7 @@ class VisibilityTable:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def ranks(
-        self,
-        views: Sequence[View],
-        steps: NDArray[np.float64],
-        noise: Noise,
-    ) -> NDArray[np.float32]:
+    def ranks(self, views: Sequence[View], steps: Floats, noise: Noise) -> NDArray[np.float32]:
         """Log-likelihood (K, A) of every position and heading of the reference frame.
 
         `steps`: (T, 4) from the reference frame to each view's frame (`geometry.between`).
@@ -162,7 +158,7 @@ def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
     floors = floor_under(scene, grid)
     layers = _layers(options.heights)
     index = np.full((len(layers), nx * ny), -1, np.int32)
-    positions: list[NDArray[np.float64]] = []
+    positions: list[Floats] = []
     parts: list[Panoramas] = []
     for layer, height in enumerate(layers):
         points = np.column_stack([grid, floors + height])
@@ -185,7 +181,7 @@ def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
     )
 
 
-def _ground(scene: Scene, spacing: float) -> NDArray[np.float64]:
+def _ground(scene: Scene, spacing: float) -> Floats:
     """Box (2, 3) in which cameras are looked for: the map's, or of a vast map its better part.
 
     One triangle that reaches to the horizon must not spread the grid over nothing: where the box
@@ -222,7 +218,7 @@ def _background(panoramas: Panoramas, objects: int) -> Background:
     )
 
 
-def floor_under(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def floor_under(scene: Scene, points: Floats) -> Floats:
     """Height of the floor (N,) of the merged scene that each of points (N, 2) is in, or nearest."""
     boxes = scene.scene_bounds[:, :, :2]
     outside = np.maximum(boxes[:, 0] - points[:, None], points[:, None] - boxes[:, 1])
@@ -254,9 +250,7 @@ def _free(panoramas: Panoramas, floored: NDArray[np.bool_]) -> NDArray[np.int64]
     return np.flatnonzero(able)
 
 
-def _depth_costs(
-    ranges: NDArray[np.float64], usual: NDArray[np.float32], noise: Noise
-) -> NDArray[np.float32]:
+def _depth_costs(ranges: Floats, usual: NDArray[np.float32], noise: Noise) -> NDArray[np.float32]:
     """Log-likelihood (S, 256) of each measured range [m] for every stored one."""
     expected = range_of(np.arange(256, dtype=np.uint8))[None, :]
     measured = ranges[:, None]

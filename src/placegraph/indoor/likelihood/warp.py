@@ -12,6 +12,7 @@ from placegraph.indoor.rays.warp import WarpCaster, quietly
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.rays.warp import WarpArray
@@ -50,7 +51,7 @@ class WarpScorer:
             setattr(self._surface, name, self._caster.array(getattr(scene.surface, name)))
         self._last: tuple[View, Any] | None = None
 
-    def score(self, poses: NDArray[np.float64], view: View, noise: Noise) -> NDArray[np.float32]:
+    def score(self, poses: Floats, view: View, noise: Noise) -> NDArray[np.float32]:
         """Scores (N, 3) of poses (N, 4) x, y, z [m], yaw [rad]: semantic, depth, colour."""
         scores = np.zeros((len(poses), 3), np.float32)
         if self._last is None or self._last[0] is not view:
@@ -65,7 +66,7 @@ class WarpScorer:
         return scores
 
     def _score(
-        self, poses: NDArray[np.float64], view: View, seen: WarpArray, model: WarpArray
+        self, poses: Floats, view: View, seen: WarpArray, model: WarpArray
     ) -> NDArray[np.float32]:
         caster, kernels = self._caster, self._kernels
         wp, device = caster.warp, caster.device

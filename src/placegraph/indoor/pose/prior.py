@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from placegraph.estimate import Evidence
+    from placegraph.geometry import Floats
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.map.scene import Scene
@@ -78,13 +79,13 @@ class Leaning:
             logs += prior(sentence, scene, table)
         return cls(scene, table, sentence, logs, _parts(scene, table, shares))
 
-    def at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, poses: Floats) -> Floats:
         """Log prior (N,) of poses (N, 4): of the nearest position and heading of the table."""
         rows = [int(np.square(self.table.positions - p[:3]).sum(axis=1).argmin()) for p in poses]
         headings = np.round(poses[:, 3] / STEP).astype(np.int64) % AZIMUTHS
         return self.logs[rows, headings].astype(np.float64)
 
-    def evidence(self, pose: NDArray[np.float64]) -> tuple[Evidence, ...]:
+    def evidence(self, pose: Floats) -> tuple[Evidence, ...]:
         """What each statement of the description says of a pose (4,)."""
         if self.sentence is None:
             return ()
@@ -92,7 +93,7 @@ class Leaning:
 
         return evidence(self.sentence, self.scene, self.table, pose)
 
-    def against(self, pose: NDArray[np.float64]) -> str:
+    def against(self, pose: Floats) -> str:
         """What of the description is not so at a pose (4,), if that outweighs what is."""
         told = self.evidence(pose)
         if sum(e.weight for e in told) >= 0:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Floats
     from placegraph.store import MapFile
 
 KIND = "run"
@@ -98,18 +99,18 @@ def read_run(path: str | PathLike[str]) -> PoseEstimate:
         ) from error
 
 
-def _shares(weights: NDArray[np.float64]) -> NDArray[np.uint16]:
+def _shares(weights: Floats) -> NDArray[np.uint16]:
     """Weights (N,) as shares of the heaviest."""
     most = float(weights.max(initial=0.0))
     shares = weights / most if most > 0 else np.zeros(len(weights))
     return np.rint(_FULL * shares).astype(np.uint16)
 
 
-def _stacked(rows: list[NDArray[np.float64]], width: int) -> NDArray[np.float64]:
+def _stacked(rows: list[Floats], width: int) -> Floats:
     return np.array([np.ravel(row) for row in rows], np.float64).reshape(-1, width)
 
 
-def _matrices(file: MapFile, name: str, count: int) -> NDArray[np.float64]:
+def _matrices(file: MapFile, name: str, count: int) -> Floats:
     return file.array(name, "<f8", 2).reshape(count, 4, 4)
 
 

@@ -10,14 +10,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import (
-    between,
-    compose,
-    level_from_camera,
-    pose_matrix,
-    split_pose,
-    wrap,
-)
+from placegraph.geometry import between, compose, level_from_camera, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import FINE, sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.filter import ParticleFilter

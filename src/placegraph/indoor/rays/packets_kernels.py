@@ -63,10 +63,7 @@ def new_packet() -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int
 
 @kernel(inline="always")
 def trace16(
-    tracer: Tracer,
-    packet: NDArray[np.float32],
-    ints: NDArray[np.int32],
-    valid: NDArray[np.int32],
+    tracer: Tracer, packet: NDArray[np.float32], ints: NDArray[np.int32], valid: NDArray[np.int32]
 ) -> None:
     """Closest hits of a packet; lanes whose `valid` is 0 are left alone.
 
@@ -85,11 +82,7 @@ def trace16(
         ints[GEOMETRY + 2, lane] = NONE
     if tracer.intersect != 0:
         call(  # type: ignore[call-arg]
-            tracer.intersect,
-            valid.ctypes.data,
-            tracer.scene,
-            packet.ctypes.data,
-            tracer.arguments,
+            tracer.intersect, valid.ctypes.data, tracer.scene, packet.ctypes.data, tracer.arguments
         )
     else:
         walk16(tracer.nodes, tracer.links, tracer.corners, tracer.rows, packet, ints, valid)

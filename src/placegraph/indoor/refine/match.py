@@ -49,13 +49,7 @@ class Sights:
     """Pixels of this camera in one of an image `REFERENCE` wide: what tolerances are given in."""
 
     @classmethod
-    def of(
-        cls,
-        points: Floats,
-        pixels: Floats,
-        camera: Camera,
-        sigma: float,
-    ) -> Sights:
+    def of(cls, points: Floats, pixels: Floats, camera: Camera, sigma: float) -> Sights:
         """Sights of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide]."""
         rays = camera.directions(pixels)[:, :2] if len(pixels) else np.zeros((0, 2))
         unit = max(camera.width, camera.height) / REFERENCE

@@ -90,10 +90,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
-    start: Floats,
-    widths: Sequence[tuple[float, float]],
-    steps: int = 4,
+    problem: Problem, start: Floats, widths: Sequence[tuple[float, float]], steps: int = 4
 ) -> Solution:
     """Poses (T, 4, 4) from a start (T, 4, 4), through kernels from wide to narrow.
 

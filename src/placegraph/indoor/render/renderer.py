@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.geometry import Camera
+    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.rays import RayCaster
@@ -168,7 +168,7 @@ class Renderer:
         return Rendering(colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
 
 
-def checked_pose(map_from_camera: ArrayLike) -> NDArray[np.float64]:
+def checked_pose(map_from_camera: ArrayLike) -> Floats:
     """A pose (4, 4) float64, or `OptionError` where it is not finite or not rigid."""
     try:
         pose = np.asarray(map_from_camera, np.float64)
