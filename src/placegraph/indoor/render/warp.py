@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.render.renderer import Rendering
     from placegraph.indoor.render.render_kernels import Eye
+    from placegraph.indoor.render.renderer import Rendering
 
 
 class WarpRenderer:
