@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError
-from placegraph.formats.capture.camera_path import read_camera_path
-from placegraph.formats.capture.tum import write_tum
+from placegraph.formats.capture.tum import read_camera_path, write_tum
 
 
 def test_both_kinds_of_file(tmp_path):

@@ -7,8 +7,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.capture.captures import FORMATS, format_of, is_capture
+from placegraph.formats.capture.capture import FORMATS, format_of, is_capture, open_capture
 from placegraph.formats.capture.tum import read_tum, write_tum
 
 

@@ -9,11 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.formats.dataset.scenegraphfusion import (
-    GRID,
-    is_scenegraphfusion,
-    read_scenegraphfusion,
-)
+from placegraph.formats.dataset.scenegraphfusion import is_scenegraphfusion, read_scenegraphfusion
+from placegraph.formats.dataset.scenegraphfusion_surfels import GRID
 
 HEADER = """\
 ply

@@ -12,7 +12,7 @@ from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.labels import Entry
-from placegraph.formats.mesh import obj_text
+from placegraph.formats.mesh import obj_lines
 from placegraph.formats.mesh.obj import fans, is_obj, read_obj
 
 ROOM = """\
@@ -222,7 +222,7 @@ def test_missing_and_foreign(tmp_path):
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_blocks_change_nothing(room, size):
     whole = read_obj(room)
-    with patch.object(obj_text, "BLOCK", size):
+    with patch.object(obj_lines, "BLOCK", size):
         parts = read_obj(room)
     for name in ("vertices", "triangles", "thing_of", "colours", "uv", "picture_of"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name))

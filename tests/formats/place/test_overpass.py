@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
-from placegraph.formats.place import overpass
+from placegraph.formats.place import nominatim, overpass, overpass_answer, services
 from placegraph.formats.place.osm import AREA, NODE, POINT, RELATION, WAY, read_osm
 from placegraph.formats.place.overpass import FetchSummary
 from placegraph.outdoor.city import build_city
@@ -213,7 +213,7 @@ def test_query_surrounds_the_place_and_stays_short(servers, out, islands):
     around = MultiPolygon(polygons) if len(polygons) > 1 else polygons[0]
     assert around.contains(place)
     if islands == 1:
-        metres = overpass.METRES_A_DEGREE * math.cos(math.radians(47.0))
+        metres = nominatim.METRES_A_DEGREE * math.cos(math.radians(47.0))
         assert around.boundary.hausdorff_distance(place.boundary) * metres < 120
 
 
@@ -250,7 +250,7 @@ def test_progress_is_told(servers, out):
     steps = []
     servers.answers = [(429, b""), (200, TOWN)]
     fetch_osm("Mühlenend", out, progress=lambda *step: steps.append(step))
-    assert steps == [("finding", 0), ("downloading", 0), ("waiting", overpass.PAUSES[0]),
+    assert steps == [("finding", 0), ("downloading", 0), ("waiting", overpass_answer.PAUSES[0]),
                      ("downloading", 0), ("downloading", len(TOWN)), ("writing", 0)]  # fmt: skip
 
 
@@ -264,7 +264,7 @@ def test_old_file_is_replaced(out):
 def test_a_busy_server_is_asked_again(servers, out):
     servers.answers = [(429, HTML), (504, HTML), (200, TOWN)]
     fetch_osm("Mühlenend", out)
-    assert [p for p in servers.pauses if p in overpass.PAUSES] == list(overpass.PAUSES)
+    assert [p for p in servers.pauses if p in overpass_answer.PAUSES] == list(overpass_answer.PAUSES)
     assert len(raw(out)) == 31
 
 
@@ -275,7 +275,7 @@ def test_a_server_that_stays_busy(servers, out):
     assert "Dispatcher_Client" in said
     assert "--overpass-url" in said
     assert "<" not in said
-    assert len(servers.asked) == 2 + len(overpass.PAUSES)
+    assert len(servers.asked) == 2 + len(overpass_answer.PAUSES)
 
 
 @pytest.mark.parametrize(
@@ -331,7 +331,7 @@ def test_server_does_not_answer(out, service, monkeypatch):
     import osmnx as ox
 
     monkeypatch.setattr(ox.settings, "requests_timeout", 0.2)
-    monkeypatch.setattr(overpass, "SLOT", 0)
+    monkeypatch.setattr(overpass_answer, "SLOT", 0)
     with socket.create_server(("127.0.0.1", 0)) as mute:  # accepts, and says nothing
         setattr(ox.settings, f"{service}_url", f"http://127.0.0.1:{mute.getsockname()[1]}")
         said = failure(ServiceError, out)
@@ -474,7 +474,7 @@ def test_any_tags_and_ids_survive(tmp_path_factory, nodes, ways):
     folder = tmp_path_factory.mktemp("copy")
     answer, target = folder / "answer.osm", folder / "town.osm.pbf"
     answer.write_bytes(HEAD + "\n".join(lines).encode() + b"\n</osm>\n")
-    counts = overpass._copy(answer, target, lambda _step, _n: None)
+    counts = overpass_answer.copied(answer, target, lambda _step, _n: None)
     assert dict(counts) == {k: len(v) for k, v in (("n", nodes), ("w", ways)) if v}
     assert raw(target) == {
         **{("n", n): (tags, (-9.7654321, 47.1234567)) for n, tags in nodes.items()},
@@ -488,6 +488,6 @@ def tags_of(tags):
 
 @given(st.binary(max_size=300))
 def test_gist_is_one_short_line(text):
-    line = overpass._gist(text)
+    line = services.gist(text)
     assert len(line) <= 200
     assert "\n" not in line

@@ -55,7 +55,7 @@ def train(
     from placegraph.outdoor.city import CityMap
     from placegraph.store import writing
     from placegraph_lab.cli.city_train_shown import Shown, draw
-    from placegraph_lab.train.city.train import TrainOptions
+    from placegraph_lab.train.city.options import TrainOptions
     from placegraph_lab.train.city.train import train as learn
 
     options = TrainOptions(

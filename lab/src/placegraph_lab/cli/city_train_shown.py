@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from placegraph_lab.cli.training_shown import say_epoch
-from placegraph_lab.train.city.train import Progress as Told
+from placegraph_lab.train.city.options import Progress as Told
 from placegraph_lab.train.curves import draw_curves
 from placegraph_lab.train.training import rows_of
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
-    from placegraph_lab.train.city.train import TrainOptions
+    from placegraph_lab.train.city.options import TrainOptions
 
 
 class Shown(Told):

@@ -90,7 +90,7 @@ def train(
     from time import perf_counter
 
     from placegraph_lab.cli.scene_train_shown import Shown, draw
-    from placegraph_lab.train.scenegraphloc.train import TrainOptions
+    from placegraph_lab.train.scenegraphloc.options import TrainOptions
     from placegraph_lab.train.scenegraphloc.train import train as learn
 
     options = TrainOptions(

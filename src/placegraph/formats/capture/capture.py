@@ -1,125 +1,33 @@
-"""Captures: frames with camera, gravity and odometry, optionally depth and labels.
+"""Opening captures: the recorders that `open_capture` knows, and how each is told.
 
-`open_capture` opens the folders and files of `captures.FORMATS`; what they look like stands in
-`docs/formats.md`.
+A reader's module has `is_X(path)`, which looks at names alone and never raises, and
+`read_X(path, ...)`, which returns a `Capture`. Modules are imported where they are needed; what they
+read looks like `docs/formats.md` says.
 """
 
 from __future__ import annotations
 
-import itertools
-import operator
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from placegraph.errors import OptionError
+from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.frame import ArrayImages, Frame, LabelKind
+from placegraph.formats.capture.frame_files import LazyImages, quarter_turn
+from placegraph.formats.capture.frames import Capture
+from placegraph.formats.capture.posed import SAME_MOMENT, nearest_stamps
+from placegraph.formats.capture.tum import read_tum
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
     from os import PathLike
 
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.geometry import Camera
+    from numpy.typing import ArrayLike
 
 __all__ = ["ArrayImages", "Capture", "Frame", "LabelKind", "open_capture"]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Capture:
-    """Frames in order of time. `capture[i]` is a `Frame`, `capture[5:10]` a `Capture`.
-
-    Made by `open_capture`, or of frames in memory by `Capture.from_frames`.
-    """
-
-    path: Path | None
-    """Folder, or None for frames in memory."""
-    frames: tuple[Frame, ...]
-    camera: Camera
-    """Of the colour images; of the first, where the recorder refocuses from frame to frame."""
-    depth_camera: Camera | None
-    """Of the depth images; None where the capture has none."""
-    label_camera: Camera | None
-    """Of the label or instance images; None where the capture has none."""
-    label_kind: LabelKind | None
-    label_names: dict[int, str]
-    """Names of label ids, from `labels.json`."""
-    notes: tuple[str, ...] = ()
-    """What a reader found out or took for granted, in sentences: a scale, a direction."""
-    left_out: Counter[str] = field(default_factory=Counter)
-    """Frames that the recorder has and the capture has not, by reason."""
-
-    @classmethod
-    def from_frames(cls, frames: Iterable[Frame]) -> Capture:
-        """Capture of frames in memory; `OptionError` where they are none or differ in size."""
-        held = tuple(frames)
-        if not held:
-            raise OptionError("frames: there is none; a capture needs at least one frame.")
-        first = held[0]
-        views = {
-            (_size(f.camera), _size(f.depth_camera), _size(f.label_camera), f.label_kind)
-            for f in held
-        }
-        if len(views) > 1:
-            raise OptionError("frames: their cameras differ; a capture is of images of one size.")
-        if any(b.stamp <= a.stamp for a, b in itertools.pairwise(held)):
-            raise OptionError("frames: their stamps do not ascend; sort them, drop repeated ones.")
-        names = {i: name for f in held for i, name in f.label_names.items()}
-        return cls(
-            None,
-            held,
-            first.camera,
-            first.depth_camera,
-            first.label_camera,
-            first.label_kind,
-            names,
-        )
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
-
-    @overload
-    def __getitem__(self, which: int) -> Frame: ...
-    @overload
-    def __getitem__(self, which: slice) -> Capture: ...
-    def __getitem__(self, which: int | slice) -> Frame | Capture:
-        if isinstance(which, slice):
-            return replace(self, frames=self.frames[which])
-        return self.frames[operator.index(which)]
-
-    @cached_property
-    def stamps(self) -> NDArray[np.float64]:
-        """(T,) seconds, or frame numbers; strictly ascending."""
-        return _read_only(np.array([f.stamp for f in self.frames], np.float64))
-
-    @cached_property
-    def odometry(self) -> NDArray[np.float64]:
-        """(T, 4, 4) odometry_from_camera [m], in the odometry's own frame, drifting."""
-        poses = np.array([f.odometry for f in self.frames], np.float64)
-        return _read_only(poses.reshape(-1, 4, 4))
-
-    @cached_property
-    def gravity(self) -> NDArray[np.float64]:
-        """(T, 3) unit direction of gravity in the camera's axes."""
-        return _read_only(np.array([f.gravity for f in self.frames], np.float64).reshape(-1, 3))
-
-    def __repr__(self) -> str:
-        with_ = [
-            what
-            for what, there in (("depth", self.depth_camera), (self.label_kind, self.label_camera))
-            if there is not None
-        ]
-        where = repr(str(self.path)) if self.path else "in memory"
-        size = f"{self.camera.width} x {self.camera.height}"
-        return f"Capture({where}, {len(self)} frames of {size}{''.join(f', {w}' for w in with_)})"
 
 
 def open_capture(
@@ -138,7 +46,7 @@ def open_capture(
         A capture folder: `rgb/`, `camera.json`, `odometry.tum`, and optionally `depth/`,
         `instances/` or `labels/` with `labels.json`, and `gravity.txt` (without which gravity is
         -z of the odometry's frame, which must then be gravity-aligned). Or what another recorder
-        wrote: `captures.FORMATS` lists them.
+        wrote: `FORMATS` lists them.
     labels
         Of capture folders: which labels to use; "auto" takes `instances/`, else `labels/`, else
         none.
@@ -163,8 +71,6 @@ def open_capture(
         What would decode its images is not installed.
 
     """
-    from placegraph.formats.capture.captures import format_of
-
     if labels not in {"auto", "labels", "instances", None}:
         raise OptionError(f"labels is {labels!r}; it is 'auto', 'labels', 'instances' or None.")
     given: dict[str, Any] = {
@@ -175,10 +81,158 @@ def open_capture(
     return format_of(Path(path)).open(Path(path), given | {"labels": labels})
 
 
-def _size(camera: Camera | None) -> tuple[int, int] | None:
-    return None if camera is None else (camera.width, camera.height)
+class Format(NamedTuple):
+    """How one recorder's captures are told and read."""
+
+    name: str
+    """Of the recorder."""
+    holds: str
+    """What it is told by, for the user."""
+    module: str
+    """Of `placegraph.formats`."""
+    verb: str
+    """X of its `is_X` and `read_X`."""
+    takes: tuple[str, ...] = ()
+    """Options of `open_capture` that its reader takes; `poses` else is left to `with_poses`."""
+
+    def fits(self, path: Path) -> bool:
+        """Whether a path looks like one of this recorder's captures."""
+        try:
+            return bool(getattr(self._module(), f"is_{self.verb}")(path))
+        except OSError:  # no leave to look there
+            return False
+
+    def open(self, path: Path, options: dict[str, Any]) -> Capture:
+        """Read a capture; `OptionError` where the recorder has no such option."""
+        poses = options.get("poses")
+        given = {name: value for name, value in options.items() if name in self.takes}
+        idle = set(options) - set(given) - {"poses"}
+        if options.get("labels") in {"auto", None}:
+            idle.discard("labels")
+        if idle:
+            raise OptionError(f"{', '.join(sorted(idle))}: not an option of {self.name}.")
+        if poses is None or poses == "odometry":
+            given.pop("poses", None)
+            return self._read(path, given)
+        file = path / "trajectory.tum" if poses == "trajectory" else Path(poses)
+        if "poses" in self.takes:
+            return self._read(path, given | {"poses": file})
+        return with_poses(self._read(path, given), file)
+
+    def _read(self, path: Path, given: dict[str, Any]) -> Capture:
+        capture: Capture = getattr(self._module(), f"read_{self.verb}")(path, **given)
+        return capture
+
+    def _module(self) -> Any:  # noqa: ANN401  # a module
+        return import_module(f"placegraph.formats.{self.module}")
 
 
-def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    array.flags.writeable = False
-    return array
+FORMATS = (
+    Format(
+        "TUM RGB-D",
+        "rgb.txt, depth.txt and groundtruth.txt",
+        "dataset.tum_rgbd",
+        "tum_rgbd",
+        ("poses",),
+    ),
+    Format("Stray Scanner", "rgb.mp4, odometry.csv and camera_matrix.csv", "phone.stray", "stray"),
+    Format("Polycam", "keyframes/ with images/, cameras/ and depth/", "phone.polycam", "polycam"),
+    Format(
+        "Record3D",
+        "metadata.json and rgbd/ or rgb/ and depth/, or .r3d",
+        "phone.record3d",
+        "record3d",
+    ),
+    Format("3D Scanner App", "frame_00000.json and .jpg", "phone.arkit_app", "arkit_app"),
+    Format(
+        "ARKitScenes", "lowres_wide.traj and lowres_wide/", "phone.arkit_scenes", "arkit_scenes"
+    ),
+    Format(
+        "3RScan",
+        "sequence/ with _info.txt, or sequence.zip",
+        "dataset.scan3r_sequence",
+        "scan3r_sequence",
+    ),
+    Format(
+        "ScanNet",
+        "a .sens file, or a folder with one",
+        "dataset.sens",
+        "sens",
+        ("labels", "label_column", "partial"),
+    ),
+    Format(
+        "ScanNet's exporter",
+        "color/, pose/ and intrinsic_color.txt",
+        "dataset.sens",
+        "scannet_export",
+        ("labels", "label_column"),
+    ),
+    Format(
+        "COLMAP",
+        "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
+        "dataset.colmap",
+        "colmap",
+        ("scale", "up"),
+    ),
+    Format(
+        "capture folder",
+        "rgb/, camera.json and odometry.tum",
+        "capture.capture_folder",
+        "capture_folder",
+        ("labels",),
+    ),
+)
+"""In the order in which they are asked: what is told by little comes last."""
+
+
+def format_of(path: Path) -> Format:
+    """Format of a capture; `InputError`, which lists what is known, where none fits."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist; a capture is a folder that a recorder wrote.")
+    for known in FORMATS:
+        if known.fits(path):
+            return known
+    listed = "; ".join(f"{known.name} ({known.holds})" for known in FORMATS)
+    raise InputError(f"{path} holds no capture of a known recorder. Known are: {listed}.")
+
+
+def is_capture(path: Path) -> bool:
+    """Whether `open_capture` knows the recorder of what lies there."""
+    return path.exists() and any(known.fits(path) for known in FORMATS)
+
+
+def with_poses(capture: Capture, path: Path) -> Capture:
+    """Capture with the poses of a TUM file instead of its own.
+
+    Rows belong to frames in order, where there are as many, else to those whose stamps differ by
+    20 ms at most; frames without a row are left out, and counted. Gravity is -z of the new poses.
+    Raises `InputError` where no row belongs to a frame.
+    """
+    trajectory = read_tum(path)
+    rows = np.arange(len(capture))
+    if len(trajectory) != len(capture):
+        rows = nearest_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT)
+    if (rows < 0).all():
+        raise InputError(
+            f"{path} has {len(trajectory)} rows for {len(capture)} images, and no stamp of theirs "
+            f"(from {capture.stamps[0]:.6g}) within {SAME_MOMENT * 1000:.0f} ms; give one row an "
+            "image, or stamps of the same clock."
+        )
+    frames = tuple(
+        _with_pose(frame, trajectory.poses[row])
+        for frame, row in zip(capture, rows, strict=True)
+        if row >= 0
+    )
+    missing = int((rows < 0).sum())
+    left_out = capture.left_out + Counter({f"no pose in {path.name}": missing})
+    return replace(capture, frames=frames, left_out=left_out)
+
+
+def _with_pose(frame: Frame, stored: np.ndarray[Any, np.dtype[np.float64]]) -> Frame:
+    """Frame whose stored image has this pose (4, 4)."""
+    turns = frame.images.turns if isinstance(frame.images, LazyImages) else 0
+    pose = stored.copy()
+    pose[:3, :3] = stored[:3, :3] @ quarter_turn(turns).T
+    gravity = -pose[2, :3] / np.linalg.norm(pose[2, :3])
+    pose.flags.writeable = gravity.flags.writeable = False
+    return replace(frame, odometry=pose, gravity=gravity)

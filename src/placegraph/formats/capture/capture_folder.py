@@ -11,7 +11,6 @@ import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import CameraFile, read_camera, read_json
-from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame, LabelKind
 from placegraph.formats.capture.frame_files import (
     DepthUnit,
@@ -21,6 +20,7 @@ from placegraph.formats.capture.frame_files import (
     depth_file,
     label_file,
 )
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.tum import read_table, read_tum
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame_files import posed_frame, upright_turns
+from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera, rotation_from_quaternion
 
 if TYPE_CHECKING:

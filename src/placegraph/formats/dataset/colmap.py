@@ -37,7 +37,7 @@ from placegraph.formats.dataset.colmap_files import read_model as read_colmap_mo
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 
 _UNIT = 1000.0

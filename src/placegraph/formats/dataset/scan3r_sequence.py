@@ -19,7 +19,6 @@ import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.archive import Archive
-from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame_files import (
     DepthUnit,
     LazyImages,
@@ -27,6 +26,7 @@ from placegraph.formats.capture.frame_files import (
     posed_frame,
     upright_turns,
 )
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import opened
 from placegraph.formats.dataset.scannet_files import camera_of_matrix, is_rigid
 

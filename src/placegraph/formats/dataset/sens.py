@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame_files import (
     DepthUnit,
     LazyImages,
@@ -18,6 +17,7 @@ from placegraph.formats.capture.frame_files import (
     depth_file,
     posed_frame,
 )
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import ENDINGS, image_size
 from placegraph.formats.dataset.scannet_files import (
     camera_of_matrix,

@@ -29,7 +29,7 @@ from placegraph.geometry import Camera
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
 
 PER_METRE = 5000.0
 """Units of depth in a metre."""

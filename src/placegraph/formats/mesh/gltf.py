@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
-import struct
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
@@ -17,16 +15,13 @@ from urllib.parse import unquote
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.mesh.gltf_file import MAGIC, Json, chunks_of, content_of, json_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-Json = dict[str, Any]
-
-_MAGIC = 0x46546C67
-_JSON, _BIN = 0x4E4F534A, 0x004E4942
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
@@ -55,14 +50,14 @@ class Gltf:
     @classmethod
     def read(cls, path: Path) -> Gltf:
         """Read a file; raises `InputError` where it is not glTF 2.0, or unreadable."""
-        data = memoryview(_content(path))
-        if path.suffix.lower() == ".gltf" and bytes(data[:4]) != _MAGIC.to_bytes(4, "little"):
-            gltf = cls(path, _json(path, bytes(data)), memoryview(b""))
+        data = memoryview(content_of(path))
+        if path.suffix.lower() == ".gltf" and bytes(data[:4]) != MAGIC.to_bytes(4, "little"):
+            gltf = cls(path, json_of(path, bytes(data)), memoryview(b""))
             version = str(gltf.object_of(gltf.content, "asset").get("version"))
             if version.partition(".")[0] != "2":
                 raise InputError(f"{path} is glTF {version[:20]}; export it as glTF 2.0.")
         else:
-            gltf = cls(path, *_chunks(path, data))
+            gltf = cls(path, *chunks_of(path, data))
         content = gltf.content
         for name in gltf.list_of(content, "extensionsRequired"):
             if name in MENDS:
@@ -180,7 +175,7 @@ class Gltf:
             raise self.error(
                 f"{what} lies in {name[:60]!r}, which is not there; copy the files beside it too"
             )
-        return _content(file)
+        return content_of(file)
 
     def image(self, row: object) -> bytes:
         """Encoded bytes of an image."""
@@ -257,52 +252,3 @@ class Gltf:
         local[:3, :3] = rotation * self.floats(node, "scale", (1.0, 1.0, 1.0))
         local[:3, 3] = self.floats(node, "translation", (0.0, 0.0, 0.0))
         return local
-
-
-def _chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
-    """JSON and binary chunk."""
-    if not len(data):
-        raise InputError(f"{path} is empty; export it again.")
-    if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
-        if bytes(data[:1]) == b"{":
-            raise InputError(f"{path} is glTF as text; let its name end in .gltf.")
-        raise InputError(f"{path} is not glTF 2.0 binary; export it as one .glb file.")
-    version, total = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise InputError(f"{path} is glTF {version}; export it as glTF 2.0.")
-    if total > len(data):
-        raise InputError(
-            f"{path} has {len(data)} of {total} bytes: it is truncated; copy it again."
-        )
-    parts: dict[int, memoryview] = {}
-    at = 12
-    while at + 8 <= total:
-        length, kind = struct.unpack_from("<II", data, at)
-        if at + 8 + length > total:
-            raise InputError(f"{path} ends within a chunk: it is damaged; copy it again.")
-        parts.setdefault(kind, data[at + 8 : at + 8 + length])
-        at += 8 + length + (-length % 4)
-    return _json(path, bytes(parts.get(_JSON, b""))), parts.get(_BIN, memoryview(b""))
-
-
-def _json(path: Path, data: bytes) -> Json:
-    try:
-        content = json.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path} has no JSON that can be read; copy or export it again."
-        ) from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: its JSON is not an object; export it again.")
-    return content
-
-
-def _content(path: Path) -> bytes:
-    """Bytes of a file; `InputError` where it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{path} cannot be read: {why}.") from error

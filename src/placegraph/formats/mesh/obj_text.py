@@ -9,14 +9,23 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.mesh.obj_lines import (
+    NEWLINE,
+    SLASH,
+    SPACE,
+    Lines,
+    blocks,
+    following,
+    lines_of,
+    resolved,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -24,10 +33,7 @@ if TYPE_CHECKING:
     Bytes = NDArray[np.uint8]
     Rows = NDArray[np.int64]
 
-BLOCK = 1 << 24
-_LONGEST_LINE = 1 << 22
 _SPACES = bytes.maketrans(b"\t\r\v\f\0", b"     ")
-_NEWLINE, _SPACE, _SLASH, _HASH = b"\n /#"
 NAMED = ("o", "g", "usemtl")
 """Keywords that say what the faces after them belong to."""
 
@@ -64,82 +70,9 @@ def read_obj_text(path: Path) -> ObjText:
     face that is none; the message names the line.
     """
     text = _Text(path)
-    for block in _blocks(path):
+    for block in blocks(path):
         text.add(block)
     return text.columns()
-
-
-def _blocks(path: Path) -> Iterator[bytes]:
-    """Whole lines, some megabytes at a time; a line that ends with a backslash goes on."""
-    try:
-        with path.open("rb") as file:
-            rest = file.read(3).removeprefix(b"\xef\xbb\xbf")
-            while block := file.read(BLOCK):
-                rest += block
-                cut = rest.rfind(b"\n") + 1
-                while cut and rest[:cut].rstrip(b"\r\n").endswith(b"\\"):
-                    cut = rest.rfind(b"\n", 0, cut - 1) + 1
-                if not cut and len(rest) > _LONGEST_LINE:
-                    break
-                yield rest[:cut]
-                rest = rest[cut:]
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{path} cannot be read: {why}.") from error
-    if len(rest) > _LONGEST_LINE:
-        raise InputError(f"{path} is not an OBJ file: it has no lines; export it again.")
-    yield rest
-
-
-def _lines(
-    data: Bytes, starts: Rows, first: Rows, ends: Rows, wanted: NDArray[np.bool_], keyword: int
-) -> _Lines:
-    """Lines of one kind; `first` is where their keywords of so many letters stand."""
-    rows = np.flatnonzero(wanted)
-    lengths = (ends - starts + 1)[rows]
-    text = data[: ends[-1] + 1 if len(ends) else 0][np.repeat(wanted, ends - starts + 1)].copy()
-    begin = np.cumsum(lengths) - lengths
-    for i in range(keyword):
-        text[begin + (first - starts)[rows] + i] = _SPACE
-    if _HASH in text:
-        hashes = np.cumsum(text == _HASH)
-        before = np.where(begin > 0, hashes[begin - 1], 0)
-        text[(hashes > np.repeat(before, lengths)) & (text != _NEWLINE)] = _SPACE
-    return _Lines(text, begin, rows)
-
-
-def _next(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
-    """Numbers after these places, or any where there is none."""
-    following: NDArray[Any] = numbers[np.minimum(at + 1, max(len(numbers) - 1, 0))]
-    return following
-
-
-def _resolved(numbers: Rows, count: Rows) -> Rows:
-    """Rows from 0 of numbers from 1, or of negative ones from the last; negative: none."""
-    return np.where(numbers > 0, numbers - 1, np.where(numbers < 0, count + numbers, -1))
-
-
-class _Lines(NamedTuple):
-    """Some lines of a block, one after the other."""
-
-    text: Bytes
-    """Without the keywords and comments."""
-    starts: Rows
-    rows: Rows
-    """Which lines of the block they are."""
-
-    def words(self) -> Rows:
-        """Where words begin."""
-        begins = (self.text != _SPACE) & (self.text != _NEWLINE)
-        begins[1:] &= ~begins[:-1]
-        return np.flatnonzero(begins)
-
-    def held(self, places: Rows) -> Rows:
-        """How many of these places (ascending) each line holds."""
-        ends = np.append(self.starts[1:], len(self.text))
-        return np.searchsorted(places, ends) - np.searchsorted(places, self.starts)
 
 
 @dataclass(slots=True)
@@ -166,33 +99,33 @@ class _Text:
             block = block.replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
         block = block.translate(_SPACES)
         data = np.frombuffer(block if block.endswith(b"\n") else block + b"\n  ", np.uint8)
-        ends = np.flatnonzero(data == _NEWLINE)
+        ends = np.flatnonzero(data == NEWLINE)
         starts = np.concatenate([[0], ends[:-1] + 1])
         first = starts.copy()
         for _ in range(64):  # indentation
-            blank = data[first] == _SPACE
+            blank = data[first] == SPACE
             if not blank.any():
                 break
             first += blank
         last = len(data) - 1
         a, b, c = (data[np.minimum(first + i, last)] for i in range(3))
-        is_vertex = (a == ord("v")) & (b == _SPACE)
-        is_uv = (a == ord("v")) & (b == ord("t")) & (c == _SPACE)
-        is_face = (a == ord("f")) & (b == _SPACE)
+        is_vertex = (a == ord("v")) & (b == SPACE)
+        is_uv = (a == ord("v")) & (b == ord("t")) & (c == SPACE)
+        is_face = (a == ord("f")) & (b == SPACE)
         lines = (data, starts, first, ends)
-        self._vertices(_lines(*lines, is_vertex, 1))
-        self._uv(_lines(*lines, is_uv, 2))
-        faces = _lines(*lines, is_face, 1)
+        self._vertices(lines_of(*lines, is_vertex, 1))
+        self._uv(lines_of(*lines, is_uv, 2))
+        faces = lines_of(*lines, is_face, 1)
         self._faces(faces, np.cumsum(is_vertex), np.cumsum(is_uv))
         self._named(block, starts, ends, np.flatnonzero(np.isin(a, list(b"ogum"))), faces.rows)
-        flat = int((((a == ord("l")) | (a == ord("p"))) & (b == _SPACE)).sum())
+        flat = int((((a == ord("l")) | (a == ord("p"))) & (b == SPACE)).sum())
         if flat:
             self.left_out["lines and points, which have no surface"] += flat
         self.line += len(starts)
         self.vertex_count += int(is_vertex.sum())
         self.uv_count += int(is_uv.sum())
 
-    def _vertices(self, lines: _Lines) -> None:
+    def _vertices(self, lines: Lines) -> None:
         words = lines.words()
         counts, numbers = lines.held(words), self._numbers(lines, words, np.float64)
         self._enough(lines, counts, 3, "a vertex has three coordinates")
@@ -203,22 +136,22 @@ class _Text:
         colours[coloured] = numbers[at[coloured] + (counts[coloured, None] - 3)]
         self.parts["colours"].append(colours)
 
-    def _uv(self, lines: _Lines) -> None:
+    def _uv(self, lines: Lines) -> None:
         words = lines.words()
         counts, numbers = lines.held(words), self._numbers(lines, words, np.float64)
         self._enough(lines, counts, 1, "a texture vertex has u and v")
         at = np.cumsum(counts) - counts
-        v = np.where(counts > 1, _next(numbers, at), 0.0)
+        v = np.where(counts > 1, following(numbers, at), 0.0)
         self.parts["uv"].append(np.stack([numbers[at], v], axis=1))
 
-    def _faces(self, lines: _Lines, vertices: Rows, uv: Rows) -> None:
+    def _faces(self, lines: Lines, vertices: Rows, uv: Rows) -> None:
         """Corners `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative ones count back from their line."""
         text = np.frombuffer(lines.text.tobytes().replace(b"//", b"/0/"), np.uint8).copy()
-        ends = np.flatnonzero(text == _NEWLINE)
-        lines = _Lines(text, np.append(0, ends + 1)[: len(ends)], lines.rows)
-        corners, slashes = lines.words(), np.flatnonzero(text == _SLASH)
+        ends = np.flatnonzero(text == NEWLINE)
+        lines = Lines(text, np.append(0, ends + 1)[: len(ends)], lines.rows)
+        corners, slashes = lines.words(), np.flatnonzero(text == SLASH)
         more = np.diff(np.searchsorted(slashes, np.append(corners, len(text))))
-        text[slashes] = _SPACE
+        text[slashes] = SPACE
         words = lines.words()
         numbers = self._numbers(lines, words, np.int64, int)
         if len(words) != len(corners) + len(slashes):  # as of 1/ or /1
@@ -226,9 +159,9 @@ class _Text:
         at = np.cumsum(1 + more) - (1 + more)
         lengths = lines.held(corners)
         row = np.repeat(lines.rows, lengths)
-        corner = _resolved(numbers[at], self.vertex_count + vertices[row])
-        mapped = np.where(more > 0, _next(numbers, at), 0)
-        corner_uv = np.where(mapped == 0, -1, _resolved(mapped, self.uv_count + uv[row]))
+        corner = resolved(numbers[at], self.vertex_count + vertices[row])
+        mapped = np.where(more > 0, following(numbers, at), 0)
+        corner_uv = np.where(mapped == 0, -1, resolved(mapped, self.uv_count + uv[row]))
         wrong = (corner < 0) | ((corner_uv < 0) & (mapped != 0))
         if wrong.any():
             raise self._error(int(row[wrong][0]), "a face names a vertex that is not there")
@@ -259,9 +192,7 @@ class _Text:
             self.parts[keyword].append(np.array(numbers, np.int64)[place])
             self.current[keyword] = numbers[-1]
 
-    def _numbers(
-        self, lines: _Lines, words: Rows, dtype: type, parse: type = float
-    ) -> NDArray[Any]:
+    def _numbers(self, lines: Lines, words: Rows, dtype: type, parse: type = float) -> NDArray[Any]:
         """The number that begins at each of the words, which are all there are."""
         if not len(words):
             return np.zeros(0, dtype)
@@ -275,7 +206,7 @@ class _Text:
             raise self._nonsense(lines, parse)
         return numbers
 
-    def _nonsense(self, lines: _Lines, parse: type = float) -> InputError:
+    def _nonsense(self, lines: Lines, parse: type = float) -> InputError:
         """Error that names the first line among these that holds what is no number."""
         ends = np.append(lines.starts[1:], len(lines.text))
         for row, start, end in zip(lines.rows, lines.starts, ends, strict=True):
@@ -287,7 +218,7 @@ class _Text:
                     return self._error(int(row), f"{shown!r} is no number")
         return InputError(f"{self.path} holds what is no number; export it again.")
 
-    def _enough(self, lines: _Lines, counts: Rows, least: int, what: str) -> None:
+    def _enough(self, lines: Lines, counts: Rows, least: int, what: str) -> None:
         short = np.flatnonzero(counts < least)
         if short.size:
             raise self._error(int(lines.rows[short[0]]), f"it is cut off: {what}")

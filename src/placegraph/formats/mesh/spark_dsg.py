@@ -6,12 +6,11 @@ of the layout, version by version, stands in `docs/formats.md`; `spark_dsg_write
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,18 +21,18 @@ from placegraph.formats.mesh.spark_dsg_mesh import (
     DsgMesh,
     Piece,
     box_corners,
+    box_of,
     box_piece,
+    joined,
     pieces_of,
     read_mesh,
 )
-from placegraph.geometry import rotation_from_quaternion
+from placegraph.formats.mesh.spark_dsg_nodes import Json, object_of, plain, rooms_of, symbol
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import NDArray
-
-    Json = dict[str, Any]
 
 HEADER = "SPARK_DSG_header"
 OWN = "placegraph"
@@ -121,7 +120,7 @@ class _Reader:
         layer = self._layer("OBJECTS", OBJECTS)
         names = self._label_names(layer)
         found = [n for n in self.content["nodes"] if _is_object(n, layer)]
-        rooms = self._rooms(layer)
+        rooms = rooms_of(self.content, layer, self._layer("ROOMS", ROOMS))
         taken: set[str] = set()
         nodes = [self._node(n, version, names, rooms, taken) for n in found]
         scene = read_mesh(self.content.get("mesh"))
@@ -134,7 +133,7 @@ class _Reader:
             left_out=self.left_out,
             relations=self._relations([n.id for n in nodes], [n.thing.id for n in nodes]),
             floor=self._floor(),
-            **_joined(pieces),
+            **joined(pieces),
         )
 
     # ------------------------------------------------------------------------------- the head
@@ -152,17 +151,17 @@ class _Reader:
         return version
 
     def _layer(self, name: str, default: int) -> int:
-        found = _objects(self.content.get("layer_names")).get(name, default)
+        found = object_of(self.content.get("layer_names")).get(name, default)
         return int(found["layer"] if isinstance(found, dict) else found)
 
     def _label_names(self, layer: int) -> dict[int, str]:
-        spaces = _objects(_objects(self.content.get("metadata")).get("labelspaces"))
+        spaces = object_of(object_of(self.content.get("metadata")).get("labelspaces"))
         space = spaces.get(f"_l{layer}p0") or {}
         pairs = space.items() if isinstance(space, dict) else space
         return {int(number): str(name) for number, name in pairs}
 
     def _floor(self) -> float | None:
-        own = _objects(_objects(self.content.get("metadata")).get(OWN))
+        own = object_of(object_of(self.content.get("metadata")).get(OWN))
         floor = own.get("floor")
         return float(floor) if isinstance(floor, int | float) else None
 
@@ -177,8 +176,8 @@ class _Reader:
         taken: set[str],
     ) -> _Node:
         attributes, number = node["attributes"], int(node["id"])
-        metadata = _objects(attributes.get("metadata"))
-        own = _objects(metadata.get(OWN))
+        metadata = object_of(attributes.get("metadata"))
+        own = object_of(metadata.get(OWN))
         name = str(attributes.get("name") or "")
         label = int(attributes.get("semantic_label", NO_LABEL))
         label = -1 if label == NO_LABEL else label
@@ -192,7 +191,7 @@ class _Reader:
         while id_ in taken:
             id_ += "'"
         taken.add(id_)
-        known = _objects(own.get("attributes")) if own else metadata
+        known = object_of(own.get("attributes")) if own else metadata
         if not own and number in rooms:
             known = {"room": rooms[number], **known}
         return _Node(
@@ -202,35 +201,12 @@ class _Reader:
                 id_,
                 said or UNKNOWN,
                 str(own["name"]) if "name" in own else name,
-                _plain(known),
+                plain(known),
             ),
-            _box(attributes.get("bounding_box"), version),
+            box_of(attributes.get("bounding_box"), version),
             np.array(attributes.get("mesh_connections") or [], np.int64).reshape(-1),
             read_mesh(attributes.get("mesh")),
         )
-
-    def _rooms(self, layer: int) -> dict[int, str]:
-        """Name of the room of each object that lies in one, itself or by its place."""
-        level = {int(n["id"]): int(n["layer"]) for n in self.content["nodes"]}
-        parent: dict[int, int] = {}
-        for edge in self.content.get("edges") or []:
-            ends = sorted((int(edge["source"]), int(edge["target"])), key=lambda i: level.get(i, 0))
-            if level.get(ends[0], 0) < level.get(ends[1], 0):
-                parent.setdefault(ends[0], ends[1])
-        top = self._layer("ROOMS", ROOMS)
-        title = {
-            int(n["id"]): str(n["attributes"].get("name") or symbol(int(n["id"])))
-            for n in self.content["nodes"]
-            if int(n["layer"]) == top
-        }
-        rooms = {}
-        for number in (i for i, at in level.items() if at == layer):
-            above = parent.get(number)
-            while above is not None and level[above] < top:
-                above = parent.get(above)
-            if above in title:
-                rooms[number] = title[above]
-        return rooms
 
     def _relations(self, numbers: list[int], ids: list[str]) -> tuple[tuple[int, str, int], ...]:
         row = {number: i for i, number in enumerate(numbers)}
@@ -240,7 +216,7 @@ class _Reader:
             ends = row.get(int(edge["source"])), row.get(int(edge["target"]))
             if ends[0] is None or ends[1] is None:
                 continue
-            metadata = _objects(_objects(edge.get("info")).get("metadata"))
+            metadata = object_of(object_of(edge.get("info")).get("metadata"))
             own = metadata.get(OWN)
             if own:
                 found += [
@@ -302,68 +278,10 @@ class _Reader:
         return owner
 
 
-def symbol(number: int) -> str:
-    """Name of a node by its number: O3 of an object, R0 of a room."""
-    return f"{chr(number >> 56)}{number & (1 << 56) - 1}" if 0 < number >> 56 < 128 else str(number)
-
-
 def _is_object(node: Json, layer: int) -> bool:
     """Whether a node is an object: agents share its layer, in other partitions."""
     return int(node["layer"]) == layer and "bounding_box" in node["attributes"]
 
 
-def _objects(value: object) -> Json:
-    return value if isinstance(value, dict) else {}
-
-
-def _plain(attributes: Json) -> dict[str, str]:
-    return {
-        str(k): v if isinstance(v, str) else json.dumps(v)
-        for k, v in attributes.items()
-        if isinstance(v, str | int | float)
-    }
-
-
-def _box(
-    entry: object, version: tuple[int, int, int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Centre, lengths and rotation of a box; None of an invalid one."""
-    box = _objects(entry)
-    if box.get("type") in {None, "INVALID"}:
-        return None
-    if version < (1, 0, 3) and "min" in box:
-        low, high = _three(box["min"]), _three(box["max"])
-        lengths = high - low
-        centre = (low + high) / 2 if box["type"] == "AABB" else _three(box["world_P_center"])
-    else:
-        centre, lengths = _three(box["world_P_center"]), _three(box["dimensions"])
-    turn = np.eye(3)
-    if box["type"] != "AABB":
-        with np.errstate(invalid="ignore"):  # of no rotation at all: not finite, refused below
-            turn = rotation_from_quaternion([float(box["world_R_center"][k]) for k in "xyzw"])
-    if not np.isfinite([centre, lengths, *turn]).all() or (lengths < 0).any() or not lengths.any():
-        return None
-    return centre, lengths, turn
-
-
-def _three(values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
-    return np.array(values, np.float64).reshape(3)
-
-
 def _within(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return rows[(rows >= 0) & (rows < count)]
-
-
-def _joined(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
-    """Columns of a model."""
-    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    faces = [p.triangles + start for p, start in zip(pieces, starts, strict=False)]
-    return {
-        "vertices": np.concatenate([np.zeros((0, 3)), *(p.vertices for p in pieces)]),
-        "triangles": np.concatenate([np.zeros((0, 3), np.int64), *faces]),
-        "thing_of": np.concatenate(
-            [np.zeros(0, np.int64), *(np.full(len(p.triangles), p.thing) for p in pieces)]
-        ),
-        "colours": np.concatenate([np.zeros((0, 3), np.uint8), *(p.colours for p in pieces)]),
-        "uv": np.zeros((int(starts[-1]), 2)),
-    }

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.geometry import rotation_from_quaternion
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -152,3 +154,44 @@ def _inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
 def _cut(mesh: DsgMesh, faces: NDArray[np.bool_], thing: int) -> Piece:
     used, corners = np.unique(mesh.faces[faces], return_inverse=True)
     return Piece(thing, mesh.points[used], corners.reshape(-1, 3), mesh.colours[used])
+
+
+def box_of(
+    entry: object, version: tuple[int, int, int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Centre, lengths and rotation of a box; None of an invalid one."""
+    box: dict[str, Any] = entry if isinstance(entry, dict) else {}
+    if box.get("type") in {None, "INVALID"}:
+        return None
+    if version < (1, 0, 3) and "min" in box:
+        low, high = _three(box["min"]), _three(box["max"])
+        lengths = high - low
+        centre = (low + high) / 2 if box["type"] == "AABB" else _three(box["world_P_center"])
+    else:
+        centre, lengths = _three(box["world_P_center"]), _three(box["dimensions"])
+    turn = np.eye(3)
+    if box["type"] != "AABB":
+        with np.errstate(invalid="ignore"):  # of no rotation at all: not finite, refused below
+            turn = rotation_from_quaternion([float(box["world_R_center"][k]) for k in "xyzw"])
+    if not np.isfinite([centre, lengths, *turn]).all() or (lengths < 0).any() or not lengths.any():
+        return None
+    return centre, lengths, turn
+
+
+def _three(values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
+    return np.array(values, np.float64).reshape(3)
+
+
+def joined(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
+    """Columns of a model."""
+    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+    faces = [p.triangles + start for p, start in zip(pieces, starts, strict=False)]
+    return {
+        "vertices": np.concatenate([np.zeros((0, 3)), *(p.vertices for p in pieces)]),
+        "triangles": np.concatenate([np.zeros((0, 3), np.int64), *faces]),
+        "thing_of": np.concatenate(
+            [np.zeros(0, np.int64), *(np.full(len(p.triangles), p.thing) for p in pieces)]
+        ),
+        "colours": np.concatenate([np.zeros((0, 3), np.uint8), *(p.colours for p in pieces)]),
+        "uv": np.zeros((int(starts[-1]), 2)),
+    }

@@ -29,7 +29,7 @@ from placegraph.formats.capture.posed import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
 
 _UNIT = 1000.0
 _OFF_CENTRE = 0.15  # principal points lie nearer to the middle than this share of the width

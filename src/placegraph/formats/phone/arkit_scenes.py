@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 
 _TOLERANCE = 0.005  # of Apple's own loader [s]; images come every 17 ms or more

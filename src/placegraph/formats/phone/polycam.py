@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 
 _UNIT = 1000.0

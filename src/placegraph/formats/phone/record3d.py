@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 
 _LIDAR = 192, 256  # width and height of depth where old recordings do not say

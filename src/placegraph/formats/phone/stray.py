@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 
 _POSE = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -1,58 +1,31 @@
 """Download of a place's OpenStreetMap data: a name goes in, a file for `read_osm` comes out.
 
 OSMnx finds the place's outline and knows the servers, their limits and how to be polite (its
-`settings`). The elements are asked for here and not through its `features` module, because that
-turns ways into polygons without vertex ids, goes on with half a city when the server ran out of
-time, and writes the outline into the query once for each key and type, where 33 keys and a
-detailed boundary exceed the 1 MiB that Overpass reads. Overpass's own OSM XML is taken instead: it
-holds elements, ids and tags as they are, and goes to disk without ever being whole in memory.
-A `.osm` file is this answer to the letter, with the date of the data and their licence.
+`settings`).
 """
 
 from __future__ import annotations
 
-import errno
-import html
-import math
-import os
 import re
-import shutil
-import time
-from collections import Counter
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
+from placegraph.errors import InputError, OptionError
+from placegraph.formats.place.nominatim import find, rings
+from placegraph.formats.place.overpass_answer import copied, download, query_of
+from placegraph.formats.place.services import osmnx_or_what_installs_it
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable
     from os import PathLike
 
-    Progress = Callable[[str, int], None]
+    from placegraph.formats.place.overpass_answer import Progress
 
 SUFFIXES = (".osm", ".osm.pbf")
 """Endings that can be written."""
-PAD = 0.001
-"""A place is fetched with its surroundings, this wide [deg]: from its edge one sees beyond it."""
-PARTS, CORNERS = 16, 600
-"""An outline is coarsened until it has no more parts and corners than these."""
-PAUSES = (20, 60)
-"""Seconds to wait before asking a busy server once more, each time."""
-SLOT = 30
-"""Seconds the server may need to find a free slot and to begin its answer."""
-BUSY = (429, 504)
-"""HTTP status: too many requests, and the server found no time."""
 KEY = re.compile(r"[\w:.-]+")
-METRES_A_DEGREE = 111_320.0
-MEND = {
-    "Nominatim": "Try again in some minutes.",
-    "Overpass": "Try again in some minutes, or name another server (--overpass-url).",
-}
 
 
 @dataclass(frozen=True)
@@ -114,21 +87,21 @@ def fetch_osm(
         A server cannot be reached, is too busy, or answers nonsense or only in part.
 
     """
-    ox = _osmnx()
+    ox = osmnx_or_what_installs_it()
     out, query_keys = _check(place, Path(out_path)), _keys(keys)
     told = progress or (lambda _step, _n: None)
     told("finding", 0)
-    name, outline = _find(ox, place)
-    query = _query(ox, query_keys, _rings(outline))
+    name, outline = find(ox, place)
+    query = query_of(ox, query_keys, rings(outline))
     base = (overpass_url or ox.settings.overpass_url).rstrip("/").removesuffix("/interpreter")
     try:
         # In the same folder, so that replacing is atomic; gone afterwards, whatever happens.
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as room:
             answer = file = Path(room) / "answer.osm"
-            _download(ox, f"{base}/interpreter", query, answer, told)
+            download(ox, f"{base}/interpreter", query, answer, told)
             if out.name.lower().endswith(".pbf"):
                 file = Path(room) / "answer.osm.pbf"
-            counts = _copy(answer, file, told)
+            counts = copied(answer, file, told)
             if not counts.total():
                 raise InputError(
                     f"Overpass knows nothing in {name!r} with one of {len(query_keys)} keys; check "
@@ -141,16 +114,6 @@ def fetch_osm(
             f"{out} cannot be written: {error.strerror or error}; choose another folder or make room."
         ) from error
     return FetchSummary(name, counts["n"], counts["w"], counts["r"], size)
-
-
-def _osmnx() -> Any:  # noqa: ANN401 - the module itself, which may not be there
-    try:
-        import osmnx as ox
-    except ImportError as error:
-        raise MissingExtraError(
-            "OSMnx is not installed; `pip install 'placegraph[osmnx]'` brings it."
-        ) from error
-    return ox
 
 
 def _check(place: str, out: Path) -> Path:
@@ -173,201 +136,3 @@ def _keys(keys: Iterable[str]) -> list[str]:
         if not KEY.fullmatch(key):
             raise OptionError(f"keys holds {key!r}; a key has letters, digits and : _ . - only.")
     return chosen
-
-
-def _find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late
-    """Return the place's full name and its outline, a polygon or several, longitude/latitude."""
-    import requests
-
-    shapes: list[str] = []  # of all places of this name
-
-    def hear(response: requests.Response, **_: object) -> None:
-        """Stop at a failure: OSMnx itself asks a busy server for ever, and reads errors as data."""
-        if response.is_redirect:
-            return
-        _accept(response, "Nominatim")
-        try:
-            shapes.extend(found["geojson"]["type"] for found in response.json())
-        except (LookupError, TypeError, ValueError) as error:
-            raise _nonsense("Nominatim", response.content[:4096]) from error
-
-    hooks = ox.settings.requests_kwargs | {"hooks": {"response": hear}}
-    try:
-        with _settings(ox, use_cache=False, requests_kwargs=hooks, http_user_agent=_agent(ox)):
-            found = ox.geocode_to_gdf(place)
-        name, outline = str(found["display_name"].iloc[0]), found.geometry.iloc[0]
-    except requests.RequestException as error:
-        raise _unreachable("Nominatim", error) from error
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
-        if not shapes:
-            raise InputError(
-                f"No place is called {place!r}; check the spelling, or add the region or country."
-            ) from error
-        if not {"Polygon", "MultiPolygon"} & set(shapes):
-            raise InputError(
-                f"{place!r} is known as a point or line only; name a town or district that has an "
-                "outline, or download an extract for `placegraph city build`."
-            ) from error
-        raise _nonsense("Nominatim", repr(error).encode()) from error
-    area = outline.area * METRES_A_DEGREE**2 * math.cos(math.radians(outline.centroid.y))
-    if not area <= ox.settings.max_query_area_size:
-        raise InputError(
-            f"{name!r} covers {area / 1e6:,.0f} km2, which is too much for Overpass (limit: "
-            f"{ox.settings.max_query_area_size / 1e6:,.0f} km2). Name a part of it, or download an "
-            "extract for `placegraph city build`."
-        )
-    return name, outline
-
-
-@contextmanager
-def _settings(ox: Any, **changes: object) -> Iterator[None]:  # noqa: ANN401 - the module osmnx
-    """Change settings of OSMnx for a while: they are global, and the user's."""
-    before = {name: getattr(ox.settings, name) for name in changes}
-    try:
-        for name, value in changes.items():
-            setattr(ox.settings, name, value)
-        yield
-    finally:
-        for name, value in before.items():
-            setattr(ox.settings, name, value)
-
-
-def _agent(ox: Any) -> str:  # noqa: ANN401 - the module osmnx
-    """Say who asks, as both services want it."""
-    return f"placegraph, {ox.settings.http_user_agent}"
-
-
-def _rings(outline: Any) -> list[str]:  # noqa: ANN401 - shapely's geometry, untyped
-    """Rings around a place, as Overpass's polygon filter wants them: "lat lon lat lon ..."."""
-    pad = PAD
-    while True:  # widened by twice what the simplification may cut off
-        wide = outline.buffer(pad).simplify(pad / 2)
-        rings = [np.array(part.exterior.coords) for part in getattr(wide, "geoms", [wide])]
-        if len(rings) <= PARTS and sum(map(len, rings)) <= CORNERS:
-            earth = [np.clip(ring, (-180, -90), (180, 90)) for ring in rings]
-            return [" ".join(f"{y:.5f} {x:.5f}" for x, y in ring) for ring in earth]
-        pad *= 2
-
-
-def _query(ox: Any, keys: list[str], rings: list[str]) -> str:  # noqa: ANN401 - the module osmnx
-    """Overpass query for the elements with one of the keys, and what they consist of.
-
-    Of the relations only areas are wanted. Routes and rivers would bring every way of a continent,
-    and so would the borders of countries, states and counties.
-    """
-    memory = ox.settings.overpass_memory
-    size = "" if memory is None else f"[maxsize:{memory}]"
-    either = "|".join(key.replace(".", "[.]") for key in keys)
-    tagged = f'[~"^({either})$"~"."]'
-    areas = '["type"~"^(multipolygon|boundary)$"]["admin_level"!~"^[1-6]$"]'
-    wanted = "\n".join(
-        f'node{tagged}(poly:"{ring}");\n'
-        f'way{tagged}(poly:"{ring}");\n'
-        f'relation{areas}{tagged}(poly:"{ring}");'
-        for ring in rings
-    )
-    return (
-        f"[out:xml][timeout:{ox.settings.requests_timeout:.0f}]{size};\n"
-        f"(\n{wanted}\n);\n(._;>;);\nout body;\n"
-    )
-
-
-def _download(ox: Any, url: str, query: str, target: Path, told: Progress) -> None:  # noqa: ANN401
-    """Post the query and write the answer to a file as it comes; wait where the server is busy."""
-    import requests
-
-    settings = ox.settings
-    for pause in (*PAUSES, None):
-        told("downloading", 0)
-        try:
-            with requests.post(
-                url,
-                data={"data": query},
-                headers={"User-Agent": _agent(ox), "Referer": settings.http_referer},
-                timeout=settings.requests_timeout + SLOT,
-                stream=True,
-                **settings.requests_kwargs,
-            ) as response:
-                if response.status_code not in BUSY or pause is None:
-                    _accept(response, "Overpass")
-                    _store(response, target, told)
-                    break
-        except requests.RequestException as error:
-            raise _unreachable("Overpass", error) from error
-        told("waiting", pause)
-        time.sleep(pause)
-    with target.open("rb") as file:  # an answer cut short says so at its end, with status 200
-        file.seek(max(0, target.stat().st_size - (1 << 16)))
-        remark = re.search(rb"<remark>(.*?)</remark>", file.read(), re.DOTALL)
-    if remark:
-        raise ServiceError(
-            f"Overpass gave up: {_gist(remark[1])}. Fetch a smaller place, try again in some "
-            "minutes, or download an extract for `placegraph city build`."
-        )
-
-
-def _store(response: Any, target: Path, told: Progress) -> None:  # noqa: ANN401 - requests, loaded late
-    size = 0
-    with target.open("wb") as file:
-        for chunk in response.iter_content(1 << 18):
-            size += file.write(chunk)
-            told("downloading", size)
-
-
-def _copy(answer: Path, target: Path, told: Progress) -> Counter[str]:
-    """Write the answer to the target as PBF, unless they are the same file, and count elements.
-
-    Returns how many nodes ("n"), ways ("w") and relations ("r") there are. To read all of the
-    answer is also the proof that it is whole.
-    """
-    import osmium
-
-    if shutil.disk_usage(target.parent).free < answer.stat().st_size:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # libosmium would end the process
-    counts: Counter[str] = Counter()
-    try:
-        with ExitStack() as stack:
-            writer = None
-            if target != answer:
-                writer = stack.enter_context(osmium.SimpleWriter(target))
-            for n, item in enumerate(osmium.FileProcessor(answer)):
-                if n % 10_000 == 0:
-                    told("writing", n)
-                counts[item.type_str()] += 1
-                if writer is not None:
-                    writer.add(item)
-    except (RuntimeError, ValueError) as error:
-        with answer.open("rb") as file:
-            raise _nonsense("Overpass", file.read(4096)) from error
-    return counts
-
-
-def _accept(response: Any, service: str) -> None:  # noqa: ANN401 - requests, loaded late
-    if not response.ok:
-        said = _gist(response.content[:4096])
-        raise ServiceError(
-            f"{service} answered {response.status_code} {response.reason}"
-            f"{f' ({said})' if said else ''}. {MEND[service]}"
-        )
-
-
-def _unreachable(service: str, error: Exception) -> ServiceError:
-    return ServiceError(
-        f"{service} cannot be reached, or broke off: {_gist(str(error).encode())}. "
-        "Check the network and the server's address, and try again."
-    )
-
-
-def _nonsense(service: str, said: bytes) -> ServiceError:
-    return ServiceError(
-        f"{service} answered something else than was asked for: {_gist(said) or 'nothing'}. "
-        f"{MEND[service]}"
-    )
-
-
-def _gist(text: bytes, most: int = 200) -> str:
-    """Return what a page or message says, on one line, without its markup."""
-    plain = re.sub(r"<(style|script|title)\b.*?</\1>|<[^>]*>", " ", text.decode(errors="replace"),
-                   flags=re.DOTALL)  # fmt: skip
-    line = " ".join(html.unescape(plain).split()).rstrip(".")
-    return line if len(line) <= most else line[: most - 1] + "…"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.captures import FORMATS, is_capture
+from placegraph.formats.capture.capture import FORMATS, is_capture
 from placegraph.formats.capture.labels import label_table
 from placegraph.formats.mesh.model import Model, Thing
 from placegraph.indoor.mapping.from_capture import (

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import OptionError
-from placegraph.outdoor.network.shape import Shape
 from placegraph.outdoor.network.weights import Weights, trained, write_weights
+from placegraph_lab.train.city.options import Progress, TrainOptions, check
 from placegraph_lab.train.city.pool import fill
 from placegraph_lab.train.city.sample import Speaker
 from placegraph_lab.train.training import add_row, device_named, rows_of, torch_or_what_installs_it
@@ -22,43 +21,6 @@ if TYPE_CHECKING:
     from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph_lab.train.city.checkpoint import PoolFolder
     from placegraph_lab.train.city.torch_batches import Lessons
-
-
-@dataclass(frozen=True)
-class TrainOptions:
-    """How to train."""
-
-    epochs: int = 5
-    examples: int = 1200
-    """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
-    steps: int = 300
-    """Batches an epoch."""
-    batch: int = 32
-    """Descriptions a batch."""
-    share: float = 0.4
-    """Share of a description's candidates that a batch looks at."""
-    rate: float = 2e-3
-    """Largest learning rate; a cosine leads to nearly nothing."""
-    decay: float = 1e-3
-    losses: tuple[str, ...] = ("match", "similarity", "embedding", "fusion")
-    seed: int = 0
-    check: int = 500
-    """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
-    shape: Shape = field(default_factory=Shape)
-
-
-@dataclass
-class Progress:
-    """Is told how far a training is; override what is of interest."""
-
-    def filling(self, epoch: int, city: str, done: int, total: int) -> None:
-        """Descriptions are made."""
-
-    def step(self, epoch: int, done: int, total: int, losses: Mapping[str, float]) -> None:
-        """A batch was learned."""
-
-    def epoch(self, row: Mapping[str, float]) -> None:
-        """An epoch ended with these figures."""
 
 
 def train(
@@ -102,7 +64,7 @@ def train(
 
     """
     options, progress = options or TrainOptions(), progress or Progress()
-    _check(cities, options)
+    check(cities, options)
     torch = torch_or_what_installs_it()
     from placegraph.outdoor.language.vocabulary import Vocabulary as Shipped
     from placegraph_lab.train.city.checkpoint import Folder, PoolFolder, plan_of
@@ -115,40 +77,25 @@ def train(
     begun = kept.read_state(trainer.module, trainer.optimizer)
     store = PoolFolder(pools or kept.path / "pools")
     school = School(cities, vocabulary or Shipped.default(), options, progress, store)
-    check = school.held_out()
+    held = school.held_out()
     past = [lessons for epoch in range(begun) for lessons in school.lessons(epoch)]
     for epoch in range(begun, options.epochs):
         fresh = school.lessons(epoch)
         past += fresh
         row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
-        judged = [judge(trainer.network, lessons, device) for lessons in check]
+        judged = [judge(trainer.network, lessons, device) for lessons in held]
         row |= recalls(judged)
         add_row(kept.path, row)  # first: an epoch that is done again gives the same row
         kept.write_state(epoch + 1, trainer.module, trainer.optimizer)
         progress.epoch(row)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     scale = float(state["prior"][1])
-    fitted = best_prior([judge(trainer.network, lessons, device) for lessons in check], scale)
+    fitted = best_prior([judge(trainer.network, lessons, device) for lessons in held], scale)
     state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": kept.plan, "curves": rows_of(kept.path)}
     weights = trained(options.shape, state, training)
     write_weights(out, weights)
     return weights
-
-
-def _check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
-    if not cities:
-        raise OptionError("There is no city to train on; name at least one map.")
-    for name in ("epochs", "examples", "steps", "batch", "check"):
-        if getattr(options, name) < 1:
-            raise OptionError(f"{name} is {getattr(options, name)}; choose at least 1.")
-    if not 0.0 < options.rate <= 1.0 or not 0.0 < options.share <= 1.0:
-        raise OptionError(
-            f"rate is {options.rate}, share {options.share}; choose above 0 and at most 1."
-        )
-    known = ("match", "similarity", "embedding", "fusion")
-    if not set(options.losses) <= set(known) or not options.losses:
-        raise OptionError(f"losses are {options.losses}; choose among {', '.join(known)}.")
 
 
 @dataclass(frozen=True, eq=False)

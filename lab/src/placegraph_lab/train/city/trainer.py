@@ -14,8 +14,8 @@ from placegraph_lab.train.city.torch_network import Network
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from placegraph_lab.train.city.options import Progress, TrainOptions
     from placegraph_lab.train.city.torch_batches import Lessons
-    from placegraph_lab.train.city.train import Progress, TrainOptions
 
 WARM = 100
 """Steps until the learning rate is full."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.encode.scenegraphloc.widths import Widths
     from placegraph_lab.train.scenegraphloc.lessons import Lesson
-    from placegraph_lab.train.scenegraphloc.train import TrainOptions
+    from placegraph_lab.train.scenegraphloc.options import TrainOptions
 
 
 @dataclass(frozen=True)

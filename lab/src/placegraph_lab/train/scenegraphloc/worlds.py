@@ -121,7 +121,7 @@ def _opened(file: Path) -> Material:
 
 
 def _is_capture(path: Path) -> bool:
-    from placegraph.formats.capture.captures import format_of
+    from placegraph.formats.capture.capture import format_of
 
     try:
         format_of(path)
