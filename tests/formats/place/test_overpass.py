@@ -264,7 +264,9 @@ def test_old_file_is_replaced(out):
 def test_a_busy_server_is_asked_again(servers, out):
     servers.answers = [(429, HTML), (504, HTML), (200, TOWN)]
     fetch_osm("Mühlenend", out)
-    assert [p for p in servers.pauses if p in overpass_answer.PAUSES] == list(overpass_answer.PAUSES)
+    assert [p for p in servers.pauses if p in overpass_answer.PAUSES] == list(
+        overpass_answer.PAUSES
+    )
     assert len(raw(out)) == 31
 
 
