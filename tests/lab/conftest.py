@@ -14,10 +14,5 @@ def _of(path):
 
 
 _indoor = _of(TESTS / "indoor/conftest.py")
-_network = _of(TESTS / "outdoor/network/conftest.py")
-_outdoor = _of(TESTS / "outdoor/conftest.py")
 room_world, room, walk, truth = _indoor.room_world, _indoor.room, _indoor.walk, _indoor.truth
-one_thread, vocabulary = _network.one_thread, _network.vocabulary
-network, speakers, pool = _network.network, _network.speakers, _network.pool
-write_world, build_world = _outdoor.write_world, _outdoor.build_world
 survey = _of(TESTS / "indoor/encode/scenegraphloc/conftest.py").survey
