@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.captures import format_of
+from placegraph.formats.capture.capture import format_of
 from placegraph.formats.mesh.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
