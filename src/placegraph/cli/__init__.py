@@ -2,80 +2,167 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import warnings
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import NoReturn
 
-import typer
-from rich.console import Console
+import click
 
-from placegraph.cli import library
-from placegraph.cli.city import commands as city
-from placegraph.cli.compiling import Compiling, warm_up
-from placegraph.cli.scene import commands as scene
+from placegraph.cli.command import Group
+from placegraph.cli.compiling import Compiling
+from placegraph.cli.extensions import extensions
+from placegraph.cli.interrupts import INTERRUPTED, interruptible
 from placegraph.errors import InputError, PlacegraphError
 from placegraph.kept import listening, use_folder
 
-app = typer.Typer(
-    name="placegraph",
-    help="Where am I? Answered on a map that is a graph of things.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+NAME = "placegraph"
+_COMPLETE = "_PLACEGRAPH_COMPLETE"
+_HERE = __name__
+
+CITY = Group(
+    "city",
+    "Outdoor: a sentence finds its place in a city cut from OpenStreetMap.\n\n"
+    "First `build` a map from an extract, then `locate` descriptions in it, or `track` a walk. "
+    "`embed` is for large maps, `train` for weights of your own, `evaluate` for texts of your own.",
+    {
+        "build": f"{_HERE}.city.build:build",
+        "locate": f"{_HERE}.city.locate:locate",
+        "info": f"{_HERE}.city.facts:info",
+        "check": f"{_HERE}.city.facts:check",
+        "fetch": f"{_HERE}.city.build:fetch",
+        "track": f"{_HERE}.city.track:track",
+        "embed": f"{_HERE}.city.store:embed",
+        "stores": f"{_HERE}.city.store:stores",
+    },
+    partial(extensions, "city"),
 )
-app.add_typer(city.app, name="city")
-app.add_typer(scene.app, name="scene")
-app.add_typer(library.app, name="library")
-app.command("warm")(warm_up)
+SCENE = Group(
+    "scene",
+    "Indoor: make maps of rooms, and find the pose of a few frames in them.",
+    {
+        "build": f"{_HERE}.scene.build:build",
+        "info": f"{_HERE}.scene.facts:info",
+        "check": f"{_HERE}.scene.check:check",
+        "diff": f"{_HERE}.scene.diff:diff",
+        "update": f"{_HERE}.scene.diff:update",
+        "encode": f"{_HERE}.scene.encode:encode",
+        "export": f"{_HERE}.scene.export:export",
+        "view": f"{_HERE}.scene.view:view",
+        "localize": f"{_HERE}.scene.localize:localize",
+        "refine": f"{_HERE}.scene.refine:refine",
+        "render": f"{_HERE}.scene.render:render",
+    },
+    partial(extensions, "scene"),
+)
+LIBRARY = Group(
+    "library",
+    "Many scene maps: in which of them was a capture taken, or which does a text describe?",
+    {
+        "build": f"{_HERE}.library.keep:build",
+        "add": f"{_HERE}.library.keep:add",
+        "remove": f"{_HERE}.library.keep:remove",
+        "info": f"{_HERE}.library.keep:info",
+        "search": f"{_HERE}.library.search:search",
+        "localize": f"{_HERE}.library.search:localize",
+    },
+)
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
-    warnings.formatwarning = lambda message, *_: f"placegraph: {message}\n"
+    warnings.formatwarning = lambda message, *_: f"{NAME}: {message}\n"
+    words = sys.argv[1:]
+    with interruptible(), listening(Compiling(words)):
+        sys.exit(_run(words))
+
+
+def _run(arguments: list[str]) -> int:
+    """Exit code of a command."""
     try:
-        with listening(Compiling(sys.argv[1:])):
-            app()
+        if instruction := os.environ.get(_COMPLETE):  # by which a shell asks for completions
+            from click.shell_completion import shell_complete
+
+            return shell_complete(APP, {}, NAME, _COMPLETE, instruction)
+        with APP.make_context(NAME, arguments) as context:
+            APP.invoke(context)
+    except click.exceptions.Exit as exit_:
+        return exit_.exit_code
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except click.Abort:
+        click.echo("Aborted.", err=True)
+        return 1
     except PlacegraphError as error:
-        Console(stderr=True, soft_wrap=True).print(
-            f"placegraph: {error}", style="red", markup=False, highlight=False
-        )
-        sys.exit(error.exit_code)
-    except OSError as error:  # an output that cannot be written
-        name = f"{error.filename} " if error.filename else ""
-        typer.echo(f"placegraph: {name}cannot be written or read: {error.strerror}.", err=True)
-        sys.exit(InputError.exit_code)
+        click.secho(f"{NAME}: {error}", err=True, fg="red")
+        return error.exit_code
+    except OSError as error:
+        return _failed(error)
+    return 0
 
 
-@app.callback(invoke_without_command=True)
-def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-    compiled: Annotated[
-        Path | None, typer.Option(help="Folder to keep compiled code in.", show_default=False)
-    ] = None,
-) -> None:
-    if compiled is not None:
-        use_folder(compiled)
-    if version:
+def _failed(error: OSError) -> int:
+    """What cannot be read or written, said; nothing where nobody reads any more (``| head``)."""
+    if error.errno == errno.EPIPE:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    name = f"{error.filename} " if error.filename else ""
+    click.echo(f"{NAME}: {name}cannot be written or read: {error.strerror}.", err=True)
+    return InputError.exit_code
+
+
+def _version(context: click.Context, _param: click.Parameter, wanted: bool) -> None:
+    if wanted:
         from placegraph import __version__
 
-        typer.echo(__version__)
-        raise typer.Exit
+        click.echo(__version__)
+        context.exit()
 
 
-@app.command("demo")
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the pages and pictures.")] = Path(
-        "demo-out"
-    ),
-) -> None:
-    """Locate three sentences in a town that ships with placegraph, and a walk in a flat."""
-    from placegraph.demo import run_demo
+def _compiled(_context: click.Context, _param: click.Parameter, folder: Path | None) -> None:
+    if folder is not None:
+        use_folder(folder)
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{out} cannot be made a folder ({error.strerror}); choose another --out."
-        ) from error
-    run_demo(out, typer.echo)
+
+def _completion(context: click.Context, _param: click.Parameter, shell: str | None) -> None:
+    if shell is not None:
+        from click.shell_completion import get_completion_class
+
+        made = get_completion_class(shell)
+        assert made is not None  # noqa: S101  # the choices are those that exist
+        click.echo(made(APP, {}, NAME, _COMPLETE).source())
+        context.exit()
+
+
+APP = Group(
+    NAME,
+    "Where am I? Answered on a map that is a graph of things.",
+    {
+        "demo": f"{_HERE}.demo:demo",
+        "warm": f"{_HERE}.compiling:warm_up",
+        "city": CITY,
+        "scene": SCENE,
+        "library": LIBRARY,
+    },
+    params=[
+        click.Option(
+            ["--version"], is_flag=True, expose_value=False, is_eager=True, callback=_version,
+            help="Print the version.",
+        ),
+        click.Option(
+            ["--compiled"], type=click.Path(path_type=Path), expose_value=False,
+            callback=_compiled, help="Folder to keep compiled code in.",
+        ),
+        click.Option(
+            ["--show-completion"], type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL",
+            expose_value=False, is_eager=True, callback=_completion,
+            help="Print what completes commands in bash, zsh or fish.",
+        ),
+    ],
+)  # fmt: skip

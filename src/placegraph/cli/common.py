@@ -3,52 +3,94 @@
 from __future__ import annotations
 
 import json
+import sys
+from contextlib import ExitStack, contextmanager
 from math import isfinite
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
+import click
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")]
+from placegraph.cli.command import Option
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+AsJson = Annotated[bool, Option("--json", help="Print JSON for machines.")]
+Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
 
 
 def echo_json(told: object) -> None:
     """Print as JSON, which has no NaN and no infinity: they become null."""
-    typer.echo(json.dumps(_finite(told), ensure_ascii=False, allow_nan=False))
+    click.echo(json.dumps(_finite(told), ensure_ascii=False, allow_nan=False))
 
 
-def progress_bar(*, hidden: bool) -> Progress:
-    """Spinner with a line of text, on stderr; gone when done, never there for a file or a pipe."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    console = Console(stderr=True)
-    hidden = hidden or not console.is_terminal
-    return _Bar(*columns, console=console, disable=hidden, transient=True)
+@contextmanager
+def progress_of(*, hidden: bool) -> Iterator[Callable[..., None]]:
+    """Spinner, bar and time, on stderr, gone when done; yields what steps tell: name, done, total.
+
+    Where one is shown already, another is a line of it. A file or a pipe sees none of it.
+    """
+    if hidden or not sys.stderr.isatty():
+        yield lambda *_: None
+        return
+    with ExitStack() as stack:
+        bar = _SHOWN[-1] if _SHOWN else stack.enter_context(_bar())
+        task = bar.add_task("starting", total=None)
+        stack.callback(bar.remove_task, task)
+
+        def tell(step: str, done: int = 0, total: int | None = None) -> None:
+            bar.update(task, description=step, completed=done, total=total)
+
+        yield tell
 
 
-class _Bar(Progress):
-    def start(self) -> None:
-        OPEN.append(self)
-        super().start()
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    from rich import progress
+    from rich.console import Console
 
-    def stop(self) -> None:
-        super().stop()
-        if self in OPEN:
-            OPEN.remove(self)
+    columns = (
+        progress.SpinnerColumn(),
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(bar_width=28),
+        progress.TimeElapsedColumn(),
+    )
+    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        _SHOWN.append(bar)
+        try:
+            yield bar
+        finally:
+            _SHOWN.remove(bar)
 
 
-OPEN: list[Progress] = []
-"""Bars that are shown now; a second one would write over the first, so that lines are added to it."""
+_SHOWN: list[Progress] = []
+"""A second one beside it would write over it."""
+
+
+def console() -> Console:
+    """Where answers are printed, as they are."""
+    from rich.console import Console
+
+    return Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+
+
+def table(*headings: str, show_header: bool = True) -> Table:
+    """Table without lines."""
+    from rich.table import Table
+
+    return Table(*headings, box=None, pad_edge=False, show_header=show_header)
 
 
 def show_facts(told: dict[str, object]) -> None:
     """Print names and values as a table."""
-    table = Table(box=None, show_header=False, pad_edge=False)
+    facts = table(show_header=False)
     for key, value in told.items():
-        table.add_row(key.replace("_", " "), _said(value))
-    Console(soft_wrap=True, highlight=False, markup=False, emoji=False).print(table)
+        facts.add_row(key.replace("_", " "), _said(value))
+    console().print(facts)
 
 
 def _finite(told: object) -> Any:  # noqa: ANN401  # any JSON

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-import typer
+import click
 
-from placegraph.cli.common import OPEN, Quiet, progress_bar
+from placegraph.cli.common import Quiet, progress_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,19 +45,15 @@ def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
     if not calls:
         return []
     done = 0
-    shown = OPEN[-1] if OPEN else progress_bar(hidden=hidden)
-    with nullcontext() if OPEN else shown:
-        line = shown.add_task(_line(done, len(calls)), total=None)
+    with progress_of(hidden=hidden) as tell:
+        tell(_line(done, len(calls)), done, len(calls))
 
         def told(_call: str) -> None:
             nonlocal done
             done += 1
-            shown.update(line, description=_line(done, len(calls)))
+            tell(_line(done, len(calls)), done, len(calls))
 
-        try:
-            return warm(calls, told)
-        finally:
-            shown.remove_task(line)
+        return warm(calls, told)
 
 
 def warm_up(quiet: Quiet = False) -> None:
@@ -75,10 +70,10 @@ def warm_up(quiet: Quiet = False) -> None:
     lacking = missing(calls)
     failed = compile_all(lacking, hidden=quiet)
     for reason in failed:
-        typer.echo(f"placegraph: cannot compile {reason}", err=True)
+        click.echo(f"placegraph: cannot compile {reason}", err=True)
     if not quiet:
         seconds = perf_counter() - start
-        typer.echo(
+        click.echo(
             f"{len(lacking) - len(failed)} of {len(calls)} functions compiled in {seconds:.0f} s; "
             f"all are kept in {FOLDERS.write}."
         )

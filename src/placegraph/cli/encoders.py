@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from placegraph.cli.command import Option
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ WITH_CAPTURES = ("features", "scenegraphloc")
 
 WeightsFile = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--weights",
         help="File with the weights of the encoder: needed by scenegraphloc (`scene train` writes "
         "some), fetched by features if not given, brought along by compact.",

@@ -8,12 +8,12 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
+import click
+
 from placegraph.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import typer
 
 LAB = {
     "city": {
@@ -26,15 +26,17 @@ LAB = {
 """Commands of placegraph-lab, which are listed and explained even where it is not installed."""
 
 
-def add_extensions(app: typer.Typer, wing: str) -> None:
-    """Add the commands of one wing that others bring; those of a missing lab say how to get it."""
-    found = {p.name.partition(".")[2]: p for p in _points() if p.name.startswith(f"{wing}.")}
-    for name, help_ in LAB[wing].items():
-        if name not in found:
-            settings = {"allow_extra_args": True, "ignore_unknown_options": True}
-            app.command(name, help=help_, context_settings=settings)(_missing(f"{wing} {name}"))
-    for name, point in found.items():
-        app.command(name)(point.load())
+def extensions(wing: str) -> dict[str, str | click.Command]:
+    """Commands of one wing that others bring; those of a missing lab say how to get it."""
+    settings = {"allow_extra_args": True, "ignore_unknown_options": True}
+    missing: dict[str, str | click.Command] = {
+        name: click.Command(
+            name, callback=_missing(f"{wing} {name}"), help=help_, context_settings=settings
+        )
+        for name, help_ in LAB[wing].items()
+    }
+    points = [point for point in _points() if point.name.startswith(f"{wing}.")]
+    return missing | {point.name.partition(".")[2]: point.value for point in points}
 
 
 def _points() -> tuple:  # type: ignore[type-arg]

@@ -94,7 +94,7 @@ def served(monkeypatch):
     pytest.importorskip("viser", reason="needs viser: pip install 'placegraph[view]'")
     pages = []
     monkeypatch.setattr(scene_view, "wait", lambda: None)
-    echo = scene_view.typer.echo
+    echo = scene_view.click.echo
 
     def told(words):
         address = words.split(" at ")[1].split()[0]
@@ -102,7 +102,7 @@ def served(monkeypatch):
             pages.append(page.status)
         echo(words)
 
-    monkeypatch.setattr(scene_view.typer, "echo", told)
+    monkeypatch.setattr(scene_view.click, "echo", told)
     return pages
 
 

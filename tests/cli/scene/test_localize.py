@@ -1,6 +1,7 @@
 """`placegraph scene localize`: frames of a drawn room find their pose on the command line."""
 
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -223,17 +224,12 @@ def test_a_person_reads_what_became_of_it(run, world):
 def test_steps_are_told(run, world, monkeypatch):
     told = []
 
-    class Bar:
-        def __init__(self, *_, **__): ...
-        def __enter__(self):
-            return self
+    @contextmanager
+    def progress_of(*, hidden):
+        assert not hidden
+        yield lambda step, *_: told.append(step)
 
-        def __exit__(self, *_): ...
-        def add_task(self, *_, **__): ...
-        def update(self, _, description, **__):
-            told.append(description)
-
-    monkeypatch.setattr("placegraph.cli.scene.answer.Progress", Bar)
+    monkeypatch.setattr("placegraph.cli.scene.localize.progress_of", progress_of)
     run("scene", "localize", world.map, world.walk, "--frames", ":3", "--no-depth")
     for step in ("matching images", "checking", "drawing"):
         assert step in told

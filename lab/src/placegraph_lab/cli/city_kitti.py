@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path  # noqa: TC003  # typer reads annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
+import click
 
-from placegraph.cli.city.matching import Matcher  # noqa: TC001  # typer reads annotations
-from placegraph.cli.common import AsJson, Quiet, progress_bar
+from placegraph.cli.city.options import Matcher
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, progress_of
 
 if TYPE_CHECKING:
     from placegraph.outdoor.search import request as matchers
 
 
 def convert_kitti360pose(
-    folder: Annotated[
-        Path, typer.Argument(help="Published folder with cells/ and poses/, of pickles.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: kitti360pose.k360.")],
+    folder: Annotated[Path, Argument(help="Published folder with cells/ and poses/, of pickles.")],
+    out: Annotated[Path, Option("--out", "-o", help="File to write: kitti360pose.k360.")],
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -33,17 +32,17 @@ def convert_kitti360pose(
 
     from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose as convert
 
-    with progress_bar(hidden=quiet or as_json) as progress:
-        task = progress.add_task("reading")
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("reading")
         done = convert(
             folder,
             out,
-            progress=lambda step, n: progress.update(task, description=f"{step} {n:,} cells"),
+            progress=lambda step, n: tell(f"{step} {n:,} cells"),
         )
     if as_json:
-        typer.echo(json.dumps(asdict(done)))
+        click.echo(json.dumps(asdict(done)))
     elif not quiet:
-        typer.echo(
+        click.echo(
             f"{out}: {done.cells:,} cells with {done.objects:,} objects and {done.poses:,} poses of "
             f"the drives {', '.join(done.scenes)}.\n"
             f"{done.points:,} points, {done.source_bytes / 1e6:,.1f} MB of pickles, became "
@@ -54,10 +53,10 @@ def convert_kitti360pose(
 
 def evaluate(
     folder: Annotated[
-        Path, typer.Argument(help="Folder with descriptions.jsonl, and map.osm.pbf or a *.city.")
+        Path, Argument(help="Folder with descriptions.jsonl, and map.osm.pbf or a *.city.")
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write every answer as JSON to this file.")
+        Path | None, Option("--out", "-o", help="Write every answer as JSON to this file.")
     ] = None,
     matcher: Matcher = "relational",
     as_json: AsJson = False,
@@ -72,17 +71,17 @@ def evaluate(
     """
     from placegraph_lab.tables.kitti.own_pairs import evaluate_folder
 
-    with progress_bar(hidden=quiet or as_json) as progress:
-        task = progress.add_task("opening")
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("opening")
         found = evaluate_folder(
             folder,
             matcher=cast("matchers.Matcher", matcher),
-            progress=lambda step, n: progress.update(task, description=f"{step} {n:,}"),
+            progress=lambda step, n: tell(f"{step} {n:,}"),
         )
     if out is not None:
         text = json.dumps(found.to_dict(answers=True), ensure_ascii=False, indent=1)
         out.write_text(text + "\n", encoding="utf-8")
     if as_json:
-        typer.echo(json.dumps(found.to_dict(), ensure_ascii=False))
+        click.echo(json.dumps(found.to_dict(), ensure_ascii=False))
     elif not quiet:
-        typer.echo(found.table())
+        click.echo(found.table())

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path  # noqa: TC003  # typer reads annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet
 from placegraph.errors import OptionError
 from placegraph_lab.cli.training_shown import TrainingDevice, WorkFolder, training
 
@@ -19,27 +20,25 @@ if TYPE_CHECKING:
 
 
 def train(
-    maps: Annotated[
-        list[Path], typer.Argument(help="City maps (.city) to train on, one or several.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: mine.weights.")],
+    maps: Annotated[list[Path], Argument(help="City maps (.city) to train on, one or several.")],
+    out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.weights.")],
     work: WorkFolder,
-    epochs: Annotated[int, typer.Option(min=1, help="Rounds; each brings new descriptions.")] = 5,
+    epochs: Annotated[int, Option(least=1, help="Rounds; each brings new descriptions.")] = 5,
     examples: Annotated[
-        int, typer.Option(min=1, help="New descriptions of a city in each epoch.")
+        int, Option(least=1, help="New descriptions of a city in each epoch.")
     ] = 1200,
-    steps: Annotated[int, typer.Option(min=1, help="Batches an epoch.")] = 300,
-    batch: Annotated[int, typer.Option(min=1, help="Descriptions a batch.")] = 32,
+    steps: Annotated[int, Option(least=1, help="Batches an epoch.")] = 300,
+    batch: Annotated[int, Option(least=1, help="Descriptions a batch.")] = 32,
     check: Annotated[
-        int, typer.Option(min=1, help="Descriptions of a city, never learned, for the curves.")
+        int, Option(least=1, help="Descriptions of a city, never learned, for the curves.")
     ] = 500,
-    rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
+    rate: Annotated[float, Option(help="Largest learning rate.")] = 2e-3,
     seed: Annotated[
-        int, typer.Option(min=0, help="The same seed, the same descriptions and weights.")
+        int, Option(least=0, help="The same seed, the same descriptions and weights.")
     ] = 0,
     device: TrainingDevice = "auto",
     pools: Annotated[
-        Path | None, typer.Option(help="Folder of descriptions that several trainings share.")
+        Path | None, Option(help="Folder of descriptions that several trainings share.")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -86,9 +85,9 @@ def train(
     curves = draw(work)
     seconds = perf_counter() - start
     if as_json:
-        typer.echo(json.dumps(_facts(weights, out, curves, seconds)))
+        click.echo(json.dumps(_facts(weights, out, curves, seconds)))
     elif not quiet:
-        typer.echo(
+        click.echo(
             f"{out}: {out.stat().st_size:,} bytes, {weights.fingerprint}, trained in {seconds:.0f} s. "
             f"Curves: {curves}"
         )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet
 from placegraph.errors import OptionError
 from placegraph_lab.cli.training_shown import TrainingDevice, WorkFolder, training
 
@@ -19,60 +20,56 @@ if TYPE_CHECKING:
 
 
 def train(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: mine.safetensors.")],
+    out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.safetensors.")],
     work: WorkFolder,
     maps: Annotated[
         Path | None,
-        typer.Argument(
+        Argument(
             help="Folder of scene maps: each NAME.scene with a capture, or several, in the folder "
             "NAME beside it, whose poses are in the map."
         ),
     ] = None,
     synthetic: Annotated[
         int | None,
-        typer.Option(min=3, help="Train on so many procedural homes instead of maps of your own."),
+        Option(least=3, help="Train on so many procedural homes instead of maps of your own."),
     ] = None,
     held: Annotated[
         int | None,
-        typer.Option(
-            min=1, help="Places that are not learned but asked about; a fifth if not given."
-        ),
+        Option(least=1, help="Places that are not learned but asked about; a fifth if not given."),
     ] = None,
     features: Annotated[
-        str, typer.Option(help="Image features: colour (no weights), or dinov2 as published.")
+        str, Option(help="Image features: colour (no weights), or dinov2 as published.")
     ] = "colour",
     feature_weights: Annotated[
-        Path | None, typer.Option(help="File with DINOv2's weights; fetched if not given.")
+        Path | None, Option(help="File with DINOv2's weights; fetched if not given.")
     ] = None,
     attributes: Annotated[
         Path | None,
-        typer.Option(help="Attribute words, one a line; if not given attributes say nothing."),
+        Option(help="Attribute words, one a line; if not given attributes say nothing."),
     ] = None,
     width: Annotated[
-        str, typer.Option(help="Of the network: small, or published (34 million weights).")
+        str, Option(help="Of the network: small, or published (34 million weights).")
     ] = "small",
     rotate: Annotated[
         bool | None,
-        typer.Option(
+        Option(
             "--rotate/--no-rotate",
             help="Turn all images clockwise, as 3RScan's; if not given each by its gravity.",
         ),
     ] = None,
     frames: Annotated[
-        int, typer.Option(min=1, help="Images of each walk through a procedural home.")
+        int, Option(least=1, help="Images of each walk through a procedural home.")
     ] = 16,
-    epochs: Annotated[int, typer.Option(min=1, help="Rounds over all pictures.")] = 30,
-    batch: Annotated[int, typer.Option(min=1, help="Pictures a step.")] = 16,
+    epochs: Annotated[int, Option(least=1, help="Rounds over all pictures.")] = 30,
+    batch: Annotated[int, Option(least=1, help="Pictures a step.")] = 16,
     others: Annotated[
-        int, typer.Option(min=0, help="Other places whose objects a patch is told from.")
+        int, Option(least=0, help="Other places whose objects a patch is told from.")
     ] = 9,
     points: Annotated[
-        int, typer.Option(min=1, help="Points of each object that an epoch looks at.")
+        int, Option(least=1, help="Points of each object that an epoch looks at.")
     ] = 512,
-    rate: Annotated[float, typer.Option(help="Learning rate of the first epoch.")] = 1.1e-3,
-    seed: Annotated[
-        int, typer.Option(min=0, help="The same seed, the same homes and weights.")
-    ] = 0,
+    rate: Annotated[float, Option(help="Learning rate of the first epoch.")] = 1.1e-3,
+    seed: Annotated[int, Option(least=0, help="The same seed, the same homes and weights.")] = 0,
     device: TrainingDevice = "auto",
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -115,9 +112,9 @@ def train(
     picture = draw(work)
     facts = _facts(weights, out, work, picture, perf_counter() - start)
     if as_json:
-        typer.echo(json.dumps(facts))
+        click.echo(json.dumps(facts))
     elif not quiet:
-        typer.echo(
+        click.echo(
             f"{out}: {facts['bytes']:,} bytes, {weights.digest}, trained in {facts['seconds']} s. "
             f"Curves: {picture}"
         )

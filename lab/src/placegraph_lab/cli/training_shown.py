@@ -8,10 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from placegraph.cli.command import Option
 from placegraph_lab.train.training import rows_of
 
 if TYPE_CHECKING:
@@ -22,9 +23,9 @@ INTERRUPTED = 130
 
 WorkFolder = Annotated[
     Path,
-    typer.Option(help="Folder for what an interrupted training goes on from, and its curves."),
+    Option(help="Folder for what an interrupted training goes on from, and its curves."),
 ]
-TrainingDevice = Annotated[str, typer.Option(help="cpu, cuda, or auto.")]
+TrainingDevice = Annotated[str, Option(help="cpu, cuda, or auto.")]
 
 
 @contextmanager
@@ -35,8 +36,8 @@ def training(work: Path, *, hidden: bool) -> Iterator[Progress]:
             yield bars
         except KeyboardInterrupt:
             bars.stop()
-            typer.echo(go_on(work), err=True)
-            raise typer.Exit(INTERRUPTED) from None
+            click.echo(go_on(work), err=True)
+            raise click.exceptions.Exit(INTERRUPTED) from None
 
 
 def progress_bars(*, hidden: bool) -> Progress:
@@ -53,8 +54,8 @@ def progress_bars(*, hidden: bool) -> Progress:
 def say_epoch(row: Mapping[str, float], *, first: bool) -> None:
     """Print the figures of an epoch, under their names where it is the first."""
     if first:
-        typer.echo("  ".join(f"{name:>10}" for name in row))
-    typer.echo("  ".join(_cell(name, value) for name, value in row.items()))
+        click.echo("  ".join(f"{name:>10}" for name in row))
+    click.echo("  ".join(_cell(name, value) for name, value in row.items()))
 
 
 def go_on(work: Path) -> str:

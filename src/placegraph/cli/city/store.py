@@ -7,35 +7,29 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson, Quiet, progress_bar
+from placegraph.cli.city.options import MapFile
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, progress_of
 from placegraph.errors import OptionError
-
-MapFile = Annotated[Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to `placegraph city`."""
-    app.command("embed")(embed)
-    app.command("stores")(stores)
 
 
 def embed(
     map_file: MapFile,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File to write, such as monaco.vectors.")
+        Path | None, Option("--out", "-o", help="File to write, such as monaco.vectors.")
     ] = None,
     store: Annotated[
         str | None,
-        typer.Option(help="Milvus server to load instead: http://[user:password@]host:port."),
+        Option(help="Milvus server to load instead: http://[user:password@]host:port."),
     ] = None,
     name: Annotated[
-        str | None, typer.Option(help="Name of the store on the server; the map's if not given.")
+        str | None, Option(help="Name of the store on the server; the map's if not given.")
     ] = None,
-    bits: Annotated[int, typer.Option(help="Bits of a number in a file: 8, 16 or 32.")] = 16,
+    bits: Annotated[int, Option(help="Bits of a number in a file: 8, 16 or 32.")] = 16,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a load into a server that broke off.")
+        bool, Option("--resume", help="Go on with a load into a server that broke off.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -59,13 +53,11 @@ def embed(
         check_uri(store)
     city = CityMap.open(map_file)
     start = perf_counter()
-    with progress_bar(hidden=quiet or as_json) as progress:
-        task = progress.add_task("embedding")
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("embedding")
         made = city.encoded.keep(
             store or out or "", name=name or map_file.stem, bits=bits, resume=resume,
-            progress=lambda step, done, total: progress.update(
-                task, description=f"{step} {done:,} of {total:,} cells"
-            ),
+            progress=lambda step, done, total: tell(f"{step} {done:,} of {total:,} cells"),
         )  # fmt: skip
     seconds = perf_counter() - start
     with made:
@@ -78,19 +70,19 @@ def embed(
             "seconds": round(seconds, 3),
         }
     if as_json:
-        typer.echo(json.dumps(told))
+        click.echo(json.dumps(told))
     elif not quiet:
         size = f", {told['bytes']:,} bytes" if out else ""
-        typer.echo(
+        click.echo(
             f"{told['store']}: {told['cells']:,} cells, {told['dimension']} numbers each, version "
             f"{told['version']}{size}, in {seconds:.1f} s."
         )
 
 
 def stores(
-    uri: Annotated[str, typer.Argument(help="Milvus server: http://[user:password@]host:port.")],
+    uri: Annotated[str, Argument(help="Milvus server: http://[user:password@]host:port.")],
     drop: Annotated[
-        str | None, typer.Option(help="Remove this collection, whole or half loaded.")
+        str | None, Option(help="Remove this collection, whole or half loaded.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -104,14 +96,14 @@ def stores(
 
     if drop is not None:
         dropped = drop_store(uri, drop)
-        typer.echo(json.dumps(asdict(dropped)) if as_json else f"{dropped.collection} is dropped.")
+        click.echo(json.dumps(asdict(dropped)) if as_json else f"{dropped.collection} is dropped.")
         return
     found = list_stores(uri)
     if as_json:
-        typer.echo(json.dumps([asdict(info) for info in found]))
+        click.echo(json.dumps([asdict(info) for info in found]))
         return
     for info in found:
         state = "" if info.complete else "  (half loaded: embed with --resume, or --drop it)"
-        typer.echo(f"{info.collection}  {info.rows:,} cells of {info.name}{state}")
+        click.echo(f"{info.collection}  {info.rows:,} cells of {info.name}{state}")
     if not found:
-        typer.echo("No stores of placegraph's.")
+        click.echo("No stores of placegraph's.")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
-from placegraph.errors import DescriptionError, OptionError
+from placegraph.cli.city.options import MapFile, Near, Radius, Top, lonlat
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson
+from placegraph.errors import DescriptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,28 +22,19 @@ if TYPE_CHECKING:
 PROMPT = "> "
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `placegraph city`."""
-    app.command("track")(track)
-
-
 def track(
-    map_file: Annotated[
-        Path, typer.Argument(help="City map (.city), made by `placegraph city build`.")
-    ],
-    near: Annotated[str | None, typer.Option(help="LON,LAT you start near, with --radius.")] = None,
-    radius: Annotated[
-        float, typer.Option(help="Radius of --near [m]: half of the prior lies within.")
-    ] = 1000.0,
+    map_file: MapFile,
+    near: Near = None,
+    radius: Radius = 1000.0,
     heading_deg: Annotated[
-        float | None, typer.Option(help="Where you look at first, clockwise from north.")
+        float | None, Option(help="Where you look at first, clockwise from north.")
     ] = None,
-    top: Annotated[int, typer.Option(help="How many places at most.")] = 5,
+    top: Top = 5,
     as_json: AsJson = False,
     html: Annotated[
-        Path | None, typer.Option(help="Write a page of the last estimate, without a network.")
+        Path | None, Option(help="Write a page of the last estimate, without a network.")
     ] = None,
-    png: Annotated[Path | None, typer.Option(help="Write a picture of the last estimate.")] = None,
+    png: Annotated[Path | None, Option(help="Write a picture of the last estimate.")] = None,
 ) -> None:
     """Follow you through a city, a sentence a line.
 
@@ -58,7 +51,7 @@ def track(
     city = CityMap.open(map_file)
     tracker = CityTracker(
         city,
-        near=_lonlat(near),
+        near=lonlat(near, "--near"),
         radius=radius,
         heading=None if heading_deg is None else radians(heading_deg),
         top=top,
@@ -70,13 +63,13 @@ def track(
         except DescriptionError as error:
             if not asked:
                 raise
-            typer.echo(str(error), err=True)  # there is another line to come
+            click.echo(str(error), err=True)  # there is another line to come
             continue
         if as_json:
             said = {"said": line} | estimate.to_dict() | {"elsewhere": tracker.elsewhere}
-            typer.echo(json.dumps(said, ensure_ascii=False))
+            click.echo(json.dumps(said, ensure_ascii=False))
         else:
-            typer.echo(_told(estimate))
+            click.echo(_told(estimate))
     if html is not None:
         from placegraph.view import write_page
 
@@ -91,7 +84,7 @@ def _lines(*, asked: bool) -> Iterator[str]:
     """Lines of the input that say something, up to its end or "quit"."""
     while True:
         if asked:
-            typer.echo(PROMPT, nl=False, err=True)
+            click.echo(PROMPT, nl=False, err=True)
         line = sys.stdin.readline()
         if not line or line.strip().lower() in ("quit", "exit"):
             return
@@ -109,15 +102,3 @@ def _told(estimate: CityEstimate) -> str:
         f"{estimate.status.name:9} {best.latitude:.5f}, {best.longitude:.5f} "
         f"{best.probability:6.1%}  ±{sigma:.0f} m  {estimate.reason}"
     )
-
-
-def _lonlat(value: str | None) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    try:
-        longitude, latitude = (float(part) for part in value.split(","))
-    except ValueError as error:
-        raise OptionError(
-            f"--near is {value!r}; give longitude and latitude as 7.42,43.73."
-        ) from error
-    return longitude, latitude

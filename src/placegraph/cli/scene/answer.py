@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from dataclasses import dataclass
 from math import degrees, hypot, sqrt
 from typing import TYPE_CHECKING
 
-import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
+import click
+
+from placegraph.cli.common import console, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from placegraph.estimate import PoseEstimate, PoseMode, Refinement
@@ -60,7 +57,7 @@ class Files:
 
             write_overlay(scene, estimate, chosen, self.overlay, device=device)
         elif self.overlay is not None:
-            typer.echo(f"{self.overlay} is not written: there is no pose to show.", err=True)
+            click.echo(f"{self.overlay} is not written: there is no pose to show.", err=True)
 
 
 def write_tum_of(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
@@ -77,23 +74,23 @@ def write_tum_of(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
 
 def show(estimate: PoseEstimate, *, before: str = "coarse pose") -> None:
     """Print an estimate so that a person can read it; `before`: what was refined."""
-    console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
-    console.print(f"{estimate.status.name}: {estimate.reason}")
+    out = console()
+    out.print(f"{estimate.status.name}: {estimate.reason}")
     for rank, mode in enumerate(estimate.modes, 1):
         if rank == 1 or mode.probability >= LEAST:
-            console.print(f"{rank}. {pose_words(mode)}")
+            out.print(f"{rank}. {pose_words(mode)}")
     if estimate.refinement is not None:
-        console.print(refinement_words(estimate.refinement, before))
+        out.print(refinement_words(estimate.refinement, before))
     of_objects = [e for e in estimate.evidence if e.objects]
     of_senses = [e for e in estimate.evidence if not e.objects]
     if estimate.evidence:
-        table = Table("", "evidence", "nat", "", box=None, pad_edge=False)
+        rows = table("", "evidence", "nat", "")
         for e in [*of_objects[:MOST_OBJECTS], *of_senses]:
             sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
-            table.add_row(sign, e.statement, f"{e.weight:+.1f}" if e.objects else "", e.note)
-        console.print(table)
+            rows.add_row(sign, e.statement, f"{e.weight:+.1f}" if e.objects else "", e.note)
+        out.print(rows)
     if len(of_objects) > MOST_OBJECTS:
-        console.print(f"and {len(of_objects) - MOST_OBJECTS} more objects (--json names them)")
+        out.print(f"and {len(of_objects) - MOST_OBJECTS} more objects (--json names them)")
 
 
 def pose_words(mode: PoseMode) -> str:
@@ -115,22 +112,3 @@ def refinement_words(refinement: Refinement, before: str = "coarse pose") -> str
         return f"{refinement.reason} The pose moved by {way}."
     away = f"; the one refused lies {way} from it" if shift > 0.002 or turn > 0.1 else ""
     return f"{refinement.reason} The {before} stands{away}."
-
-
-@contextmanager
-def progress_of(*, hidden: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """Spinner, bar and time, on stderr, gone when done; yields what the wing tells its steps."""
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=28),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True)
-    hidden = hidden or not console.is_terminal  # never there for a file or a pipe
-    bar = Progress(*columns, console=console, disable=hidden, transient=True)
-    with bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda step, done, total: bar.update(
-            task, description=step, completed=done, total=total
-        )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
-from placegraph.cli.scene.answer import progress_of
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, progress_of
 from placegraph.cli.scene.facts import facts
 from placegraph.cli.scene.query import rows_of
 from placegraph.errors import OptionError
@@ -27,43 +27,41 @@ _YES, _NO = frozenset({"true", "yes", "on"}), frozenset({"false", "no", "off"})
 def build(
     source: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="Mesh with objects (.glb, .gltf, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph "
             "of SceneGraphFusion or Spark-DSG, or an RGB-D capture with poses of any known recorder."
         ),
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Map file to write, such as house.scene.")
-    ],
+    out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as house.scene.")],
     labels: Annotated[
-        Path | None, typer.Option(help="JSON file with the label of each object id or name.")
+        Path | None, Option(help="JSON file with the label of each object id or name.")
     ] = None,
     floor: Annotated[
-        float | None, typer.Option(help="Height of the floor [m]; found if not given.")
+        float | None, Option(help="Height of the floor [m]; found if not given.")
     ] = None,
     up: Annotated[
-        str, typer.Option(help="Axis of a mesh that points up: auto (GLB y, others z), y or z.")
+        str, Option(help="Axis of a mesh that points up: auto (GLB y, others z), y or z.")
     ] = "auto",
     scale: Annotated[
         float | None,
-        typer.Option(help="Metres in one unit of a mesh: 0.001 for millimetres."),
+        Option(help="Metres in one unit of a mesh: 0.001 for millimetres."),
     ] = None,
     detail: Annotated[
         str,
-        typer.Option(help="How much is kept: full (every triangle), fine, default, small, tiny."),
+        Option(help="How much is kept: full (every triangle), fine, default, small, tiny."),
     ] = "default",
     error: Annotated[
-        float | None, typer.Option(help="Greatest error of the surface [m], instead of --detail's.")
+        float | None, Option(help="Greatest error of the surface [m], instead of --detail's.")
     ] = None,
     texel: Annotated[
-        float | None, typer.Option(help="Length of a texel on surfaces [m], instead of --detail's.")
+        float | None, Option(help="Length of a texel on surfaces [m], instead of --detail's.")
     ] = None,
     object_property: Annotated[
-        str | None, typer.Option(help="Property of a PLY that holds object ids, such as objectId.")
+        str | None, Option(help="Property of a PLY that holds object ids, such as objectId.")
     ] = None,
     segment: Annotated[
         bool | None,
-        typer.Option(
+        Option(
             "--segment/--no-segment",
             help="Cut a mesh into objects by geometry and colour; if not given, only a large mesh "
             "that is one object without a name.",
@@ -71,26 +69,26 @@ def build(
     ] = None,
     frames: Annotated[
         str | None,
-        typer.Option(help="Frames of a capture that are used, such as 0:186 or ::5; all if none."),
+        Option(help="Frames of a capture that are used, such as 0:186 or ::5; all if none."),
     ] = None,
     poses: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Poses of a capture: odometry, trajectory, or a TUM file; if not given, "
             "trajectory.tum where there is one, else the recorder's own."
         ),
     ] = None,
     voxel: Annotated[
         float | None,
-        typer.Option(help="Edge of a voxel that depth is fused into [m]; 0.03 if not given."),
+        Option(help="Edge of a voxel that depth is fused into [m]; 0.03 if not given."),
     ] = None,
     segmenter: Annotated[
         Path | None,
-        typer.Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
+        Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
     ] = None,
     reader: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--reader",
             help="Option of a data set's reader, as reference_frame=true (3RScan) or "
             "label_column=nyu40class (ScanNet); may be repeated.",
@@ -130,7 +128,7 @@ def build(
             **facts(scene), "left_out": left_out, "notes": notes, "bytes": out.stat().st_size,
             "seconds": round(seconds, 3),
         }  # fmt: skip
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         _summary(scene, out, seconds, notes, left_out)
 
@@ -141,16 +139,16 @@ def _summary(
     from placegraph.indoor.map.scene_file import bytes_of
 
     parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in bytes_of(out).items())
-    typer.echo(
+    click.echo(
         f"{out}: {len(scene):,} objects, {len(scene.mesh):,} triangles, floor at "
         f"{scene.floors[0]:.2f} m, {out.stat().st_size / 1e3:,.0f} kB ({parts}), built in "
         f"{seconds:.1f} s."
     )
     for note in notes:
-        typer.echo(note)
+        click.echo(note)
     if left_out:
         counts = ", ".join(f"{n:,} {why}" for why, n in left_out.items() if n)
-        typer.echo(f"Left out: {counts}.")
+        click.echo(f"Left out: {counts}.")
 
 
 def _detail(name: str, error: float | None, texel: float | None) -> Detail:

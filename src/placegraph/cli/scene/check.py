@@ -6,11 +6,11 @@ import json
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-from rich.console import Console
+import click
 
-from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
-from placegraph.cli.scene.query import MapFile  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson, console
+from placegraph.cli.scene.query import MapFile
 from placegraph.errors import MapError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def check(
     map_file: MapFile,
     height: Annotated[
         list[float] | None,
-        typer.Option(
+        Option(
             help="Height above the floor at which cameras will be [m], 1.5 to 1.8 if not given; may be "
             "repeated."
         ),
@@ -56,24 +56,24 @@ def check(
             "errors": errors,
             "findings": [f.to_dict() for f in findings],
         }
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(told, ensure_ascii=False))
     else:
         _show(findings)
-        typer.echo(
+        click.echo(
             f"{map_file}: {len(scene):,} objects, {len(scene.mesh):,} triangles, "
             f"{size / 1e3:,.0f} kB, opened in {opened:.2f} s; "
             + (f"{errors} error{'s' * (errors != 1)}." if errors else "nothing to fail by.")
         )
     if errors:
-        raise typer.Exit(MapError.exit_code)
+        raise click.exceptions.Exit(MapError.exit_code)
 
 
 def _show(findings: list[Finding]) -> None:
-    console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+    out = console()
     for f in findings:
-        console.print(f"{f.severity}: {f.what}")
+        out.print(f"{f.severity}: {f.what}")
         if f.objects:
             more = " ..." if len(f.objects) > MOST_IDS else ""
-            console.print(f"    objects: {', '.join(f.objects[:MOST_IDS])}{more}")
+            out.print(f"    objects: {', '.join(f.objects[:MOST_IDS])}{more}")
         if f.mend:
-            console.print(f"    mend: {f.mend}")
+            out.print(f"    mend: {f.mend}")

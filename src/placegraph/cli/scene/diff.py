@@ -7,12 +7,10 @@ from math import isfinite, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-from rich.console import Console
-from rich.table import Table
+import click
 
-from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
-from placegraph.cli.scene.answer import progress_of
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, console, progress_of, table
 from placegraph.cli.scene.query import (
     Frames,
     MapFile,
@@ -37,17 +35,17 @@ MOST_IDS = 8
 MAP_ENDING = ".scene"
 
 Later = Annotated[
-    Path, typer.Argument(help="The later look: a scene map (.scene), or a capture in the place.")
+    Path, Argument(help="The later look: a scene map (.scene), or a capture in the place.")
 ]
 Axes = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--b-from-a",
         help="X,Y,Z,YAW_DEG: where the first map's origin lies in the second, and how it is turned; "
         "found if not given.",
     ),
 ]
-LeastShift = Annotated[float, typer.Option(help="What moved less than this stayed [m].")]
+LeastShift = Annotated[float, Option(help="What moved less than this stayed [m].")]
 
 
 def diff(
@@ -61,9 +59,9 @@ def diff(
     seed: Seed = 0,
     as_json: AsJson = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write the diff as JSON, for scene update.")
+        Path | None, Option("--out", "-o", help="Write the diff as JSON, for scene update.")
     ] = None,
-    png: Annotated[Path | None, typer.Option(help="Write a plan with what changed.")] = None,
+    png: Annotated[Path | None, Option(help="Write a plan with what changed.")] = None,
     quiet: NoProgress = False,
 ) -> None:
     """Name what moved, appeared and vanished, from a map to a later map or capture of the place.
@@ -86,7 +84,7 @@ def diff(
 
         write_diff(scene, found, png)
     if as_json:
-        typer.echo(json.dumps(found.to_dict(), ensure_ascii=False))
+        click.echo(json.dumps(found.to_dict(), ensure_ascii=False))
     else:
         show(found)
 
@@ -94,30 +92,30 @@ def diff(
 def update(
     map_file: MapFile,
     diff_file: Annotated[
-        Path | None, typer.Argument(help="JSON file that `placegraph scene diff -o` wrote.")
+        Path | None, Argument(help="JSON file that `placegraph scene diff -o` wrote.")
     ] = None,
     later: Annotated[
         Path | None,
-        typer.Option("--from", help="Instead of a diff: a later map or capture of the place."),
+        Option("--from", help="Instead of a diff: a later map or capture of the place."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Map file to write, such as new.scene.")
+        Path | None, Option("--out", "-o", help="Map file to write, such as new.scene.")
     ] = None,
     in_place: Annotated[
-        bool, typer.Option("--in-place", help="Replace the map itself; it is kept as NAME.bak.")
+        bool, Option("--in-place", help="Replace the map itself; it is kept as NAME.bak.")
     ] = False,
     take: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Kinds (moved, appeared, vanished, relabelled) or ids that are taken over; may be "
             "repeated. All kinds if not given."
         ),
     ] = None,
     least_confidence: Annotated[
-        float, typer.Option(help="What is less sure than this is left alone.")
+        float, Option(help="What is less sure than this is left alone.")
     ] = 0.5,
     when: Annotated[
-        str, typer.Option(help="When it changed, for the objects' history: 2026-11-21.")
+        str, Option(help="When it changed, for the objects' history: 2026-11-21.")
     ] = "",
     frames: Frames = None,
     axes: Axes = None,
@@ -156,17 +154,17 @@ def update(
     told = [id_ for id_, a in zip(new.graph.ids, new.attributes, strict=True) if "history" in a]
     if as_json:
         facts = {"map": str(target), "objects": len(new), "changes": len(found), "told": told}
-        typer.echo(json.dumps(facts, ensure_ascii=False))
+        click.echo(json.dumps(facts, ensure_ascii=False))
     elif not quiet:
-        typer.echo(f"{target}: {len(new):,} objects, {len(found):,} changes in the diff.")
+        click.echo(f"{target}: {len(new):,} objects, {len(found):,} changes in the diff.")
         if found and not told:
-            typer.echo(
+            click.echo(
                 f"None of them is taken over; the two are laid on each other: {found.alignment}."
             )
         for id_, attributes in zip(new.graph.ids, new.attributes, strict=True):
             if id_ in told:
                 label = new.graph.labels[new.row_of(id_)]
-                typer.echo(f"  {label} {id_!r}: {attributes['history']}")
+                click.echo(f"  {label} {id_!r}: {attributes['history']}")
 
 
 def compared(
@@ -197,20 +195,20 @@ def compared(
 
 def show(found: SceneDiff) -> None:
     """Print a diff so that a person can read it."""
-    console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
-    console.print(f"{found.before or 'The map'} and {found.after or 'a later look'}: {found!r}")
-    console.print(f"Laid on each other: {found.alignment}.")
+    out = console()
+    out.print(f"{found.before or 'The map'} and {found.after or 'a later look'}: {found!r}")
+    out.print(f"Laid on each other: {found.alignment}.")
     if len(found):
-        table = Table("change", "object", "by", "sure", "", box=None, pad_edge=False)
+        rows = table("change", "object", "by", "sure", "")
         for c in found:
             thing = f"{c.label} {c.name or c.id or c.other}".strip()
             by = f"{c.shift_m:.2f} m, {c.turn_deg:.0f}°" if c.kind == "moved" else ""
             by = f"{c.new_label!r} now" if c.kind == "relabelled" else by
-            table.add_row(c.kind, thing, by, f"{c.confidence:.0%}", c.reason)
-        console.print(table)
+            rows.add_row(c.kind, thing, by, f"{c.confidence:.0%}", c.reason)
+        out.print(rows)
     if found.unseen:
         more = ", ..." if len(found.unseen) > MOST_IDS else ""
-        console.print(
+        out.print(
             f"Unseen, so that nothing can be told of them: {len(found.unseen)} objects "
             f"({', '.join(found.unseen[:MOST_IDS])}{more})."
         )

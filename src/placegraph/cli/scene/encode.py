@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson, Quiet, echo_json
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
 from placegraph.cli.encoders import (
     WITH_CAPTURES,
     WeightsFile,
     encoders_of,
 )
-from placegraph.cli.scene.answer import progress_of
 from placegraph.cli.scene.query import Frames, MapFile, chosen_frames
 from placegraph.errors import OptionError
 
@@ -30,12 +30,10 @@ _BEYOND = 1.0  # how far outside a map's box its cameras may stand [m]
 
 def encode(
     map_file: MapFile,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Map file to write; the same one will do.")
-    ],
+    out: Annotated[Path, Option("--out", "-o", help="Map file to write; the same one will do.")],
     encoder: Annotated[
         str,
-        typer.Option(
+        Option(
             help="labels, appearance and compact know objects by the map alone; features and "
             "scenegraphloc (extra `learn`) by images of it, --captures."
         ),
@@ -43,13 +41,13 @@ def encode(
     weights: WeightsFile = None,
     captures: Annotated[
         list[Path] | None,
-        typer.Option(
+        Option(
             help="Folder of a capture of the map itself, with poses in the map; may be repeated."
         ),
     ] = None,
     poses: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Poses of the captures, map_from_camera: odometry, trajectory, or a TUM file, as "
             "`scene localize --tum` writes; if not given, trajectory.tum where there is one, else "
             "the recorder's own."
@@ -158,7 +156,7 @@ def _say(
             "known": known, "images": images, "bytes": size, "seconds": round(seconds, 3),
         })  # fmt: skip
     elif not quiet:
-        typer.echo(
+        click.echo(
             f"{out}: {known:,} of {objects:,} objects have vectors of {made.dimension} numbers by "
             f"{made.key}, {size / 1e3:,.0f} kB, encoded in {seconds:.1f} s."
         )

@@ -7,10 +7,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
-from placegraph.cli.scene.query import MapFile  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet
+from placegraph.cli.scene.query import MapFile
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 CameraPaths = Annotated[
     list[Path] | None,
-    typer.Option(
+    Option(
         "--camera-path",
         help="Way of a camera: TUM text (map_from_camera), or what `scene localize --json` "
         "printed; may be repeated.",
@@ -29,10 +30,10 @@ CameraPaths = Annotated[
 
 def export(
     map_file: MapFile,
-    out: Annotated[Path, typer.Argument(help="File to write; .glb, .ply or .json says what.")],
+    out: Annotated[Path, Argument(help="File to write; .glb, .ply or .json says what.")],
     camera_path: CameraPaths = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace OUT even if no earlier export wrote it.")
+        bool, Option("--force", help="Replace OUT even if no earlier export wrote it.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -69,12 +70,12 @@ def export(
             "triangles": len(scene.mesh),
             "lost": losses(scene, out),
         }
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         for name, size in sizes.items():
-            typer.echo(f"{name}: {size / 1e3:,.0f} kB.")
+            click.echo(f"{name}: {size / 1e3:,.0f} kB.")
         for sentence in losses(scene, out):
-            typer.echo(sentence)
+            click.echo(sentence)
 
 
 def camera_paths(files: list[Path] | None) -> dict[str, NDArray[np.float64]]:

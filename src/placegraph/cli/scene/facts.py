@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
+from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, show_facts
-from placegraph.cli.scene.query import MapFile  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.scene.query import MapFile
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
@@ -20,7 +21,7 @@ def info(
     map_file: MapFile,
     as_json: AsJson = False,
     png: Annotated[
-        Path | None, typer.Option(help="Write a plan with names; of merged scenes, of the first.")
+        Path | None, Option(help="Write a plan with names; of merged scenes, of the first.")
     ] = None,
 ) -> None:
     """Say what a scene map holds, and how many bytes its parts take.
@@ -37,7 +38,7 @@ def info(
 
         draw_scene(scene, png)
     if as_json:
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(told, ensure_ascii=False))
     else:
         show_facts(told)
 

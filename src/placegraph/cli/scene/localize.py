@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from math import isfinite, log, radians, sqrt
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
-from placegraph.cli.scene.answer import Files, progress_of, show
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson, progress_of
+from placegraph.cli.scene.answer import Files, show
 from placegraph.cli.scene.query import (
+    KNOWN,
+    REFINED,
+    USED,
+    WRITTEN,
     CaptureFolder,
     Device,
     Frames,
@@ -43,57 +48,64 @@ def localize(
     seed: Seed = 0,
     near: Annotated[
         str | None,
-        typer.Option(help="X,Y or X,Y,Z [m, map] the first frame is known to be near."),
+        Option(help="X,Y or X,Y,Z [m, map] the first frame is known to be near.", panel=KNOWN),
     ] = None,
     radius: Annotated[
-        float, typer.Option(help="Radius of --near [m]: half of the prior lies within.")
+        float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
     ] = 1.0,
     yaw_deg: Annotated[
         float | None,
-        typer.Option(help="With --near: about where it looks, counter-clockwise from x."),
+        Option(help="With --near: about where it looks, counter-clockwise from x.", panel=KNOWN),
     ] = None,
     description: Annotated[
         str | None,
-        typer.Option(help="What is known of the place: 'next to the sofa, facing the window'."),
+        Option(
+            help="What is known of the place: 'next to the sofa, facing the window'.", panel=KNOWN
+        ),
     ] = None,
     encoder: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="What says which objects a patch may show: labels, appearance, compact; "
-            "the capture's own labels if not given."
+            "the capture's own labels if not given.",
+            panel=USED,
         ),
     ] = None,
     height: Annotated[
         list[float] | None,
-        typer.Option(help="Height of the camera above the floor [m]; may be repeated."),
+        Option(help="Height of the camera above the floor [m]; may be repeated.", panel=KNOWN),
     ] = None,
     semantic: Annotated[
-        bool, typer.Option("--semantic/--no-semantic", help="Use the labels of the frames.")
+        bool, Option("--semantic/--no-semantic", help="Use the labels of the frames.", panel=USED)
     ] = True,
     depth: UseDepth = True,
     colour: UseColour = True,
     coarse: Annotated[
-        bool, typer.Option("--coarse", help="No polish: the filter alone, faster, less exact.")
+        bool,
+        Option("--coarse", help="No polish: the filter alone, faster, less exact.", panel=REFINED),
     ] = False,
     refine: Annotated[
-        bool, typer.Option("--refine/--no-refine", help="Fit the pose to depth and images.")
+        bool,
+        Option("--refine/--no-refine", help="Fit the pose to depth and images.", panel=REFINED),
     ] = True,
     matcher: MatcherName = "auto",
     weights: Weights = None,
     every: Annotated[
-        float, typer.Option(help="Keyframes: least time between frames [s]; 0 takes all.")
+        float, Option(help="Keyframes: least time between frames [s]; 0 takes all.", panel=USED)
     ] = 0.0,
     device: Device = "auto",
     as_json: AsJson = False,
     png: Annotated[
-        Path | None, typer.Option(help="Write a plan with the particles of every pass.")
+        Path | None, Option(help="Write a plan with the particles of every pass.", panel=WRITTEN)
     ] = None,
-    gif: Annotated[Path | None, typer.Option(help="Write the plan as an animation.")] = None,
+    gif: Annotated[
+        Path | None, Option(help="Write the plan as an animation.", panel=WRITTEN)
+    ] = None,
     overlay: OverlayFile = None,
     tum: TumFile = None,
     record: Annotated[
         Path | None,
-        typer.Option(help="Write the run with all particles, for `scene view --run`."),
+        Option(help="Write the run with all particles, for `scene view --run`.", panel=WRITTEN),
     ] = None,
     quiet: NoProgress = False,
 ) -> None:
@@ -128,7 +140,7 @@ def localize(
         tell("drawing", 0, 1)
         Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
     if as_json:
-        typer.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
+        click.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
     else:
         show(estimate)
 

@@ -5,59 +5,67 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from placegraph.cli.command import Argument, Option
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.refine.matching import Matcher
 
-MapFile = Annotated[
-    Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
-]
+KNOWN = "What is known"
+USED = "What is used of the frames"
+REFINED = "How the pose is refined"
+WRITTEN = "What is written"
+
+MapFile = Annotated[Path, Argument(help="Scene map (.scene), made by `placegraph scene build`.")]
 CaptureFolder = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         help="Folder with rgb/, camera.json, odometry.tum (depth/ and labels help), or what another "
         "recorder wrote: Record3D, Polycam, Stray Scanner, ScanNet, ..."
     ),
 ]
 Frames = Annotated[
     str | None,
-    typer.Option(help="Which frames, as in Python: 10:20, -5:, ::2; 7 is frame 7 alone."),
+    Option(help="Which frames, as in Python: 10:20, -5:, ::2; 7 is frame 7 alone.", panel=USED),
 ]
-Seed = Annotated[int, typer.Option(help="The same seed gives the same answer.")]
-Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
-UseDepth = Annotated[bool, typer.Option("--depth/--no-depth", help="Use depth images.")]
+Seed = Annotated[int, Option(help="The same seed gives the same answer.")]
+Device = Annotated[str, Option(help="auto, cpu or cuda.")]
+UseDepth = Annotated[bool, Option("--depth/--no-depth", help="Use depth images.", panel=USED)]
 UseColour = Annotated[
-    bool, typer.Option("--colour/--no-colour", help="Use colours where the map has some.")
+    bool, Option("--colour/--no-colour", help="Use colours where the map has some.", panel=USED)
 ]
 MatcherName = Annotated[
     str,
-    typer.Option(
+    Option(
         help="What matches images with renderings of the map where depth does not fix the pose: "
-        "auto or guided (nothing to install), sift, xfeat, roma, romav2."
+        "auto or guided (nothing to install), sift, xfeat, roma, romav2.",
+        panel=REFINED,
     ),
 ]
 Weights = Annotated[
     Path | None,
-    typer.Option(help="File with the weights of --matcher xfeat or roma; else from its own hub."),
+    Option(
+        help="File with the weights of --matcher xfeat or roma; else from its own hub.",
+        panel=REFINED,
+    ),
 ]
 PlanFile = Annotated[
-    Path | None, typer.Option(help="Write a plan with the pose and the way to it.")
+    Path | None, Option(help="Write a plan with the pose and the way to it.", panel=WRITTEN)
 ]
 TumFile = Annotated[
-    Path | None, typer.Option(help="Write every frame's pose, map_from_camera, as TUM text.")
+    Path | None,
+    Option(help="Write every frame's pose, map_from_camera, as TUM text.", panel=WRITTEN),
 ]
 OverlayFile = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         help="Write a picture of the last frame with the map's edges on it, at the pose answered "
-        "and before the refinement: whether it is right, at a glance."
+        "and before the refinement: whether it is right, at a glance.",
+        panel=WRITTEN,
     ),
 ]
-NoProgress = Annotated[bool, typer.Option("--quiet", help="No progress.")]
+NoProgress = Annotated[bool, Option("--quiet", help="No progress.")]
 
 _OWN = ("auto", "guided")  # without weights; the refiner makes them as each round wants them
 

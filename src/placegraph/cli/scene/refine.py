@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.common import AsJson  # noqa: TC001  # Typer reads the annotations
-from placegraph.cli.scene.answer import Files, progress_of, show
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson, progress_of
+from placegraph.cli.scene.answer import Files, show
 from placegraph.cli.scene.pose import map_from_camera_of, pose_of_estimate, read_estimate
 from placegraph.cli.scene.query import (
     CaptureFolder,
@@ -40,16 +41,16 @@ def refine(
     capture: CaptureFolder,
     pose: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="X,Y,Z,YAW_DEG[,PITCH_DEG,ROLL_DEG] of the camera at the last frame, in the map "
             "[m], to about 0.3 m and 15 degrees; without pitch and roll gravity gives them."
         ),
     ] = None,
     estimate: Annotated[
         Path | None,
-        typer.Option(help="JSON file of what `scene localize --json` printed, instead of --pose."),
+        Option(help="JSON file of what `scene localize --json` printed, instead of --pose."),
     ] = None,
-    mode: Annotated[int, typer.Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
+    mode: Annotated[int, Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
     frames: Frames = None,
     seed: Seed = 0,
     depth: UseDepth = True,
@@ -100,7 +101,7 @@ def refine(
         files = Files(title, png=png, tum=tum, overlay=overlay)
         files.write(scene, refined, chosen, device=device)
     if as_json:
-        typer.echo(json.dumps(refined.to_dict(), ensure_ascii=False))
+        click.echo(json.dumps(refined.to_dict(), ensure_ascii=False))
     else:
         show(refined, before="pose given")
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import click
 import numpy as np
-import typer
 
-from placegraph.cli.common import AsJson, Quiet  # noqa: TC001  # Typer reads the annotations
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet
 from placegraph.cli.scene.pose import map_from_camera_of, pose_of_estimate, read_estimate
 from placegraph.errors import InputError, OptionError
 
@@ -39,49 +40,47 @@ class Source:
 
 def render(
     map_file: Annotated[
-        Path, typer.Argument(help="Scene map (.scene), made by `placegraph scene build`.")
+        Path, Argument(help="Scene map (.scene), made by `placegraph scene build`.")
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for the pictures; made if need be.")
-    ],
+    out: Annotated[Path, Option("--out", "-o", help="Folder for the pictures; made if need be.")],
     pose: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="X,Y,Z,YAW_DEG[,PITCH_DEG,ROLL_DEG] of the camera in the map [m]: yaw is "
             "counter-clockwise from x, pitch is up, roll is right side down."
         ),
     ] = None,
     tum: Annotated[
         Path | None,
-        typer.Option(help="TUM file of poses map_from_camera, as `scene localize --tum` writes."),
+        Option(help="TUM file of poses map_from_camera, as `scene localize --tum` writes."),
     ] = None,
     row: Annotated[
         int | None,
-        typer.Option(
+        Option(
             help="With --tum: row of the file from 0, -1 is the last. Without it the row with the "
             "frame's stamp, or, without --frame, the last."
         ),
     ] = None,
     estimate: Annotated[
-        Path | None, typer.Option(help="JSON file of what `scene localize --json` printed.")
+        Path | None, Option(help="JSON file of what `scene localize --json` printed.")
     ] = None,
-    mode: Annotated[int, typer.Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
+    mode: Annotated[int, Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
     camera: Annotated[
-        Path | None, typer.Option(help="camera.json with the intrinsics of the picture.")
+        Path | None, Option(help="camera.json with the intrinsics of the picture.")
     ] = None,
     capture: Annotated[
         Path | None,
-        typer.Option(help="Capture folder: its camera, and a frame to lay the map over."),
+        Option(help="Capture folder: its camera, and a frame to lay the map over."),
     ] = None,
     frame: Annotated[
         int | None,
-        typer.Option(
+        Option(
             help="With --capture: frame from 0, -1 is the last. Without it the last, or the one "
             "that an estimate is of."
         ),
     ] = None,
-    samples: Annotated[int, typer.Option(help="Rays a pixel at edges: 1, 2, 4, 8 or 16.")] = 4,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    samples: Annotated[int, Option(help="Rays a pixel at edges: 1, 2, 4, 8 or 16.")] = 4,
+    device: Annotated[str, Option(help="auto, cpu or cuda.")] = "auto",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -112,10 +111,10 @@ def render(
     files = _write(scene, drawn, map_from_camera, chosen, out)
     told = _told(scene, drawn, map_from_camera, chosen, files)
     if as_json:
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
-        typer.echo(f"{out}: {', '.join(file.name for file in files)}.")
-        typer.echo(_seen(told))
+        click.echo(f"{out}: {', '.join(file.name for file in files)}.")
+        click.echo(_seen(told))
 
 
 def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: int | None) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
-from placegraph.cli.scene.answer import progress_of
+from placegraph.cli.command import Option
+from placegraph.cli.common import progress_of
 from placegraph.cli.scene.export import CameraPaths, camera_paths
 from placegraph.cli.scene.query import (
     Device,
@@ -29,18 +30,18 @@ def view(
     map_file: MapFile,
     capture: Annotated[
         Path | None,
-        typer.Option(help="Capture to localize first; its way and particles are shown."),
+        Option(help="Capture to localize first; its way and particles are shown."),
     ] = None,
     frames: Frames = None,
     run: Annotated[
         Path | None,
-        typer.Option(help="Recorded run to show: `scene localize --record FILE` writes it."),
+        Option(help="Recorded run to show: `scene localize --record FILE` writes it."),
     ] = None,
     camera_path: CameraPaths = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other computers look, too.")
+        str, Option(help="Address to listen at; 0.0.0.0 lets other computers look, too.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port, or the next free one.")] = 8080,
+    port: Annotated[int, Option(help="Port, or the next free one.")] = 8080,
     seed: Seed = 0,
     device: Device = "auto",
     quiet: NoProgress = False,
@@ -70,7 +71,7 @@ def view(
     elif capture is not None:
         estimate = _localized(scene, capture, frames, seed=seed, device=device, quiet=quiet)
     with open_viewer(scene, camera_paths=paths, run=estimate, host=host, port=port) as viewer:
-        typer.echo(f"{map_file} at {viewer.address} (Ctrl-C ends it)")
+        click.echo(f"{map_file} at {viewer.address} (Ctrl-C ends it)")
         wait()
 
 

@@ -1,4 +1,4 @@
-"""Options of how places are found and compared, which several commands have."""
+"""Options that several commands of `placegraph city` have."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from placegraph.cli.command import Argument, Option
+from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -14,30 +15,45 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.encoded import EncodedCity
 
+KNOWN = "What is known"
+JUDGED = "How places are found and judged"
+WRITTEN = "What is written"
+
+MapFile = Annotated[Path, Argument(help="City map (.city), made by `placegraph city build`.")]
+Top = Annotated[int, Option(help="How many places at most.")]
+Near = Annotated[
+    str | None, Option(help="LON,LAT you are known to be near, with --radius.", panel=KNOWN)
+]
+Radius = Annotated[
+    float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
+]
 Matcher = Annotated[
     str,
-    typer.Option(
+    Option(
         help="What judges places: fused (relations and network), or one alone: relational, "
-        "transformer, embedding, edit-distance."
+        "transformer, embedding, edit-distance.",
+        panel=JUDGED,
     ),
 ]
 CandidatesBy = Annotated[
     str,
-    typer.Option(
+    Option(
         help="Where places to judge come from: sparse (inverted index), dense (embeddings), both, "
-        "all, or auto: both with --store, dense in very large maps, else sparse."
+        "all, or auto: both with --store, dense in very large maps, else sparse.",
+        panel=JUDGED,
     ),
 ]
 Store = Annotated[
     str | None,
-    typer.Option(
+    Option(
         help="Vectors made by `placegraph city embed`: a file, or a Milvus server: "
-        "http://[user:password@]host:port."
+        "http://[user:password@]host:port.",
+        panel=JUDGED,
     ),
 ]
 Weights = Annotated[
     Path | None,
-    typer.Option(help="Other weights than the shipped ones, from `placegraph city train`."),
+    Option(help="Other weights than the shipped ones, from `placegraph city train`.", panel=JUDGED),
 ]
 
 
@@ -69,3 +85,16 @@ def _encoded(city: CityMap, weights: Path | None) -> EncodedCity | None:
     from placegraph.outdoor.network.network import GraphTransformer
 
     return EncodedCity(city, GraphTransformer.open(weights))
+
+
+def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
+    """Longitude and latitude of an option's text [deg]; raises `OptionError` where it is none."""
+    if value is None:
+        return None
+    try:
+        longitude, latitude = (float(part) for part in value.split(","))
+    except ValueError as error:
+        raise OptionError(
+            f"{option} is {value!r}; give longitude and latitude as 7.42,43.73."
+        ) from error
+    return longitude, latitude

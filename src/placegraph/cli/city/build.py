@@ -1,0 +1,101 @@
+"""`placegraph city build` and `placegraph city fetch`: OpenStreetMap becomes a map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from placegraph.cli.city.facts import facts
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, progress_of
+
+
+def build(
+    file: Annotated[
+        Path, Argument(help="OpenStreetMap extract: .osm.pbf, .osm, .osm.gz or .osm.bz2.")
+    ],
+    out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as monaco.city.")],
+    cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
+    stride: Annotated[
+        float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
+    ] = None,
+    edge_distance: Annotated[
+        float | None,
+        Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
+    ] = None,
+    vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a city map from an OpenStreetMap extract.
+
+    Example: placegraph city build monaco.osm.pbf -o monaco.city
+    """
+    from time import perf_counter
+
+    from placegraph.outdoor.city import build_city
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+
+    words = Vocabulary.load(vocabulary) if vocabulary else None
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("reading")
+        city = build_city(
+            file, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
+            progress=lambda step, n: tell(f"{step} {n:,} elements"),
+        )  # fmt: skip
+    seconds = perf_counter() - start
+    size = out.stat().st_size
+    summary = {**facts(city), "bytes": size, "seconds": round(seconds, 3)}
+    if as_json:
+        click.echo(json.dumps(summary))
+    elif not quiet:
+        click.echo(
+            f"{out}: {len(city.objects):,} objects in {len(city.cells):,} cells, "
+            f"{size / 1e3:,.0f} kB ({size / max(1, len(city.cells)):.0f} bytes a cell), "
+            f"built in {seconds:.1f} s."
+        )
+        if city.left_out:
+            click.echo(
+                "Left out: " + ", ".join(f"{n:,} {why}" for why, n in city.left_out.items()) + "."
+            )
+
+
+def fetch(
+    place: Annotated[str, Argument(help="Name of a place, such as 'Vaduz, Liechtenstein'.")],
+    out: Annotated[
+        Path, Option("--out", "-o", help="OpenStreetMap file to write: .osm or .osm.pbf.")
+    ],
+    overpass_url: Annotated[
+        str | None, Option(help="Another Overpass server than OSMnx's own.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Download a place's OpenStreetMap data.
+
+    From Overpass, by OSMnx (extra `osmnx`).
+
+    Example: placegraph city fetch "Vaduz, Liechtenstein" -o vaduz.osm
+    """
+    from dataclasses import asdict
+
+    from placegraph.formats.place.overpass import fetch_osm
+    from placegraph.outdoor.map.extract import keys_read
+
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("finding")
+        summary = fetch_osm(
+            place,
+            out,
+            keys=keys_read(),
+            overpass_url=overpass_url,
+            progress=lambda step, n: tell(f"{step} {n:,}"),
+        )
+    if as_json:
+        click.echo(json.dumps(asdict(summary), ensure_ascii=False))
+    elif not quiet:
+        click.echo(str(summary))

@@ -1,0 +1,165 @@
+"""Commands made of functions, and groups that import a command when it is asked for.
+
+A parameter that is annotated by `Argument` or `Option` becomes one of the command line; its type,
+its default and its name are those of the function's.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib import import_module
+from pathlib import Path
+from types import NoneType
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+OPTIONS = "Options"
+_TYPES: dict[type, click.ParamType] = {
+    Path: click.Path(path_type=Path),
+    int: click.INT,
+    float: click.FLOAT,
+    str: click.STRING,
+    bool: click.BOOL,
+}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """What stands for itself on the command line."""
+
+    help: str
+    metavar: str | None = None
+
+
+class Option:
+    """What has a name on the command line: ``--a-name`` of the parameter ``a_name``, or `names`.
+
+    `panel` is the heading of the help under which it stands, `least` the smallest number taken.
+    """
+
+    def __init__(
+        self,
+        *names: str,
+        help: str,  # noqa: A002
+        panel: str = OPTIONS,
+        least: int | None = None,
+    ) -> None:
+        self.names, self.help, self.panel, self.least = names, help, panel, least
+
+
+class Group(click.Group):
+    """Commands by name, each a function ``module:name`` that is imported when it is asked for.
+
+    `extend` returns more of them, that others bring: commands, or entry points that load one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        about: str,
+        places: Mapping[str, str | Group],
+        extend: Callable[[], Mapping[str, click.Command | Callable[..., Any]]] = dict,
+        **settings: Any,  # noqa: ANN401  # click's
+    ) -> None:
+        super().__init__(name, help=about, no_args_is_help=True, **settings)
+        self._places, self._extend = places, extend
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  # click's
+        """Names, in the order in which the help lists them."""
+        return list(dict.fromkeys((*self._places, *self._extend())))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Command of a name, None where there is none."""
+        place = self._places.get(cmd_name) or self._extend().get(cmd_name)
+        if isinstance(place, str):
+            module, _, function = place.partition(":")
+            place = getattr(import_module(module), function)
+        if place is None or isinstance(place, click.Command):
+            return place
+        return command_of(place, cmd_name)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:  # noqa: ANN401  # click's
+        """As click does, and where there is no such command, name those spelled nearly so."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = get_close_matches(args[0], self.list_commands(ctx))
+            if near:
+                error.message += f" Did you mean {' or '.join(map(repr, near))}?"
+            raise
+
+
+class _Command(click.Command):
+    """A command whose help tells of its arguments, and of its options under headings."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        panels: dict[str, list[tuple[str, str]]] = {"Arguments": []}
+        for param in self.get_params(ctx):
+            if isinstance(param, _Argument):
+                panels["Arguments"].append(param.told())
+            elif (record := param.get_help_record(ctx)) is not None:
+                panels.setdefault(getattr(param, "panel", OPTIONS), []).append(record)
+        panels[OPTIONS] = panels.pop(OPTIONS)  # the general ones, and --help, come last
+        for heading, records in panels.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
+
+
+class _Argument(click.Argument):
+    def __init__(self, *given: Any, about: str, **settings: Any) -> None:  # noqa: ANN401  # click's
+        super().__init__(*given, **settings)
+        self.about = about
+
+    def told(self) -> tuple[str, str]:
+        return self.human_readable_name, self.about + ("  [required]" if self.required else "")
+
+
+class _Option(click.Option):
+    def __init__(self, *given: Any, panel: str, **settings: Any) -> None:  # noqa: ANN401  # click's
+        super().__init__(*given, show_default=True, **settings)
+        self.panel = panel
+
+
+def command_of(function: Callable[..., Any], name: str) -> click.Command:
+    """Command of a function, whose docstring is its help."""
+    hints = get_type_hints(function, include_extras=True)
+    params = [
+        _param(param, *get_args(hints[param.name])[:2])
+        for param in inspect.signature(function).parameters.values()
+    ]
+    many = {param.name for param in params if param.multiple or param.nargs == -1}
+
+    def called(**given: Any) -> Any:  # noqa: ANN401
+        return function(**{k: (list(v) or None) if k in many else v for k, v in given.items()})
+
+    return _Command(name, callback=called, params=params, help=inspect.getdoc(function))
+
+
+def _param(param: inspect.Parameter, hint: Any, told: Argument | Option) -> Any:  # noqa: ANN401
+    (kind,) = (part for part in get_args(hint) or (hint,) if part is not NoneType)
+    several = get_origin(kind) is list
+    if get_origin(hint) is list:
+        kind, several = hint, True
+    kind = get_args(kind)[0] if several else kind
+    required = param.default is param.empty
+    settings: dict[str, Any] = {"type": _TYPES[kind], "required": required}
+    if not required:
+        settings["default"] = param.default
+    if isinstance(told, Argument):
+        settings |= {"metavar": told.metavar, "nargs": -1 if several else 1}
+        return _Argument([param.name], about=told.help, **settings)
+    if told.least is not None:
+        settings["type"] = click.IntRange(told.least)
+    names = told.names or (f"--{param.name.replace('_', '-')}",)
+    if kind is bool and not any("/" in name for name in names) and param.default is not None:
+        settings["is_flag"] = True
+    return _Option(
+        [*names, param.name], help=told.help, panel=told.panel, multiple=several, **settings
+    )

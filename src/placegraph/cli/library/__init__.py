@@ -1,0 +1,1 @@
+"""`placegraph library`: many scene maps, searched at once."""
