@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 OPTIONS = "Options"
-_TYPES: dict[type, click.ParamType] = {
+_TYPES: dict[type, Any] = {
     Path: click.Path(path_type=Path),
     int: click.INT,
     float: click.FLOAT,
@@ -56,7 +56,7 @@ class Option:
 class Group(click.Group):
     """Commands by name, each a function ``module:name`` that is imported when it is asked for.
 
-    `extend` returns more of them, that others bring: commands, or entry points that load one.
+    `extend` returns more of them, which others bring.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Group(click.Group):
         name: str,
         about: str,
         places: Mapping[str, str | Group],
-        extend: Callable[[], Mapping[str, click.Command | Callable[..., Any]]] = dict,
+        extend: Callable[[], Mapping[str, str | click.Command]] = dict,
         **settings: Any,  # noqa: ANN401  # click's
     ) -> None:
         super().__init__(name, help=about, no_args_is_help=True, **settings)
@@ -91,7 +91,8 @@ class Group(click.Group):
         except click.UsageError as error:
             near = get_close_matches(args[0], self.list_commands(ctx))
             if near:
-                error.message += f" Did you mean {' or '.join(map(repr, near))}?"
+                said = f"{error.message} Did you mean {' or '.join(map(repr, near))}?"
+                raise click.UsageError(said, ctx) from None
             raise
 
 
@@ -122,8 +123,8 @@ class _Argument(click.Argument):
 
 
 class _Option(click.Option):
-    def __init__(self, *given: Any, panel: str, **settings: Any) -> None:  # noqa: ANN401  # click's
-        super().__init__(*given, show_default=True, **settings)
+    def __init__(self, names: list[str], panel: str, **settings: Any) -> None:  # noqa: ANN401
+        super().__init__(names, **settings | {"show_default": True})
         self.panel = panel
 
 
