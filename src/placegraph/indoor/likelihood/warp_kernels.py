@@ -7,7 +7,7 @@ then over the frame (`finish`), so that the same poses get the same scores every
 
 import warp as wp
 
-from placegraph.indoor.render.warp_kernels import Surface
+from placegraph.indoor.rays.warp_kernels import Surface
 
 FARTHEST = wp.constant(wp.float32(3.0e38))
 LANES = wp.constant(16)

@@ -5,6 +5,20 @@ import warp as wp
 INFINITE = wp.constant(wp.float32(3.0e38))
 
 
+@wp.struct
+class Surface:
+    """`surface.Surface`."""
+
+    triangles: wp.array2d(dtype=wp.int32)
+    object_of: wp.array(dtype=wp.int32)
+    colours: wp.array2d(dtype=wp.uint8)
+    uv: wp.array2d(dtype=wp.float32)
+    texture_of: wp.array(dtype=wp.int32)
+    texels_per_metre: wp.array(dtype=wp.float32)
+    levels: wp.array3d(dtype=wp.int32)
+    texels: wp.array2d(dtype=wp.uint8)
+
+
 @wp.kernel(enable_backward=False)
 def cast(
     mesh: wp.uint64,

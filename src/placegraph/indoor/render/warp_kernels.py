@@ -2,29 +2,16 @@
 
 import warp as wp
 
-from placegraph.indoor.render import render_kernels
+from placegraph.indoor.rays.warp_kernels import Surface
+from placegraph.indoor.render import render_kernels, shade_kernels
 
 FARTHEST = wp.constant(wp.float32(3.0e38))
-WIDEST = wp.constant(wp.float32(render_kernels.WIDEST))
-MOST_LOOKS = wp.constant(wp.float32(render_kernels.MOST_LOOKS))
-SHARP = wp.constant(wp.float32(render_kernels.SHARP))
+WIDEST = wp.constant(wp.float32(shade_kernels.WIDEST))
+MOST_LOOKS = wp.constant(wp.float32(shade_kernels.MOST_LOOKS))
+SHARP = wp.constant(wp.float32(shade_kernels.SHARP))
 CONTRAST = wp.constant(render_kernels.CONTRAST)
 CREASE = wp.constant(wp.float32(render_kernels.CREASE))
 JUMP = wp.constant(wp.float32(render_kernels.JUMP))
-
-
-@wp.struct
-class Surface:
-    """`surface.Surface`."""
-
-    triangles: wp.array2d(dtype=wp.int32)
-    object_of: wp.array(dtype=wp.int32)
-    colours: wp.array2d(dtype=wp.uint8)
-    uv: wp.array2d(dtype=wp.float32)
-    texture_of: wp.array(dtype=wp.int32)
-    texels_per_metre: wp.array(dtype=wp.float32)
-    levels: wp.array3d(dtype=wp.int32)
-    texels: wp.array2d(dtype=wp.uint8)
 
 
 @wp.struct
