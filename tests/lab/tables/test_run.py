@@ -1,0 +1,82 @@
+"""Tables by their names: listed, run on drawn data, written with what they were run on."""
+
+import json
+
+import osmium
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from placegraph_lab.cli.lab import app
+from placegraph_lab.tables.run import Run, known, load, names, spoken
+from placegraph_lab.worlds.town.town import Town
+
+
+def test_every_table_is_listed():
+    listed = CliRunner().invoke(app, ["table", "--list"])
+    assert listed.exit_code == 0, listed.output
+    shown = dict(line.split(maxsplit=1) for line in listed.output.splitlines())
+    assert list(shown) == names()
+    assert {"human_text", "indoor_filter", "outdoor_recall", "scene_maps"} <= shown.keys()
+    for name, asks in shown.items():
+        assert asks.startswith(load(name).asks)
+        assert len(load(name).asks) > 20
+
+
+def test_a_table_has_options_of_its_own_and_of_all():
+    shown = CliRunner().invoke(app, ["table", "outdoor_recall", "--help"]).output
+    for option in ("--cities", "--seed", "--quick", "--data", "--cache", "--out"):
+        assert option in shown
+    assert CliRunner().invoke(app, ["table", "gold"]).exit_code == 2
+
+
+def test_vectors(measure, tmp_path):
+    out = tmp_path / "rows.json"
+    result = measure("outdoor_vectors", "--quick", "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "| ours, exact, 8 bits" in result.stdout
+    written = json.loads(out.read_text())
+    assert (written["table"], written["seed"]) == ("outdoor_vectors", 0)
+    assert written["machine"]["cores"]
+    assert "commit" in written
+    exact = next(r for r in written["rows"] if r["name"] == "ours, exact, float32")
+    assert exact["recall"]["10"] == 1.0
+
+
+def test_a_drawn_town(measure, tmp_path):
+    """As if it were the extract of Monaco."""
+    osm = Town.load("hafenstadt").write_osm(tmp_path / "town.osm")
+    extract = tmp_path / "shared/data/osm/monaco_2025.osm.pbf"
+    extract.parent.mkdir(parents=True)
+    with osmium.SimpleWriter(str(extract)) as writer:
+        for item in osmium.FileProcessor(str(osm)):
+            writer.add(item)
+    places = ("--data", tmp_path / "shared", "--cache", tmp_path / "cache")
+    result = measure("outdoor_map_size", "--quick", *places, "--out", tmp_path / "rows.json")
+    assert result.exit_code == 0, result.output
+    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert [row["cells"] for row in rows] == [110, 158]
+    assert all(f"{row['bytes'] * 1e-6:.3f}" in result.stdout for row in rows)
+
+
+def test_drawn_homes(measure, tmp_path):
+    options = ("--quick", "--data", tmp_path, "--out", tmp_path / "rows.json")
+    result = measure("scene_sentences", *options)
+    assert result.exit_code == 0, result.output
+    assert "house.glb is not there" in result.stderr
+    assert json.loads((tmp_path / "rows.json").read_text())["scenes"]
+
+
+def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr("placegraph_lab.tables.run.LAB", tmp_path)
+    Run("some", tmp_path, tmp_path).save({"rows": []}, whole=False)
+    assert not list(tmp_path.iterdir())
+    Run("some", tmp_path, tmp_path).save({"rows": []})
+    assert (tmp_path / "results/some.json").exists()
+
+
+def test_what_is_said_of_rows_and_options():
+    assert spoken("sift ratio=0.8 upright=False") == ("sift", {"ratio": 0.8, "upright": False})
+    assert known([], ("a", "b"), "row") == ["a", "b"]
+    with pytest.raises(typer.BadParameter, match="there are a; b"):
+        known(["c"], ("a", "b"), "row")
