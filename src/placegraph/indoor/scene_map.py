@@ -187,12 +187,7 @@ class SceneMap(Scene):
         return refine(query, checked_pose(map_from_camera), refining)
 
     def render(
-        self,
-        map_from_camera: ArrayLike,
-        camera: Camera,
-        *,
-        samples: int = 4,
-        device: str = "auto",
+        self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4, device: str = "auto"
     ) -> Rendering:
         """The map as a camera at a pose (4, 4) would see it.
 

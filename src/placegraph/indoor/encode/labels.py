@@ -163,8 +163,7 @@ class LabelsEncoder:
         That is the length of a sum of orthogonal vectors, each as long as the root says.
         """
         total = sum(
-            (np.sqrt(p) * self.vector(word) for word, p in truly.items()),
-            np.zeros(self.dimension),
+            (np.sqrt(p) * self.vector(word) for word, p in truly.items()), np.zeros(self.dimension)
         )
         length = float(np.linalg.norm(total))
         return (total / length if length > 0 else total).astype(np.float32)

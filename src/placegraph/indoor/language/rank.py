@@ -45,9 +45,7 @@ class Score:
 
 
 def rank_scenes(
-    text: str | Sentence,
-    graphs: Iterable[SceneGraph],
-    rooms: Iterable[Sequence[str]] | None = None,
+    text: str | Sentence, graphs: Iterable[SceneGraph], rooms: Iterable[Sequence[str]] | None = None
 ) -> NDArray[np.float64]:
     """How well each of n scenes answers a text, rare things counting more.
 

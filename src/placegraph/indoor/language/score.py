@@ -115,10 +115,7 @@ def _held(thing: Mention, known: dict[str, NDArray[np.float32]], columns: Column
 
 
 def _related(
-    s: Statement,
-    things: Sequence[Mention],
-    known: dict[str, NDArray[np.float32]],
-    columns: Columns,
+    s: Statement, things: Sequence[Mention], known: dict[str, NDArray[np.float32]], columns: Columns
 ) -> Floats:
     first, second = (known[thing.label] for thing in things)
     subject, relation, target = columns.triples.T

@@ -138,9 +138,7 @@ class SceneLibrary(Scenes):
 
     @classmethod
     def _of_file(
-        cls,
-        path: str | os.PathLike[str],
-        encoders: str | Encoder | Sequence[str | Encoder] | None,
+        cls, path: str | os.PathLike[str], encoders: str | Encoder | Sequence[str | Encoder] | None
     ) -> SceneLibrary:
         file = read_map(path, KIND, VERSION)
         made = _encoders(file, encoders)

@@ -77,10 +77,7 @@ class Scenes:
         self._open: OrderedDict[str, SceneMap] = OrderedDict()
 
     def add(
-        self,
-        name: str,
-        scene: SceneMap | str | os.PathLike[str],
-        captures: Sequence[Capture] = (),
+        self, name: str, scene: SceneMap | str | os.PathLike[str], captures: Sequence[Capture] = ()
     ) -> None:
         """Add a map, or the map of a file.
 

@@ -79,11 +79,7 @@ def _panoramas(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
 def _vectors(i: int, vectors: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
     first, code = distinct(vectors)
     numbers, scales = in_8_bits(vectors[first])
-    return {
-        f"vectors_{i}": numbers,
-        f"scales_{i}": scales,
-        f"code_{i}": code.astype(np.int32),
-    }
+    return {f"vectors_{i}": numbers, f"scales_{i}": scales, f"code_{i}": code.astype(np.int32)}
 
 
 def _in_steps(metres: NDArray[np.floating]) -> NDArray[np.int32]:

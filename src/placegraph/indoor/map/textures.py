@@ -51,9 +51,7 @@ def srgb_from_linear(intensities: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def encode_pictures(
-    pictures: Sequence[Picture],
-    detail: Detail,
-    needed: NDArray[np.float64] | None = None,
+    pictures: Sequence[Picture], detail: Detail, needed: NDArray[np.float64] | None = None
 ) -> tuple[bytes, ...]:
     """Encoded textures of a model's pictures: made small, base colour folded in.
 

@@ -98,10 +98,7 @@ def shipped() -> Path:
 
 
 def trained(
-    shape: Shape,
-    state: Mapping[str, NDArray[Any]],
-    temperature: float,
-    training: dict[str, Any],
+    shape: Shape, state: Mapping[str, NDArray[Any]], temperature: float, training: dict[str, Any]
 ) -> Weights:
     """Weights as they will be read again: rounded to 16 bits."""
     return Weights(shape, rounded(shape.arrays(), state), temperature, training)

@@ -97,10 +97,7 @@ def relate(
 
 
 def _standing(
-    boxes: Boxes,
-    triangles: Triangles,
-    pairs: NDArray[np.int64],
-    found: dict[tuple[int, int], str],
+    boxes: Boxes, triangles: Triangles, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
 ) -> NDArray[np.bool_]:
     """Find what stands on what; returns which objects do."""
     a, b = pairs.T
@@ -181,10 +178,7 @@ def _attached(
 
 
 def _above(
-    boxes: Boxes,
-    triangles: Triangles,
-    pairs: NDArray[np.int64],
-    found: dict[tuple[int, int], str],
+    boxes: Boxes, triangles: Triangles, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
 ) -> None:
     carrier = {one: other for (one, other), kind in found.items() if kind == STANDING_ON}
     stands = np.zeros(len(boxes.low), np.bool_)

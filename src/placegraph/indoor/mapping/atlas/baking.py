@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.indoor.mapping.atlas.baking_kernels import (
-    SEEN,
-    UNSEEN,
-    choose,
-    cover,
-    draw,
-)
+from placegraph.indoor.mapping.atlas.baking_kernels import SEEN, UNSEEN, choose, cover, draw
 from placegraph.indoor.mapping.atlas.charts import Charts, charts_of, neighbours_of
 from placegraph.indoor.mapping.atlas.pages import Sheets, assembled
 from placegraph.threads import share

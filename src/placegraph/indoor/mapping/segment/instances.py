@@ -110,12 +110,7 @@ def _spilt(
 
 
 def _grouped(
-    pieces: Patches,
-    label: Ints,
-    thing: Ints,
-    plane: Ints,
-    kind: str,
-    options: SegmentOptions,
+    pieces: Patches, label: Ints, thing: Ints, plane: Ints, kind: str, options: SegmentOptions
 ) -> Ints:
     """Group (N,) of each piece, named by its lowest."""
     if kind == "instances":

@@ -70,12 +70,7 @@ def cut_patches(
     weights[plane_of[a] != plane_of[b]] = np.inf
     order = np.argsort(weights, kind="stable")
     root = kernels.join(
-        faces.pairs,
-        weights,
-        order,
-        faces.areas,
-        0.5 * options.patch,
-        _SPECK * options.patch,
+        faces.pairs, weights, order, faces.areas, 0.5 * options.patch, _SPECK * options.patch
     )
     return np.unique(root, return_inverse=True)[1]
 
@@ -129,12 +124,7 @@ def _means(patch: Ints, values: Floats, weights: Floats, areas: Floats) -> Float
 
 
 def _contacts(
-    faces: Faces,
-    normals: Floats,
-    patch: Ints,
-    plane: Ints,
-    outward: bool,
-    options: SegmentOptions,
+    faces: Faces, normals: Floats, patch: Ints, plane: Ints, outward: bool, options: SegmentOptions
 ) -> tuple[Ints, Floats, Floats]:
     """Contacts in both directions: ends (E, 2), lengths (E,) [m], concave shares (E,)."""
     side = 1.0 if outward else -1.0

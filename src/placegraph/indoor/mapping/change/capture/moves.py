@@ -35,11 +35,7 @@ _MOVED_GAIN = 1.2
 
 
 def moves(
-    scene: Scene,
-    left: Rest,
-    clumps: Sequence[Clump],
-    suspects: NDArray[np.int64],
-    counts: Tally,
+    scene: Scene, left: Rest, clumps: Sequence[Clump], suspects: NDArray[np.int64], counts: Tally
 ) -> dict[int, Placement]:
     """Placement of each suspect that has one, no two at one place: the best fit first."""
     rng = np.random.default_rng(left.options.seed)
