@@ -58,7 +58,7 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
         if areas[top].sum() >= 0.4 * whole:
             labelled = top
         return _level(heights[labelled], areas[labelled])[0]
-    low, high = _quantiles(heights, areas, (0.02, 0.98))
+    low, high = quantiles(heights, areas, (0.02, 0.98))
     near = heights <= low + max(_LOW * (high - low), _LOW_METRES)
     box = mesh.bounds()
     footprint = float(np.prod((box[1] - box[0])[:2]))
@@ -98,14 +98,15 @@ def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[fl
     best = int(np.argmax(around))
     own = np.abs(inverse - best) <= 1
     own &= np.abs(bins[inverse] - bins[best]) <= 1
-    (height,) = _quantiles(heights[own], areas[own], (0.5,))
+    (height,) = quantiles(heights[own], areas[own], (0.5,))
     return height, float(around[best])
 
 
-def _quantiles(
+def quantiles(
     values: NDArray[np.float64], weights: NDArray[np.float64], shares: tuple[float, ...]
 ) -> list[float]:
-    order = np.argsort(values)
+    """Values below which these shares of the weights lie."""
+    order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     rows = np.searchsorted(total, np.array(shares) * total[-1])
     return [float(v) for v in values[order[np.minimum(rows, len(order) - 1)]]]

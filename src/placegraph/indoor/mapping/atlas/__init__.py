@@ -1,7 +1,6 @@
 """A small texture atlas for a simplified mesh, so that few triangles carry sharp colour."""
 
 from placegraph.indoor.mapping.atlas.baking import ColourOf, bake
-from placegraph.indoor.mapping.atlas.frames import frame_colours
-from placegraph.indoor.mapping.atlas.surfaces import mesh_colours, surface_colours
+from placegraph.indoor.mapping.atlas.colours import frame_colours, mesh_colours, surface_colours
 
 __all__ = ["ColourOf", "bake", "frame_colours", "mesh_colours", "surface_colours"]

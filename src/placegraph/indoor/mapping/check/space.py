@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors
+from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors, quantiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -143,7 +143,7 @@ def floors(scene: Scene) -> Iterator[Found]:
         floor_like = near & named if (near & named).any() else near
         turned = unit[floor_like] * np.sign(unit[floor_like, 2:])
         # no wall is among them, but chamfers and clutter are: the middle, not the mean
-        slope = [_weighted_median(turned[:, k], areas[floor_like]) for k in range(3)]
+        slope = [quantiles(turned[:, k], areas[floor_like], (0.5,))[0] for k in range(3)]
         tilt = float(np.degrees(np.arctan2(np.hypot(slope[0], slope[1]), slope[2])))
         if tilt > _TILTED:
             yield (
@@ -161,9 +161,7 @@ def height_of_rooms(scene: Scene) -> float:
     """From the floor to where all but a fiftieth of the surface lies below [m]."""
     areas, _ = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
-    order = np.argsort(heights)
-    total = np.cumsum(areas[order])
-    top = heights[order[min(int(np.searchsorted(total, 0.98 * total[-1])), len(order) - 1)]]
+    (top,) = quantiles(heights, areas, (0.98,))
     return float(top - scene.floors.min())
 
 
@@ -211,9 +209,3 @@ def _largest_level(
     bins, inverse = np.unique(np.round(heights[near] / 0.1), return_inverse=True)
     best = int(np.bincount(inverse, areas[near]).argmax())
     return float(bins[best] * 0.1)
-
-
-def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order[int(np.searchsorted(total, total[-1] / 2.0))]])

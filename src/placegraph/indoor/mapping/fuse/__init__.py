@@ -1,6 +1,5 @@
 """Fusion: RGB-D frames with poses become a coloured mesh."""
 
-from placegraph.indoor.mapping.fuse.fusion import fuse
-from placegraph.indoor.mapping.fuse.result import Fused, FuseOptions, FuseStats
+from placegraph.indoor.mapping.fuse.fusion import Fused, FuseOptions, FuseStats, fuse
 
 __all__ = ["FuseOptions", "FuseStats", "Fused", "fuse"]

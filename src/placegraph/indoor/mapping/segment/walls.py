@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.map.floor import quantiles
 from placegraph.indoor.mapping.segment.faces import Samples
 from placegraph.indoor.mapping.segment.segment_kernels import connect
 
@@ -205,11 +206,3 @@ def bins_of(values: Floats) -> Ints:
     bins = np.floor(values / _BIN).astype(np.int64)
     middle = int(np.median(bins))
     return np.clip(bins, middle - _REACH, middle + _REACH)
-
-
-def quantiles(values: Floats, weights: Floats, shares: tuple[float, ...]) -> list[float]:
-    """Values below which these shares of the weights lie."""
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    rows = np.searchsorted(total, np.array(shares) * total[-1])
-    return [float(v) for v in values[order[np.minimum(rows, len(order) - 1)]]]

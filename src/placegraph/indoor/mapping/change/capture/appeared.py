@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.capture.rest import Rest
+    from placegraph.indoor.mapping.change.capture.tally import Rest
     from placegraph.indoor.mapping.fuse import Fused
 
 _MARGIN = 0.12

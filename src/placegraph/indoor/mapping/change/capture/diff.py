@@ -18,8 +18,14 @@ from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.capture.appeared import Clump, appeared, gather
 from placegraph.indoor.mapping.change.capture.looks import look
 from placegraph.indoor.mapping.change.capture.moves import box_of, moves
-from placegraph.indoor.mapping.change.capture.rest import Rest, rest_of, shown
-from placegraph.indoor.mapping.change.capture.tally import around, tally, tolerance
+from placegraph.indoor.mapping.change.capture.tally import (
+    Rest,
+    around,
+    rest_of,
+    shown,
+    tally,
+    tolerance,
+)
 from placegraph.indoor.mapping.change.changes import Change, SceneDiff
 from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import inverse

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.mapping.change.capture.rest import Rest
+    from placegraph.indoor.mapping.change.capture.tally import Rest
     from placegraph.indoor.mapping.change.register import Sampled
 
 POINTS = 120

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.capture.appeared import Clump
-    from placegraph.indoor.mapping.change.capture.rest import Rest
-    from placegraph.indoor.mapping.change.capture.tally import Tally
+    from placegraph.indoor.mapping.change.capture.tally import Rest, Tally
     from placegraph.indoor.mapping.change.options import DiffOptions
 
 _NEARNESS = 1.0

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.change.capture.looks import Look
     from placegraph.indoor.mapping.change.capture.motion import Suspect
-    from placegraph.indoor.mapping.change.capture.rest import Rest
+    from placegraph.indoor.mapping.change.capture.tally import Rest
 
 ACROSS, UP = 1.6, 0.4
 """How far along the wall and up and down it is looked for [m]."""
