@@ -7,8 +7,8 @@ from tests.cities import PLANE
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
-from placegraph.outdoor.likelihood import scan_kernels as scan
 from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.likelihood.score_kernels import distant, look_again
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.viewpoints import TOGETHER
 
@@ -96,14 +96,14 @@ def _score(city, description, positions, together=TOGETHER):
         at = position[None]
         far = np.zeros((1, len(query.used)), np.float32)
         if query.far is not None:
-            far = scan.distant(query.statements, city.columns, query.far, at.astype(np.float32))
+            far = distant(query.statements, city.columns, query.far, at.astype(np.float32))
         seen = [
             views.objects[views.starts[v] : views.starts[v + 1]]
             for v in views.near(position, REACH)
         ]
         nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
         found.append(
-            scan.look_again(query.statements, city.columns, words, at, nearby, far, together, True)
+            look_again(query.statements, city.columns, words, at, nearby, far, together, True)
         )
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 

@@ -11,7 +11,8 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
-from placegraph.outdoor.likelihood.query import compile_query, ends, read, standing_at
+from placegraph.outdoor.likelihood.query import compile_query, read, standing_at
+from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.answer import estimate
 from placegraph.outdoor.search.cells import search_cells

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""
+ME = -1
+"""Stands for the viewpoint itself where a mention could stand."""
 TABLE = 256
 """Entries of a direction table, over the cosine from -1 to 1."""
 AREA = 2

@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled parts of `match`."""
+"""How well what is in sight of a viewpoint explains all statements: their log-likelihood ratios."""
 
 from __future__ import annotations
 
@@ -8,32 +8,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.compiled import kernel
-from placegraph.outdoor.likelihood.fit_kernels import AREA, BETWEEN, DIRECTION, me_fit, pair_fit
+from placegraph.outdoor.likelihood.coherence_kernels import MOST, assign, log_coherence
+from placegraph.outdoor.likelihood.fit_kernels import AREA, BETWEEN, DIRECTION, ME, me_fit, pair_fit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-ME = -1
-"""Stands for the viewpoint itself where a mention could stand."""
-
-
 HOPELESS = -1e9
 """Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""
-
-
 SLACK = 1.5
 """What coherence may add to a sum that looked hopeless [nat]."""
 
 
-MOST = 96
-"""At most this many objects in sight are weighed for one mention."""
-
-
 SMALL = 25.0
 """An area one stands in still lies in the direction of its centre, if that is this near [m]."""
-
-
 LONELY = 0.5
 """Added to what is in sight, as `crowd` is to pairs."""
 
@@ -131,9 +120,9 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
         hope -= out[s]
         out[s] = _ratio(statements, s, scene, seen, fits, far[s])
         hope += out[s]
-    hope += _coherence(statements, fits, together)
+    hope += log_coherence(statements, fits, together)
     if len(served):
-        _assign(statements, scene, seen, fits, served)
+        assign(statements, scene, seen, fits, served)
     return hope
 
 
@@ -258,93 +247,3 @@ def _between(statements, s, seen, fits):
                 opposite = 0.5 - 0.5 * (bx * cx + by * cy) / lengths
                 mass += wa * fits.fit[b, i] * fits.fit[c, j] * opposite**4
     return mass
-
-
-@kernel(fastmath=True)
-def _posterior(statements, m, fits, posterior):
-    """P(thing | all statements about mention m), unnormalised, into `posterior`; returns the gain.
-
-    The gain is how much more likely the statements are if one object serves them all than if each
-    has its own: sum over objects of P(object) prod P(s | object) / P(s).
-    """
-    many, fit, given = fits.many[m], fits.fit[m], fits.given
-    for i in range(many):
-        posterior[i] = fit[i] / fits.mass[m]
-    n_about = 0
-    for s in range(len(statements.op)):
-        if statements.negated[s] or statements.op[s] == BETWEEN:
-            continue
-        for side in range(2):
-            end = statements.source[s] if side == 0 else statements.target[s]
-            other = statements.target[s] if side == 0 else statements.source[s]
-            if end != m:
-                continue
-            row = 0 if other == ME else side
-            mean = np.float32(0.0)
-            for i in range(many):
-                mean += fit[i] / fits.mass[m] * given[s, row, i]
-            if mean < 1e-3:
-                continue
-            n_about += 1
-            for i in range(many):
-                posterior[i] *= (given[s, row, i] + np.float32(0.1) * mean) / (
-                    np.float32(1.1) * mean
-                )
-    gain = np.float32(0.0)
-    for i in range(many):
-        gain += posterior[i]
-    return gain if n_about > 1 else np.float32(1.0)
-
-
-@kernel(fastmath=True)
-def _coherence(statements, fits, together):
-    """Log of the gain that mentions mean one object throughout, with prior probability `together`."""
-    posterior = np.empty(MOST, np.float32)
-    log_gain = 0.0
-    for m in range(len(fits.many)):
-        if fits.many[m] > 1:
-            gain = _posterior(statements, m, fits, posterior)
-            log_gain += np.log(1.0 - together + together * gain)
-    return log_gain
-
-
-@kernel(fastmath=True)
-def _assign(statements, scene, seen, fits, served):
-    """One assignment for all statements: each mention its most probable object, then the best pairs."""
-    weight = np.ones((len(fits.many), MOST), np.float32)
-    for m in range(len(fits.many)):
-        if fits.many[m]:
-            _posterior(statements, m, fits, weight[m])
-    for s in range(len(statements.op)):
-        op, a, b = statements.op[s], statements.source[s], statements.target[s]
-        served[s] = -1
-        if op == BETWEEN:
-            a, b = statements.target[s], statements.target2[s]
-        if a == ME or b == ME:
-            m = b if a == ME else a
-            best = np.float32(0.0)
-            for i in range(fits.many[m] if m != ME else 0):
-                p = weight[m, i] * (fits.given[s, 0, i] + np.float32(1e-6))
-                if p > best:
-                    best = p
-                    served[s, 0] = seen.objects[fits.who[m, i]]
-            continue
-        where = seen.stands if op == DIRECTION else seen.at
-        ux, uy = statements.bearing[s]
-        best = np.float32(0.0)
-        for i in range(fits.many[a]):
-            ea = fits.who[a, i]
-            for j in range(fits.many[b]):
-                eb = fits.who[b, j]
-                if ea == eb or (op == DIRECTION and not (seen.lies[ea] and seen.lies[eb])):
-                    continue
-                p = weight[a, i] * weight[b, j]
-                if op != BETWEEN:
-                    p *= pair_fit(
-                        op, statements.table[s], ux, uy, statements.distance[s],
-                        where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1],
-                        scene.kind[seen.objects[eb]],
-                    )  # fmt: skip
-                if p > best:
-                    best = p
-                    served[s, 0], served[s, 1] = seen.objects[ea], seen.objects[eb]

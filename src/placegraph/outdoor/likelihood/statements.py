@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.outdoor.language.description import SPEAKER, Relation
-from placegraph.outdoor.likelihood.fit_kernels import TABLE, direction_table
-from placegraph.outdoor.likelihood.match_kernels import ME
+from placegraph.outdoor.likelihood.fit_kernels import ME, TABLE, direction_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

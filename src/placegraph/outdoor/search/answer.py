@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.geometry import angle_between
 from placegraph.outdoor.language.description import LISTENER, SPEAKER
-from placegraph.outdoor.likelihood.query import ends
+from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import modes, status_of
 from placegraph.outdoor.search.viewpoints import SPACING

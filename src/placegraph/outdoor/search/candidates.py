@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.likelihood import scan_kernels as scan
+from placegraph.outdoor.likelihood.bound_kernels import HIGHEST, promising_views
+from placegraph.outdoor.likelihood.score_kernels import distant
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.likelihood.query import Far
+    from placegraph.outdoor.likelihood.statements import Far
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.search.request import Request
 
@@ -45,10 +46,8 @@ class Candidates(NamedTuple):
         chosen, statements, city = rows.astype(np.int32), asked.query.statements, asked.city
         far = np.zeros((len(chosen), len(statements.op)), np.float32)
         if asked.query.far:
-            far = scan.distant(
-                statements, city.columns, asked.query.far, city.views.positions[chosen]
-            )
-        return cls(chosen, np.full(len(chosen), scan.HIGHEST), far, 0.0)
+            far = distant(statements, city.columns, asked.query.far, city.views.positions[chosen])
+        return cls(chosen, np.full(len(chosen), HIGHEST), far, 0.0)
 
 
 def candidates(asked: Request) -> Candidates:
@@ -57,12 +56,12 @@ def candidates(asked: Request) -> Candidates:
     weights = np.exp(asked.log_prior - asked.log_prior.max(initial=-np.inf))
     if way == "sparse":
         most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
-        chosen, bounds, left_out = scan.candidates(
+        chosen, bounds, left_out = promising_views(
             query.statements, query.mentions, views.columns, weights, most
         )
     else:
         chosen, left_out = views_by(asked).astype(np.int32), 0.0
-        bounds = np.full(len(chosen), scan.HIGHEST)
+        bounds = np.full(len(chosen), HIGHEST)
     far = np.zeros((len(chosen), len(query.statements.op)), np.float32)
     if query.far:
         chosen, bounds, far = _with_far(asked, query.far, weights, chosen, bounds)
@@ -85,7 +84,7 @@ def _with_far(
     extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
     chosen = np.concatenate([chosen, extra])
     bounds = np.concatenate([bounds, weights[extra] if len(weights) else np.ones(len(extra))])
-    added = scan.distant(statements, city.columns, far, city.views.positions[chosen])
+    added = distant(statements, city.columns, far, city.views.positions[chosen])
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
     order = np.argsort(-total, kind="stable")[:MOST_CANDIDATES]
     return chosen[order], np.exp(np.minimum(total[order], 690.0)), added[order]
@@ -102,7 +101,7 @@ def _touched(asked: Request, most: int) -> NDArray[np.int32]:
     """Viewpoints (at most `most`) of the region, of largest bound on their likelihood, best first."""
     views, inside = asked.city.views, _inside(asked)
     weights = np.zeros(0) if inside is None else inside.astype(np.float64)
-    chosen, _, _ = scan.candidates(
+    chosen, _, _ = promising_views(
         asked.query.statements, asked.query.mentions, views.columns, weights, most
     )
     return chosen if inside is None else chosen[inside[chosen]]

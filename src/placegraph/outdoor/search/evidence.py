@@ -9,8 +9,8 @@ import numpy as np
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation, Statement
-from placegraph.outdoor.likelihood import scan_kernels as scan
-from placegraph.outdoor.likelihood.query import ends
+from placegraph.outdoor.likelihood.score_kernels import distant, look_again
+from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
@@ -56,8 +56,8 @@ def evidence_at(position: NDArray[np.float64], city: City, query: Query) -> tupl
     at = position[None]
     far = np.zeros((1, len(query.used)), np.float32)
     if query.far is not None:
-        far = scan.distant(query.statements, city.columns, query.far, at)
-    _, ratios, served = scan.look_again(
+        far = distant(query.statements, city.columns, query.far, at)
+    _, ratios, served = look_again(
         query.statements, city.columns, query.words(len(views.posting_starts) - 1),
         at, nearby, far, CERTAIN, True,
     )  # fmt: skip

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.likelihood import scan_kernels as scan
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
+from placegraph.outdoor.likelihood.score_kernels import look_again, score_views
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, candidates
 from placegraph.outdoor.search.posterior import Posterior, posterior
 
@@ -69,7 +69,7 @@ def score(asked: Request, chosen: Candidates) -> Scored:
         highest = float(asked.log_prior.max())
         relative = asked.log_prior[rows] - highest
         share = np.exp(relative + highest).sum()
-    scores = scan.score_views(
+    scores = score_views(
         statements, asked.city.columns, views.columns, asked.words, rows, bounds, relative, far,
         TOGETHER, MARGIN,
     )  # fmt: skip
@@ -119,7 +119,7 @@ def look_around(
     ratios = np.empty(positions.shape[:2])
     for k, v in enumerate(rows):
         nearby = views.objects[views.starts[v] : views.starts[v + 1]]
-        ratios[k], _, _ = scan.look_again(
+        ratios[k], _, _ = look_again(
             asked.query.statements, asked.city.columns, asked.words, positions[k], nearby,
             np.tile(far[k], (len(FINE), 1)), TOGETHER, False,
         )  # fmt: skip

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.likelihood import scan_kernels as scan
+from placegraph.outdoor.likelihood.bound_kernels import promising_views
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
+from placegraph.outdoor.likelihood.score_kernels import distant, score_views
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
 from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.viewpoints import CLOSER, TOGETHER, kept, look_around
@@ -57,7 +58,7 @@ def score(query: Query, city: City, weights: Floats) -> Scores:
         return Scores(ratios, nothing, none.astype(np.int64), none.reshape(0, 9, 2), none[:, None])
     prior = np.log(relative[chosen])
     first = slice(MOST_SCORED)
-    found = scan.score_views(
+    found = score_views(
         statements, city.columns, views.columns, asked.words, chosen[first], bounds[first], prior[first],
         far[first], TOGETHER, MARGIN,
     ).astype(np.float64)  # fmt: skip
@@ -82,7 +83,7 @@ def _candidates(
         chosen = np.argsort(-relative, kind="stable")[:MOST_SCORED].astype(np.int32)
         bounds = relative[chosen]
     else:
-        chosen, bounds, _ = scan.candidates(
+        chosen, bounds, _ = promising_views(
             statements, query.mentions, views.columns, relative, len(relative)
         )
     chosen, bounds = chosen[bounds > 0.0], bounds[bounds > 0.0]
@@ -95,7 +96,7 @@ def _candidates(
     bounds = np.concatenate([bounds, relative[extra]])
     heavy = np.argsort(-bounds, kind="stable")[:FAR_CANDIDATES]
     heavy = np.union1d(heavy, np.arange(len(chosen) - len(extra), len(chosen)))
-    added = scan.distant(statements, city.columns, query.far, views.positions[chosen[heavy]])
+    added = distant(statements, city.columns, query.far, views.positions[chosen[heavy]])
     log_bounds = np.log(bounds)
     log_bounds[heavy] += np.log1p(statements.gain * added).sum(axis=1)
     order = np.argsort(-log_bounds, kind="stable")

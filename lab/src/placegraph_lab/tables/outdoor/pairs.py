@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.likelihood import scan_kernels as scan
 from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.likelihood.score_kernels import score_views
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.viewpoints import TOGETHER
 
@@ -114,7 +114,7 @@ class Pairs:
             for description, chosen in zip(self.descriptions, self.views, strict=True):
                 query = compile_query(description, city)
                 statements = query.statements
-                scan.score_views(
+                score_views(
                     statements,
                     scene,
                     columns,

@@ -1,0 +1,149 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""How viewpoints, exact positions and things out of sight score: loops over `likelihoods`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from placegraph.compiled import kernel
+from placegraph.outdoor.likelihood.fit_kernels import (
+    AREA,
+    BETWEEN,
+    DIRECTION,
+    ME,
+    direction_fit,
+    distance_fit,
+)
+from placegraph.outdoor.likelihood.match_kernels import HOPELESS, SLACK, in_sight, likelihoods
+from placegraph.outdoor.map.index import SIGHT
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+
+COARSE, FINE = 20.0, 5.0
+"""Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
+SHARP = 2.0
+"""Width of the fall around `SIGHT` where positions are exact [m]."""
+
+
+@kernel(fastmath=True)
+def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
+    """Log-likelihood ratios (K,) of candidates, best bounds first.
+
+    `relative` (K,) is their log prior, against the largest. Stops where a bound lies more than
+    `margin` [nat] below the best so far: nothing behind it can matter. Rows not reached are
+    `HOPELESS`.
+    """
+    n_statements = len(statements.op)
+    scores = np.full(len(chosen), HOPELESS, np.float32)
+    each = np.empty(n_statements, np.float32)
+    nothing = np.empty((0, 2), np.int64)
+    noise = 0.0
+    for s in range(n_statements):
+        noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
+    best = HOPELESS
+    for k in range(len(chosen)):
+        if np.log(bounds[k]) + noise + SLACK < best - margin:
+            break
+        v = chosen[k]
+        a, b = views.starts[v], views.starts[v + 1]
+        seen = in_sight(
+            scene, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
+            views.total[v], views.pairs[v], COARSE, views.positions[v],
+        )  # fmt: skip
+        scores[k] = likelihoods(
+            statements,
+            scene,
+            words,
+            seen,
+            far[k],
+            together,
+            best - margin - relative[k],
+            each,
+            nothing,
+        )
+        best = max(best, scores[k] + relative[k])
+    return scores
+
+
+@kernel(fastmath=True)
+def look_again(statements, scene, words, at, nearby, far, together, assign):
+    """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
+
+    Nearest points are computed anew from the geometry, so that a position between viewpoints sees
+    roads and walls where they are. Also returns the ratios of each statement (K, S) and, if
+    `assign`, the objects that serve it (K, S, 2).
+    """
+    n_statements = len(statements.op)
+    scores = np.empty(len(at), np.float32)
+    each = np.empty((len(at), n_statements), np.float32)
+    served = np.empty((len(at), n_statements if assign else 0, 2), np.int64)
+    where = np.empty((len(nearby), 2), np.float32)
+    sight = np.empty(len(nearby), np.float32)
+    for k in range(len(at)):
+        total = apart = squares = np.float32(0.0)
+        for i in range(len(nearby)):
+            o = nearby[i]
+            e, n, d2 = nearest_on_parts(
+                scene.part_starts,
+                scene.point_starts,
+                scene.points,
+                scene.kind[o],
+                o,
+                at[k, 0],
+                at[k, 1],
+            )
+            where[i, 0], where[i, 1] = e, n
+            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SHARP))
+            total += sight[i]
+            if scene.kind[o] != AREA or d2 > 0.0:
+                apart += sight[i]
+                squares += sight[i] * sight[i]
+        pairs = max(apart * apart - squares, np.float32(0.0))
+        seen = in_sight(scene, nearby, where, sight, total, pairs, FINE, at[k].astype(np.float32))
+        scores[k] = likelihoods(
+            statements, scene, words, seen, far[k], together, HOPELESS, each[k], served[k]
+        )
+    return scores, each, served
+
+
+@kernel(fastmath=True)
+def distant(statements, scene, far, positions):
+    """What things out of sight add to P(statement | position), (K, S) float32.
+
+    `far` (`query.Far`) lists all objects of mentions rare enough to be spoken of from
+    afar; and how far a statement reaches. In a relation
+    of two things the one that is not listed stands where the speaker stands, nearly enough.
+    """
+    out = np.zeros((len(positions), len(statements.op)), np.float32)
+    for s in range(len(statements.op)):
+        a, b = statements.source[s], statements.target[s]
+        n_a = far.starts[a + 1] - far.starts[a] if a != ME else 0
+        n_b = far.starts[b + 1] - far.starts[b] if b != ME else 0
+        if statements.op[s] == BETWEEN or statements.negated[s] or n_a + n_b == 0:
+            continue
+        forward = n_b == 0 or (0 < n_a <= n_b)
+        m = a if forward else b
+        ux, uy = statements.bearing[s]
+        for i in range(far.starts[m], far.starts[m + 1]):
+            o = far.objects[i]
+            for k in range(len(positions)):
+                cx = scene.center[o, 0] - positions[k, 0]
+                cy = scene.center[o, 1] - positions[k, 1]
+                # extents beyond 1 km are walked in sight, not from afar
+                if max(abs(cx), abs(cy)) > 4.0 * far.scale[s] + 1000.0:
+                    continue
+                x, y, d2 = cx, cy, cx * cx + cy * cy
+                if scene.kind[o] != 0:
+                    x, y, d2 = nearest_on_parts(
+                        scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o,
+                        positions[k, 0], positions[k, 1],
+                    )  # fmt: skip
+                d = np.sqrt(d2)
+                if d > 4.0 * far.scale[s]:
+                    continue
+                p = np.exp(-d / far.scale[s])
+                if statements.op[s] == DIRECTION:
+                    wx, wy = (ux, uy) if forward else (-ux, -uy)
+                    p *= direction_fit(statements.table[s], wx, wy, x, y, COARSE)
+                p *= distance_fit(statements.distance[s], d)
+                out[k, s] += far.share[s] * far.fits[i] * p
+    return out
