@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Protocol
 
 from placegraph.language.check import Ignored, check
 from placegraph.outdoor.language.build import Builder
-from placegraph.outdoor.language.chunk import Chunker, NameFinder, Words
+from placegraph.outdoor.language.chunk import Chunker
 from placegraph.outdoor.language.clauses import clauses
-from placegraph.outdoor.language.conflicts import conflicts
-from placegraph.outdoor.language.description import Description
-from placegraph.outdoor.language.labels import labels
+from placegraph.outdoor.language.description import Description, conflicts
 from placegraph.outdoor.language.model import LanguageModelDescriber
 from placegraph.outdoor.language.parse import parse
-from placegraph.outdoor.language.words import normalise, scan, tokens
+from placegraph.outdoor.language.words import NameFinder, Words, labels, normalise, scan, tokens
 
 if TYPE_CHECKING:
     from placegraph.language.islands import Chunk

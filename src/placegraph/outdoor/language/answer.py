@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import ServiceError
 from placegraph.language.check import Ignored
-from placegraph.outdoor.language.conflicts import conflicts
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -15,10 +14,11 @@ from placegraph.outdoor.language.description import (
     Mention,
     Relation,
     Statement,
+    conflicts,
 )
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.language.chunk import Words
+    from placegraph.outdoor.language.words import Words
 
 SIGMA = 0.5
 """How loosely a direction is meant [rad] where the answer does not say."""

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
-from placegraph.outdoor.language.nodes import Place, Thing
+from placegraph.outdoor.language.parse import Place, Thing, joins, shared
 from placegraph.outdoor.language.refer import Referents
 from placegraph.outdoor.language.relate import Relator
-from placegraph.outdoor.language.statements import LEGS, NO_MAP, ROUTE, UNKNOWN, Said
+from placegraph.outdoor.language.statements import NO_MAP, UNKNOWN, Said
+from placegraph.outdoor.language.walk import Walk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.outdoor.language.chunk import Words
-    from placegraph.outdoor.language.lexicon import Direction
-    from placegraph.outdoor.language.nodes import Clause
+    from placegraph.outdoor.language.parse import Clause, Items
+    from placegraph.outdoor.language.words import Words
 
-Items = tuple[Thing | Place, ...]
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""
 LED = 0.5
@@ -50,21 +48,17 @@ class Builder:
         self.text, self.directive = text, directive
         self.refer = Referents(text, vocabulary)
         self.relator = Relator(self.refer, heading, directive=directive)
+        self.walk = Walk(self.relator)
         self.ignored = self.relator.ignored
         self.heads: list[int] = [SPEAKER]
         """What the last clause spoke of."""
         self.walking = False
         """Whether the last clause led somewhere."""
-        self.legs = 0
-        self.on_the_way: int | None = None
-        """What was last said to be met on the way."""
-        self.led_to: int | None = None
-        """Where the walk was last said to lead."""
 
     def take(self, clause: Clause, certainty: float, *, opens: bool) -> None:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
         words = self.text[clause.start : clause.end]
-        said = Said(words, certainty, clause.negated, walked=self.legs > 0)
+        said = Said(words, certainty, clause.negated, walked=self.walk.legs > 0)
         before = len(self.relator.statements), len(self.ignored)
         self.relator.reason = "says nothing about where things stand"
         if clause.condition:
@@ -80,17 +74,17 @@ class Builder:
 
     def finish(self) -> None:
         """Where nothing says where the speaker is, a walk leads there."""
-        if self.directive and self.led_to is not None and self.relator.goals == {SPEAKER}:
-            mention = self.refer.mentions[self.led_to]
+        if self.directive and self.walk.led_to is not None and self.relator.goals == {SPEAKER}:
+            mention = self.refer.mentions[self.walk.led_to]
             said = Said(mention.words)
-            self.relator.add(said, Relation.SAME, SPEAKER, self.led_to, certainty=LED)
-            self.relator.goals.add(self.led_to)
+            self.relator.add(said, Relation.SAME, SPEAKER, self.walk.led_to, certainty=LED)
+            self.relator.goals.add(self.walk.led_to)
 
     def _remember(self) -> None:
         """Decide what "it" will mean in the next clause."""
         goal = [n for n in self.relator.goals if n != SPEAKER]
         if self.directive:
-            self.refer.topic = max(goal, default=self.led_to)
+            self.refer.topic = max(goal, default=self.walk.led_to)
         elif self.heads and self.heads[0] > LISTENER:
             self.refer.topic = self.heads[0]
         elif goal:
@@ -182,7 +176,9 @@ class Builder:
             thing = places[0]
             places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
         if not places:  # "you will see a bank. Meet me there."
-            self.led_to = self.heads[0] if self.heads and self.heads[0] > LISTENER else self.led_to
+            self.walk.led_to = (
+                self.heads[0] if self.heads and self.heads[0] > LISTENER else self.walk.led_to
+            )
             self.finish()
             return
         self._say((*[_arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)
@@ -194,9 +190,9 @@ class Builder:
             self._say(clause.after, heads, replace(said, certainty=said.certainty * 0.7))
             return
         places = tuple(item for item in clause.before if isinstance(item, Place))
-        self._walk((*places, *clause.after), clause.travel, said)
+        self.walk.go((*places, *clause.after), clause.travel, said)
         if clause.travel == "REACH":  # "get to the entrance"
-            self.led_to = self.on_the_way
+            self.walk.led_to = self.walk.on_the_way
 
     def _on_the_way(self, clause: Clause, said: Said) -> None:
         """What is met on the way: "when you see the bank", "until you reach Penn Avenue"."""
@@ -204,78 +200,15 @@ class Builder:
             self._meets(clause, said, False)
             return
         items = clause.after or clause.before
-        self._walk(items, clause.travel or "REACH", said)
-
-    def _walk(self, items: Items, travel: str, said: Said) -> None:
-        """A leg of a walk to the place: where it leads, and what lies on the way."""
-        said = replace(said, travel=True)
-        for item in items:
-            if isinstance(item, Thing):
-                self._meet_on_the_way(item, travel, said)
-            elif item.how == "towards" and not item.targets:
-                self._leg(item, said)
-            elif item.how in ("at", "prep", "across", "towards", "with_", "of"):
-                sure = said.certainty * (ROUTE if item.how != "prep" else 1.0)
-                if item.how == "prep" and item.word not in ("past", "before", "toward"):
-                    sure *= ROUTE
-                self.relator.relate(item, SPEAKER, replace(said, certainty=sure))
-                self._pass(item)
-            else:
-                self.relator.reason = "a route instruction"
-
-    def _pass(self, place: Place) -> None:
-        """Remember what a place on the way speaks of."""
-        if not place.targets or place.targets[0].kind != "thing":
-            return
-        self.on_the_way = self.refer.resolve(
-            replace(place.targets[0], determiner="DET", count=None)
-        )
-        to = place.word in ("TO", "AT", "IN") and len(place.targets) == 1
-        if to and self.on_the_way is not None and not self.refer.is_line(self.on_the_way):
-            mention = self.refer.mentions[self.on_the_way]
-            self.led_to = self.on_the_way if mention.senses or mention.name else self.led_to
-
-    def _leg(self, place: Place, said: Said) -> None:
-        if place.direction.facing:
-            self.relator.reason = "left and right of a walk say nothing on a map"
-            return
-        sure = said.certainty * LEGS[min(self.legs, len(LEGS) - 1)]
-        self.legs += 1
-        self.relator.add(
-            replace(said, certainty=sure), Relation.DIRECTION, SPEAKER, LISTENER,
-            direction=place.direction._replace(sigma=max(0.7, place.direction.sigma)),
-            distance=place.distance,
-        )  # fmt: skip
-
-    def _meet_on_the_way(self, thing: Thing, travel: str, said: Said) -> None:
-        node = self.refer.resolve(thing)
-        if node is None or node <= LISTENER:
-            self.relator.reason = "a route instruction"
-            return
-        self.on_the_way = node
-        if travel == "CROSS" and not self.refer.is_road(node):
-            self.relator.add(said, Relation.ACROSS, SPEAKER, LISTENER, target2=node, certainty=0.5)
-        elif travel == "FOLLOW" and self.refer.is_line(node):
-            self.relator.add(said, Relation.ALONG, SPEAKER, node, certainty=ROUTE)
-        else:
-            self.relator.add(said, Relation.NEAR, SPEAKER, node, certainty=ROUTE)
+        self.walk.go(items, clause.travel or "REACH", said)
 
     def _too_far(self, clause: Clause, said: Said, _opens: bool) -> None:
-        """Look back in "you've gone too far west": the place lies east of what was met."""
-        for item in clause.after:
-            if not isinstance(item, Place) or item.how != "towards" or item.direction.facing:
-                continue
-            if self.on_the_way is not None:
-                back: Direction = item.direction._replace(bearing=item.direction.bearing + pi)
-                self.relator.add(
-                    said, Relation.DIRECTION, SPEAKER, self.on_the_way,
-                    direction=back, certainty=0.6, far=True,
-                )  # fmt: skip
+        self.walk.look_back(clause.after, said)
 
     def _fragment(self, clause: Clause, said: Said, opens: bool) -> None:
         items = clause.before
         if isinstance(items[0], Place) and self.walking and not opens:  # "then west"
-            self._walk(items, "GO", said)
+            self.walk.go(items, "GO", said)
         elif isinstance(items[0], Place):  # "..., but not near the church"
             self._say(items, [SPEAKER] if opens else self.heads, said)
         elif all(_is_person(item) for item in items):
@@ -302,10 +235,10 @@ class Builder:
         for i, item in enumerate(items):
             following = items[i + 1] if i + 1 < len(items) else None
             if isinstance(item, Place):
-                said.shared = _shared(item, last, following)
+                said.shared = shared(item, last, following)
                 group = self._relate_all(item, group or [SPEAKER], said)
                 last = item
-            elif last is not None and _joins(last, item, heads, following):
+            elif last is not None and joins(last, item, heads, following):
                 again = replace(last, targets=(*last.targets[:-1], item))
                 self._relate_all(again, group, said)
             elif (node := self._new_head(item)) is not None:
@@ -352,27 +285,3 @@ def _is_bare_word(items: Items) -> bool:
 def _arrived(item: Thing | Place) -> Thing | Place:
     """Take "come to the garden" as meeting at the garden."""
     return replace(item, word="AT") if isinstance(item, Place) and item.word == "TO" else item
-
-
-def _joins(
-    last: Place, thing: Thing, heads: Sequence[int], following: Thing | Place | None
-) -> bool:
-    """Tell whether a thing after a place is one more of its targets."""
-    mine = isinstance(following, Place) and (
-        following.owner == "MY" or any(thing.kind == "ME" for thing in following.targets)
-    )
-    listed = not mine and (bool(heads) or not isinstance(following, Place))
-    things = bool(last.targets) and last.targets[-1].kind == thing.kind == "thing"
-    return listed and things and last.how != "between"
-
-
-def _shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:
-    """Target of the direction beside one that names none."""
-    if item.how != "towards" or item.targets:
-        return None
-    for other in (following, last):
-        if isinstance(other, Place) and other.targets and other.how in ("towards", "start"):
-            return other.targets[0]
-        if isinstance(other, Place) and other.how == "across" and len(other.targets) == 2:
-            return other.targets[1]
-    return None

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
 from placegraph.language.measures import COUNTS
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.lexicon import english
-from placegraph.outdoor.language.nodes import Noun
-from placegraph.outdoor.language.words import fold, tokens
+from placegraph.outdoor.language.parse import Noun
+from placegraph.outdoor.language.words import english, fold, shouting, tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.language.phrases import Terminal
     from placegraph.language.words import Word
+    from placegraph.outdoor.language.words import NameFinder, Words
+
+    Known = tuple[int, tuple[Terminal, ...]]
+    """Words of a phrase that the grammar knows, and its terminals."""
 
 NAMED_KIND = 0.5
 """Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
@@ -30,37 +31,7 @@ _OPEN = frozenset(
 )
 """Terminals whose words may also begin or be a phrase of the vocabulary."""
 _BEFORE_NOUN = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD"))
-
-
 _NOUN_AFTER = frozenset(("DET", "A", "ANOTHER", "NUM", "NO", "MY", "EXISTS", "HAVE", "SEE", "OF"))
-
-
-class Words(Protocol):
-    """What the chunker needs of a vocabulary."""
-
-    def senses(self, phrase: str) -> tuple[Sense, ...]:
-        """Labels a phrase may stand for, likeliest first."""
-
-    def longest_match(
-        self, tokens: Sequence[str], start: int = 0
-    ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Longest phrase that begins at `start`: number of words and senses."""
-
-    def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        """Most similar known phrase and its similarity in [0, 1]."""
-
-
-class NameFinder(Protocol):
-    """The proper names of a map."""
-
-    def longest_name(self, tokens: Sequence[str], start: int) -> int:
-        """Count the words of the longest name that begins at `start`; 0 for none.
-
-        Words are in the normal form of `describe.words.tokens`.
-        """
-
-    def closest_name(self, phrase: str) -> tuple[str, float] | None:
-        """Most similar name and its similarity in [0, 1], or None."""
 
 
 class Chunker:
@@ -85,7 +56,7 @@ class Chunker:
         """Chunks of a sentence, in order; what says nothing about a place is left out."""
         self.words = sentence
         self.lower = [word.lower for word in sentence]
-        self.shouting = _shouting(sentence)
+        self.shouting = shouting(sentence)
         self._fold_names()
         found: list[Chunk] = []
         i = 0
@@ -218,9 +189,7 @@ class Chunker:
         found.append(self._chunk("WORD", i, 1))
         return 1
 
-    def _name(
-        self, i: int, known: tuple[int, tuple[Terminal, ...]] | None, n_known: int, n_noun: int
-    ) -> int:
+    def _name(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
         """How many words of a proper name begin at word i: on the map, or by its capitals."""
         spelt = self._capitals(i, known, n_noun) or self._small_street(i, known, n_noun)
         if self.names is None:
@@ -239,7 +208,7 @@ class Chunker:
             return spelt
         return max(mapped, spelt)
 
-    def _capitals(self, i: int, known: tuple[int, tuple[Terminal, ...]] | None, n_noun: int) -> int:
+    def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
         """How many words of a name written with capitals begin at word i."""
         word = self.words[i]
         if self.shouting or not (word.capital or word.lower[0].isdigit()):
@@ -262,17 +231,10 @@ class Chunker:
             return 0
         if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
             return 0  # "Bakery north of me", "the Cathedral"
-        if n_noun >= end - i:
-            return (
-                0
-                if end - i > 1 or i == 0 or self.lower[i - 1] in self.lists["articles"]
-                else end - i
-            )
-        return end - i
+        after_article = i == 0 or self.lower[i - 1] in self.lists["articles"]
+        return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
 
-    def _small_street(
-        self, i: int, known: tuple[int, tuple[Terminal, ...]] | None, n_noun: int
-    ) -> int:
+    def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
         """How many words of a street's name begin at word i, written small: "smallman street"."""
         at = i
         if known is not None:
@@ -336,9 +298,3 @@ def _is_noun_here(terminal: Terminal, before: str) -> bool:
     return (
         terminal.type not in ("WORD", "ADVERB", "PREP", "PART", "SPOT") and before in _BEFORE_NOUN
     )
-
-
-def _shouting(sentence: list[Word]) -> bool:
-    """Tell whether so many words have capitals that these say nothing."""
-    words = [word for word in sentence if word.kind == "word"]
-    return len(words) >= 6 and sum(word.capital for word in words) > 0.8 * len(words)

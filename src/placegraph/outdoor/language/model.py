@@ -12,8 +12,8 @@ from placegraph.language.check import check
 from placegraph.outdoor.language.answer import SCHEMA, Answer
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.language.chunk import NameFinder, Words
     from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.language.words import NameFinder, Words
 
 LONGEST_ANSWER = 1_000_000
 """Bytes."""

@@ -1,18 +1,94 @@
-"""The grammar at work: chunks of a clause become a `Clause`, or what of them can be understood."""
+"""The grammar at work: chunks of a clause become a `Clause`, or what of them can be understood (Eq. 3)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache, partialmethod
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from placegraph.language.islands import Chunk, Islands
-from placegraph.outdoor.language.nodes import Clause, Noun, Place, Thing
+from placegraph.outdoor.language.words import NORTH, Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from placegraph.outdoor.language.description import Sense
+
+
+@dataclass(slots=True)
+class Noun:
+    """Value of a NOUN or NAME: what it may be on a map."""
+
+    senses: tuple[Sense, ...] = ()
+    name: str = ""
+    exact: bool = False
+    """Whether it is a label as a map has it, and no English."""
+
+
+@dataclass(slots=True)
+class Thing:
+    """Somebody or something spoken of, in one place of the text."""
+
+    kind: str
+    """``ME YOU IT SPOT HERE`` or ``thing``."""
+    start: int
+    end: int
+    determiner: str = ""
+    """Terminal of the determiner: ``DET A ANOTHER NO NUM MY ...``, or empty."""
+    count: int | None = None
+    senses: tuple[Sense, ...] = ()
+    head: str = ""
+    """Common noun, lower-case: "bakery"; the last unknown word where there is none."""
+    modifiers: tuple[str, ...] = ()
+    """Words before the noun: "grey", "main"."""
+    exact: bool = False
+    """Whether the noun is a label as a map has it, and no English."""
+    name: str = ""
+    part: str = ""
+    """Of a part of a thing: ``corner middle block ...``."""
+
+
+@dataclass(slots=True)
+class Place:
+    """What is said of where something is: "50 m north of the church"."""
+
+    how: str
+    """Rule of the grammar: ``towards side possessed at prep across between ...``."""
+    start: int
+    end: int
+    targets: tuple[Thing, ...] = ()
+    word: str = ""
+    """Which preposition: ``ON IN AT TO``, or a relation of lexicon.toml."""
+    direction: Direction = NORTH
+    """Of directions."""
+    distance: float | None = None
+    part: str = ""
+    owner: str = ""
+    """``MY YOUR ITS``."""
+    negated: bool = False
+
+
+@dataclass(slots=True)
+class Clause:
+    """One clause: a verb, what stands before it and after it."""
+
+    verb: str
+    """Rule of the grammar: ``fragment is_ exists sees meets goes too_far``."""
+    before: tuple[Thing | Place, ...] = ()
+    after: tuple[Thing | Place, ...] = ()
+    negated: bool = False
+    condition: bool = False
+    """"if you see ...", "when you get to ...", "until ..."."""
+    travel: str = ""
+    """``GO PASS CROSS FOLLOW REACH``."""
+    certainty: float = 1.0
+    start: int = 0
+    end: int = 0
+
 
 Item = Thing | Place
+Items = tuple[Item, ...]
 _OWNERS = ("MY", "YOUR", "ITS")
 _DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", *_OWNERS)
 _SKIPPED = ("WORD", "JUNK", "AND", "TO", "NOT")
@@ -75,7 +151,7 @@ class _Build:
     goes = partialmethod(_clause, verb="goes")
     too_far = partialmethod(_clause, verb="too_far")
 
-    def body(self, children: list[Any]) -> tuple[Item, ...]:
+    def body(self, children: list[Any]) -> Items:
         return tuple([child for child in children if not isinstance(child, Chunk)])
 
     # places
@@ -168,3 +244,25 @@ def _take_nouns(thing: Thing, nouns: list[Chunk]) -> None:
     for noun in nouns[:-1]:
         special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])
         thing.senses = special or thing.senses
+
+
+def joins(last: Place, thing: Thing, heads: Sequence[int], following: Thing | Place | None) -> bool:
+    """Tell whether a thing after a place is one more of its targets."""
+    mine = isinstance(following, Place) and (
+        following.owner == "MY" or any(thing.kind == "ME" for thing in following.targets)
+    )
+    listed = not mine and (bool(heads) or not isinstance(following, Place))
+    things = bool(last.targets) and last.targets[-1].kind == thing.kind == "thing"
+    return listed and things and last.how != "between"
+
+
+def shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:
+    """Target of the direction beside one that names none."""
+    if item.how != "towards" or item.targets:
+        return None
+    for other in (following, last):
+        if isinstance(other, Place) and other.targets and other.how in ("towards", "start"):
+            return other.targets[0]
+        if isinstance(other, Place) and other.how == "across" and len(other.targets) == 2:
+            return other.targets[1]
+    return None

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 from placegraph.outdoor.language.chunk import LONGEST_NOUN
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Mention, Sense
-from placegraph.outdoor.language.lexicon import english
-from placegraph.outdoor.language.words import normalise, tokens
+from placegraph.outdoor.language.words import english, normalise, tokens
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from placegraph.outdoor.language.chunk import Words
-    from placegraph.outdoor.language.nodes import Thing
+    from placegraph.outdoor.language.parse import Thing
+    from placegraph.outdoor.language.words import Words
 
 _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
 """Determiners that introduce a thing; the others, and none, may speak of one already known."""

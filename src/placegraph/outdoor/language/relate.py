@@ -8,23 +8,20 @@ from typing import TYPE_CHECKING
 
 from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
-from placegraph.outdoor.language.lexicon import Direction
 from placegraph.outdoor.language.statements import (
     BLOCK,
-    FROM_YOU,
-    LEGS,
     LISTENER_HEADING,
     NO_TARGET,
     PASSED,
     ROUTE,
-    SIDE_SIGMA,
     WEAK,
+    Directions,
     Said,
-    Statements,
 )
+from placegraph.outdoor.language.words import Direction
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.language.nodes import Place
+    from placegraph.outdoor.language.parse import Place
 
 _SIMPLE = {
     "near": (Relation.NEAR, 1.0, None),
@@ -38,7 +35,7 @@ _SIMPLE = {
 """Relation, certainty and distance of prepositions that always mean the same."""
 
 
-class Relator(Statements):
+class Relator(Directions):
     """Makes statements of places."""
 
     def relate(self, place: Place, source: int, said: Said) -> int | None:
@@ -55,79 +52,6 @@ class Relator(Statements):
         elif place.negated:
             self.statements[before:] = [replace(s, negated=True) for s in self.statements[before:]]
         return source if changed is None else changed
-
-    # directions
-
-    def _towards(self, place: Place, source: int, said: Said) -> None:
-        direction = place.direction
-        thing = place.targets[0] if place.targets else said.shared
-        if direction.facing:
-            if said.travel or (thing is not None and thing.kind == "YOU"):
-                self.reason = "left and right of a walk say nothing on a map"
-                return
-            if thing is None and source in self.goals:
-                self.reason = NO_TARGET
-                return
-        target = self._target(thing, source) if thing else self._implied(source, said)
-        seen = self._bearing(direction)
-        if target is None or seen is None:
-            return
-        sure = 1.0 if thing is not None or target == SPEAKER else FROM_YOU
-        if sure < 1.0 and (said.walked or self.from_listener()):
-            sure = LEGS[-1]  # "your destination is to the north": of where the walk has led
-        self.add(
-            said, Relation.DIRECTION, source, target,
-            direction=seen, distance=place.distance, certainty=sure, far=target == LISTENER,
-        )  # fmt: skip
-
-    def _side(self, place: Place, source: int, said: Said) -> None:
-        """Relate "on the north side of the street"."""
-        if not place.targets:
-            street = self.refer.street
-            if place.direction.facing or street is None or source not in self.goals:
-                self._towards(place, source, said)
-            else:
-                self.add(
-                    said, Relation.DIRECTION, source, street, certainty=0.6,
-                    direction=place.direction._replace(sigma=SIDE_SIGMA),
-                )  # fmt: skip
-            return
-        target = self._target(place.targets[0], source)
-        seen = self._bearing(place.direction)
-        if target is None or seen is None:
-            return
-        wide = seen._replace(sigma=max(seen.sigma, SIDE_SIGMA))
-        self.add(said, Relation.DIRECTION, source, target, direction=wide, certainty=0.8)
-        if target > LISTENER:
-            self.add(said, Relation.NEAR, source, target)
-
-    def _possessed(self, place: Place, source: int, said: Said) -> None:
-        """Relate "to my east", "on its north side", "to the garden's northeast"."""
-        target: int | None
-        if place.targets:
-            target = self._target(place.targets[0], source)
-        elif place.owner == "ITS" and place.part and source in self.goals and self.refer.street:
-            target = self.refer.street  # "on Penn Avenue, at its southern end"
-        elif place.owner == "ITS":
-            topic = self.refer.topic
-            target = topic if topic is not None and topic != source else SPEAKER
-        else:
-            target = SPEAKER if place.owner == "MY" else LISTENER
-        if target == LISTENER and place.direction.facing:
-            self.reason = LISTENER_HEADING
-            return
-        seen = self._bearing(place.direction)
-        if target is not None and seen is not None:
-            self.add(
-                said, Relation.DIRECTION, source, target, direction=seen, distance=place.distance
-            )
-
-    def _faces(self, place: Place, source: int, _said: Said) -> None:
-        if source in self.goals and not place.direction.facing and self.heading is None:
-            self.heading = place.direction.bearing
-        self.reason = "says which way one faces"
-
-    # nearness
 
     def _at(self, place: Place, source: int, said: Said) -> int | None:
         thing = place.targets[0]
@@ -204,15 +128,11 @@ class Relator(Statements):
             self.add(said, Relation.NEAR, target, source)
         elif word in ("past", "before", "toward"):
             far = said.travel or word == "toward"
+            sure = ROUTE if far else 0.8 if place.distance else PASSED
             self.add(
-                said,
-                Relation.NEAR,
-                source,
-                target,
-                distance=place.distance,
-                certainty=ROUTE if far else 0.8 if place.distance else PASSED,
-                far=far,
-            )
+                replace(said, travel=far), Relation.NEAR, source, target,
+                distance=place.distance, certainty=sure,
+            )  # fmt: skip
         else:
             relation, certainty, distance = _SIMPLE.get(word, (Relation.NEAR, 1.0, None))
             if relation is Relation.ALONG and not self.refer.is_line(target):

@@ -7,7 +7,7 @@ from functools import lru_cache
 from math import pi
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.language.lexicon import LOOSE_SIGMA, SHARP_SIGMA, Direction, english
+from placegraph.outdoor.language.words import LOOSE_SIGMA, SHARP_SIGMA, Direction, english
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,9 +10,9 @@ from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation,
 
 if TYPE_CHECKING:
     from placegraph.language.check import Ignored
-    from placegraph.outdoor.language.lexicon import Direction
-    from placegraph.outdoor.language.nodes import Thing
+    from placegraph.outdoor.language.parse import Place, Thing
     from placegraph.outdoor.language.refer import Referents
+    from placegraph.outdoor.language.words import Direction
 
 BLOCK = 100.0
 """Metres in a block."""
@@ -83,16 +83,12 @@ class Statements:
         direction: Direction | None = None,
         distance: float | None = None,
         certainty: float = 1.0,
-        negated: bool = False,
-        far: bool = False,
     ) -> None:
         """Add a statement, unless it relates a thing to itself."""
         if source == target or (source in self.goals and target in self.goals):
             self.reason = "relates a thing to itself"
             return
-        refer = self.refer
-        for node in (source, target, target2):
-            negated = negated or (node is not None and node in refer.negative)
+        negated = said.negated or not self.refer.negative.isdisjoint((source, target, target2))
         self.statements.append(
             Statement(
                 relation,
@@ -102,11 +98,11 @@ class Statements:
                 bearing=None if direction is None else direction.bearing % (2.0 * pi),
                 bearing_sigma=0.5 if direction is None else direction.sigma,
                 distance=distance,
-                negated=negated or said.negated,
+                negated=negated,
                 certainty=round(
                     certainty * said.certainty * (direction.certainty if direction else 1.0), 3
                 ),
-                far=far or said.travel or LISTENER in (source, target),
+                far=said.travel or LISTENER in (source, target),
                 text=said.text,
             )
         )
@@ -144,3 +140,76 @@ class Statements:
             s.relation is Relation.DIRECTION and s.target == LISTENER and s.certainty >= FROM_YOU
             for s in self.statements
         )
+
+
+class Directions(Statements):
+    """Makes statements of directions; what a place is called in the grammar names the method."""
+
+    def _towards(self, place: Place, source: int, said: Said) -> None:
+        direction = place.direction
+        thing = place.targets[0] if place.targets else said.shared
+        if direction.facing:
+            if said.travel or (thing is not None and thing.kind == "YOU"):
+                self.reason = "left and right of a walk say nothing on a map"
+                return
+            if thing is None and source in self.goals:
+                self.reason = NO_TARGET
+                return
+        target = self._target(thing, source) if thing else self._implied(source, said)
+        seen = self._bearing(direction)
+        if target is None or seen is None:
+            return
+        sure = 1.0 if thing is not None or target == SPEAKER else FROM_YOU
+        if sure < 1.0 and (said.walked or self.from_listener()):
+            sure = LEGS[-1]  # "your destination is to the north": of where the walk has led
+        self.add(
+            said, Relation.DIRECTION, source, target,
+            direction=seen, distance=place.distance, certainty=sure,
+        )  # fmt: skip
+
+    def _side(self, place: Place, source: int, said: Said) -> None:
+        """Relate "on the north side of the street"."""
+        if not place.targets:
+            street = self.refer.street
+            if place.direction.facing or street is None or source not in self.goals:
+                self._towards(place, source, said)
+            else:
+                self.add(
+                    said, Relation.DIRECTION, source, street, certainty=0.6,
+                    direction=place.direction._replace(sigma=SIDE_SIGMA),
+                )  # fmt: skip
+            return
+        target = self._target(place.targets[0], source)
+        seen = self._bearing(place.direction)
+        if target is None or seen is None:
+            return
+        wide = seen._replace(sigma=max(seen.sigma, SIDE_SIGMA))
+        self.add(said, Relation.DIRECTION, source, target, direction=wide, certainty=0.8)
+        if target > LISTENER:
+            self.add(said, Relation.NEAR, source, target)
+
+    def _possessed(self, place: Place, source: int, said: Said) -> None:
+        """Relate "to my east", "on its north side", "to the garden's northeast"."""
+        target: int | None
+        if place.targets:
+            target = self._target(place.targets[0], source)
+        elif place.owner == "ITS" and place.part and source in self.goals and self.refer.street:
+            target = self.refer.street  # "on Penn Avenue, at its southern end"
+        elif place.owner == "ITS":
+            topic = self.refer.topic
+            target = topic if topic is not None and topic != source else SPEAKER
+        else:
+            target = SPEAKER if place.owner == "MY" else LISTENER
+        if target == LISTENER and place.direction.facing:
+            self.reason = LISTENER_HEADING
+            return
+        seen = self._bearing(place.direction)
+        if target is not None and seen is not None:
+            self.add(
+                said, Relation.DIRECTION, source, target, direction=seen, distance=place.distance
+            )
+
+    def _faces(self, place: Place, source: int, _said: Said) -> None:
+        if source in self.goals and not place.direction.facing and self.heading is None:
+            self.heading = place.direction.bearing
+        self.reason = "says which way one faces"

@@ -1,16 +1,126 @@
-"""Words: the normal form in which names on a map and words of a text meet, and the scanner."""
+"""Words: those the grammar knows (lexicon.toml), the normal form in which names and text meet, labels."""
 
 from __future__ import annotations
 
 import re
+import tomllib
 import unicodedata
-from typing import TYPE_CHECKING
+from functools import cached_property, lru_cache
+from importlib.resources import files
+from math import radians
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from placegraph.language import words
-from placegraph.outdoor.language.lexicon import english
+from placegraph.language.measures import COUNTS
+from placegraph.language.phrases import Phrases, Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from placegraph.outdoor.language.description import Sense
+
+
+CARDINAL_SIGMA, DIAGONAL_SIGMA, SHARP_SIGMA, LOOSE_SIGMA = 0.5, 0.4, 0.25, 0.6
+"""How loosely people mean "north", "north-east", "directly north", "mostly north" [rad]."""
+
+
+class Direction(NamedTuple):
+    """A direction of the compass, or of the body."""
+
+    bearing: float
+    """[rad], clockwise from north or, if `facing`, from where the speaker faces."""
+    sigma: float = CARDINAL_SIGMA
+    facing: bool = False
+    certainty: float = 1.0
+
+
+NORTH = Direction(0.0)
+
+
+class Lexicon(Phrases):
+    """The phrases of the grammar, and plain lists of words."""
+
+    def __init__(
+        self,
+        known: dict[tuple[str, ...], tuple[Terminal, ...]],
+        lists: dict[str, frozenset[str]],
+    ) -> None:
+        super().__init__(known)
+        self.lists = lists
+
+    @cached_property
+    def compass(self) -> dict[str, Direction]:
+        """Directions of the compass by their names in one word."""
+        return {
+            word: terminals[0].value
+            for word, entries in self.by_word.items()
+            for phrase, terminals in entries
+            if terminals[0].type == "DIR" and not terminals[0].value.facing and len(phrase) == 1
+        }
+
+
+@lru_cache(maxsize=1)
+def english() -> Lexicon:
+    """Read the lexicon that comes with placegraph."""
+    table = tomllib.loads(files(__package__).joinpath("lexicon.toml").read_text("utf-8"))
+    lists = {name: frozenset(words) for name, words in table.pop("lists").items()}
+    known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
+    for section, entries in table.items():
+        for key, phrases in entries.items():
+            for phrase in phrases:
+                words = tuple(phrase.split())
+                known.setdefault(words, tuple(_terminals(section, key, words)))
+    return Lexicon(known, lists)
+
+
+def _terminals(section: str, key: str, words: tuple[str, ...]) -> Iterator[Terminal]:
+    match section:
+        case "compass" | "compass_short" | "facing":
+            degrees = int(key)
+            sigma = DIAGONAL_SIGMA if degrees % 90 else CARDINAL_SIGMA
+            direction = Direction(radians(degrees), sigma, facing=section == "facing")
+            yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
+        case "relations":
+            yield Terminal("PREP", key)
+        case "parts":
+            yield Terminal("PART", key)
+        case "adverbs":
+            yield Terminal("ADVERB", key)
+        case _:
+            for terminal in key.split():
+                if terminal in ("SEVERAL", "MANY"):
+                    yield Terminal("NUM", next((COUNTS[w] for w in words if w in COUNTS), None))
+                else:
+                    yield Terminal(terminal)
+
+
+class Words(Protocol):
+    """What the chunker needs of a vocabulary."""
+
+    def senses(self, phrase: str) -> tuple[Sense, ...]:
+        """Labels a phrase may stand for, likeliest first."""
+
+    def longest_match(
+        self, tokens: Sequence[str], start: int = 0
+    ) -> tuple[int, tuple[Sense, ...]] | None:
+        """Longest phrase that begins at `start`: number of words and senses."""
+
+    def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
+        """Most similar known phrase and its similarity in [0, 1]."""
+
+
+class NameFinder(Protocol):
+    """The proper names of a map."""
+
+    def longest_name(self, tokens: Sequence[str], start: int) -> int:
+        """Count the words of the longest name that begins at `start`; 0 for none.
+
+        Words are in the normal form of `describe.words.tokens`.
+        """
+
+    def closest_name(self, phrase: str) -> tuple[str, float] | None:
+        """Most similar name and its similarity in [0, 1], or None."""
+
 
 _SPELLINGS = {
     other: one
@@ -82,3 +192,41 @@ def normalise(text: str) -> str:
 def scan(text: str, labels: Iterable[tuple[int, int]] = ()) -> list[list[words.Word]]:
     """Cut a text into sentences (`text.words.scan`); "St. Mary's" ends none."""
     return words.scan(text, labels, shortened=english().lists["shortened"])
+
+
+_LABEL = r"(?:[^.!?\n]|[.!?](?!\s|$)){1,100}?"
+_SENTENCE = re.compile(
+    rf"(?:(?<=[.!?]\s)|^)The (?P<source>{_LABEL}) is on the"
+    r" (?:north|south|east|west)(?:-?(?:east|west))? of the"
+    rf" (?P<target>{_LABEL})[.!?]?(?=\s+The\s|\s*$)",
+    re.MULTILINE,
+)
+_ENGLISH = re.compile(
+    r"\b(?:is|are|on|in|at|near|next|by|with|that|which|from|across|between|me|you|my|your|I|the|a)\b"
+)
+"""What makes a stretch of text more than a label."""
+
+
+def shouting(sentence: list[words.Word]) -> bool:
+    """Tell whether so many words have capitals that these say nothing."""
+    spoken = [word for word in sentence if word.kind == "word"]
+    return len(spoken) >= 6 and sum(word.capital for word in spoken) > 0.8 * len(spoken)
+
+
+def labels(text: str, vocabulary: Words, names: NameFinder | None) -> Iterator[tuple[int, int]]:
+    """Find the labels of sentences of the paper's form: (start, end) of each, in order."""
+    for sentence in _SENTENCE.finditer(text):
+        for end in ("source", "target"):
+            if _is_label(sentence[end], vocabulary, names):
+                yield sentence.span(end)
+
+
+def _is_label(label: str, vocabulary: Words, names: NameFinder | None) -> bool:
+    if "_" in label or "=" in label:
+        return " " not in label
+    words = tokens(label)
+    if names is not None and words and names.longest_name(words, 0) == len(words):
+        return True
+    if _ENGLISH.search(label):
+        return False
+    return label[:1].isupper() or " of " in label or bool(vocabulary.senses(label))

@@ -97,6 +97,11 @@ class Whereabouts:
         mass = float(np.logaddexp.reduce(log_prior))
         return log_prior - (mass if self.listener is not None else max(0.0, mass))
 
+    def shares(self, views: ViewIndex) -> NDArray[np.float64]:
+        """Prior probability (W,) of all viewpoints, together at most 1."""
+        shares = np.exp(self.log(views.positions.astype(np.float64)))
+        return np.asarray(shares / max(1.0, float(shares.sum())))
+
 
 def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
@@ -119,3 +124,22 @@ def position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float
             f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
         )
     return city.plane.to_plane(numbers)
+
+
+def finite(value: object, name: str, what: str) -> float:
+    """Return a finite number; raises `OptionError` otherwise."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if isinstance(value, bool | str | bytes) or not np.isfinite(number):
+        raise OptionError(f"{name} is {value!r}; give {what} as a finite number.")
+    return number
+
+
+def positive(value: object, name: str) -> float:
+    """Return a finite number from 0 on; raises `OptionError` otherwise."""
+    number = finite(value, name, "an amount")
+    if number < 0.0:
+        raise OptionError(f"{name} is {value!r}; give 0 or more.")
+    return number

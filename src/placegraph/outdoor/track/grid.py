@@ -36,6 +36,12 @@ WIDE = 4e8
 """Cells times cells of the kernel from which motion goes through the Fourier transform."""
 FARTHEST = 5000.0
 """After a way longer than this nothing is left of what was known [m]."""
+ODOMETRY = 0.03
+"""Deviation of measured motion, as a share of it ..."""
+STEP = 1.0
+"""... plus this [m]."""
+COMPASS = 0.1
+"""Deviation of a measured bearing [rad]."""
 KIDNAPPED = 0.01
 """Probability that the speaker is somewhere else altogether after a motion."""
 RETURNED = 0.2
@@ -107,6 +113,11 @@ def straight(east: float, north: float, sigma: float) -> Kernel:
     along = _normal(sigma)
     shift, share = _grid_of(along, along)
     return _kernel(shift + np.array([east, north]), share)
+
+
+def odometry_sigma(length: float) -> float:
+    """Deviation of a measured motion of this length [m]."""
+    return ODOMETRY * length + STEP
 
 
 def way(distance: float, sigma: float, bearing: float | None, bearing_sigma: float) -> Kernel:

@@ -8,13 +8,29 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from math import pi, radians
+from math import pi
 from typing import TYPE_CHECKING
 
-from placegraph.language.measures import MEASURE, metres
-from placegraph.outdoor.language.lexicon import LOOSE_SIGMA, SHARP_SIGMA, english
+from placegraph.language.measures import metres
 from placegraph.outdoor.language.words import scan
-from placegraph.outdoor.track.numbers import DURATION, in_digits, seconds
+from placegraph.outdoor.track.phrases import (
+    AFTER,
+    ENDS,
+    FILLERS,
+    GO,
+    JOINTS,
+    QUANTITY,
+    REACHED,
+    SAID,
+    SMALL,
+    STAY,
+    STEMS,
+    STEPS,
+    STRAIGHT_SIGMA,
+    direction,
+    in_digits,
+    seconds,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,8 +46,6 @@ A_BIT = 25.0
 """What "a bit" may mean [m]."""
 CROSSED = 15.0
 """Width of what one crosses [m]."""
-STRAIGHT_SIGMA, TURN_SIGMA = 0.35, 0.4
-"""How loosely "straight on" and "left" are meant [rad]."""
 SPEED = {"ran": 2.5, "run": 2.5, "jogged": 2.5, "cycled": 4.5, "biked": 4.5, "cycle": 4.5,
          "rode": 4.5, "drove": 8.0, "driven": 8.0, "drive": 8.0}  # fmt: skip
 WALKING = 4.0 / 3.0
@@ -55,78 +69,12 @@ class Leg:
     """Standard deviation of the direction [rad]."""
 
 
-_LEAD = r"""(?:(?:so|then|now|next|again|first|also|finally|later|afterwards|and|after\ that|well
-    |from\ (?:there|here)|okay|ok|just|immediately|i\ think|at\ first)\b[\s,]*)*"""
-_SUBJECT = r"""(?:(?:i|we)(?:['’](?:ve|d))?
-    (?:\s+(?:have|had|then|just|now|also|only|first|slowly|must\ have|started\ to))*\s+)"""
-_PAST = r"""walked|went|gone|moved|ran|jogged|drove|driven|cycled|biked|rode|headed|continued
-    |proceeded|strolled|wandered|marched|hiked|travell?ed|turned|carried\ on|crossed|stepped
-    |(?:kept|been)\ (?:on\ )?(?:walking|going|moving|heading|running|driving|cycling|straight)"""
-_PRESENT = r"""walk|go|move|run|drive|cycle|head|continue|proceed|turn|carry\ on|cross
-    |keep\ (?:on\ )?(?:walking|going|moving|heading|straight)"""
-_GOING = r"(?:i['’]m|i\ am|we['’]re|we\ are)\s+(?:now\s+)?(?:walking|going|moving|heading|running)"
-_GO = re.compile(
-    rf"^{_LEAD}(?:(?P<who>{_SUBJECT})?(?:(?P<past>{_PAST})|(?P<now>{_PRESENT}))|(?P<going>{_GOING}))"
-    rf"\b(?P<rest>.*)$",
-    re.VERBOSE | re.IGNORECASE | re.DOTALL,
-)
-_STAY = re.compile(
-    rf"""^{_LEAD}{_SUBJECT}(?:stayed|stood\ still|waited|stopped|didn['’]t\ move|did\ not\ move
-        |haven['’]t\ moved|not\ moved)\b""",
-    re.VERBOSE | re.IGNORECASE,
-)
-_REACHED = re.compile(
-    rf"^{_LEAD}{_SUBJECT}?(?P<how>reached|arrived\s+at|got\s+to|came\s+to|entered)\s+(?P<what>.+)$",
-    re.VERBOSE | re.IGNORECASE | re.DOTALL,
-)
-_QUANTITY = re.compile(rf"(?P<time>{DURATION})|(?P<length>{MEASURE})", re.VERBOSE | re.IGNORECASE)
-_AFTER = re.compile(
-    r"^(?:and\s+|then\s+)*after\s+(?:walking|going|for|another|about|some|\s)*", re.IGNORECASE
-)
-_STEPS = re.compile(r"(\d+|few|couple of|several|some)\s+steps\b", re.IGNORECASE)
-_SMALL = re.compile(
-    r"\b(?:a\s+(?:little\s+)?bit|a\s+little|slightly\s+further|not\s+far)\b", re.IGNORECASE
-)
-_DEGREES = re.compile(r"\b(\d+(?:\.\d+)?)\s*(?:°|deg(?:ree)?s?\b)", re.IGNORECASE)
-_ENDS = re.compile(
-    r"""\b(?P<how>along|down|up\s+to|up|onto|into|to|at|until|till)\s+
-        (?P<what>(?:(?:the|a|an)\s+)?[^\W\d_][\w'’.-]*(?:\s+[\w'’.-]+?){0,4}?)
-        (?=\s*$|\s+(?:for|along|down|to|towards?|in|at|until|till|past|from|about|around|by)\b
-           |\s+\d|,)""",
-    re.VERBOSE | re.IGNORECASE,
-)
-_AHEAD = (
-    "straight",
-    "ahead",
-    "on",
-    "onward",
-    "onwards",
-    "forward",
-    "forwards",
-    "further",
-    "farther",
-)
-_BACK = ("back", "backward", "backwards", "around", "round")
-_JOINTS = frozenset(("and", "then", "before", "until", "till", "where", "while", "but", "when"))
-_FILLERS = re.compile(
-    r"\b(?:an?|the|to|in|on|for|of|about|another|more|some|roughly|towards?|direction|further|and"
-    r"|then|again|heading)\b"
-)
-_SAID = {"along": "on", "down": "on", "up": "on", "onto": "on", "into": "in", "entered": "in"}
-_STEMS = re.compile(
-    r"\b(?:walk|went|gone|go|mov|r[au]n|jog|dr[io]v|cycl|bik|rode|head|contin|proceed|stroll|wander"
-    r"|march|hik|travel|turn|carr|ke[ep]p?|kept|been|cross|step|stay|stood|wait|stop|reach|arriv|got"
-    r"|came|enter|after)|\d|°",
-    re.IGNORECASE,
-)
-
-
 def ways(text: str) -> list[Leg | str]:
     """Cut a text into legs and into texts about places, in the order in which they were told.
 
     A text without motion comes back as it is.
     """
-    if not _STEMS.search(text):
+    if not STEMS.search(text):
         return [text]
     parts: list[Leg | str] = []
     for sentence in scan(text):
@@ -162,7 +110,7 @@ def _clauses(sentence: list[Word]) -> Iterator[tuple[int, int]]:
     start = end = sentence[0].start
     open_ = False
     for k, word in enumerate(sentence):
-        joint = word.kind == "comma" or word.lower in _JOINTS
+        joint = word.kind == "comma" or word.lower in JOINTS
         if word.lower == "and" and 0 < k < len(sentence) - 1:
             before, after = in_digits(sentence[k - 1].lower), in_digits(sentence[k + 1].lower)
             numbers = before[-1:].isdigit() and (after[:1].isdigit() or after == "a")
@@ -206,20 +154,20 @@ def _sentence(text: str) -> str:
 
 def _leg(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str]:
     """What a clause says of motion, and what of it is left to be said of a place."""
-    words = _STEPS.sub(r"\1 paces", in_digits(clause))
-    if match := _STAY.match(words):
+    words = STEPS.sub(r"\1 paces", in_digits(clause))
+    if match := STAY.match(words):
         return [Leg(clause, 0.0, 0.0, turn=0.0, sigma=0.0)], ""
-    if match := _AFTER.match(words):
+    if match := AFTER.match(words):
         return _after(clause, words, match.end())
     until = re.match(r"(?:until|till)\s+(.*)", words, re.IGNORECASE | re.DOTALL)
-    if match := _REACHED.match(until[1] if until else words):
-        at = _SAID.get(match["how"].lower(), "at")
+    if match := REACHED.match(until[1] if until else words):
+        at = SAID.get(match["how"].lower(), "at")
         said = f"I am {at} {match['what'].strip()}."
         unsaid = Leg(clause, UNSAID, UNSAID_SPREAD)
         return [said] if going else [unsaid, said], ""
     if until:
         return [f"I am at {until[1].strip()}."] if going else [], ""
-    if match := _GO.match(words):
+    if match := GO.match(words):
         return _gone(clause, match), ""
     leg = _direct(clause, words) if going or alone else None
     return [] if leg is None else [leg], ""
@@ -227,12 +175,12 @@ def _leg(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str
 
 def _after(clause: str, words: str, start: int) -> tuple[list[Leg | str], str]:
     """Read "after 100 m I see a bakery"."""
-    quantity = _QUANTITY.match(words, start)
+    quantity = QUANTITY.match(words, start)
     if quantity is None:
         return [], ""
     rest = words[quantity.end() :].strip(" ,")
     told = re.match(r"(?:\s*(?:to\s+the\s+)?[\w-]+)?", rest)
-    heading = _direction(told[0] if told else "")
+    heading = direction(told[0] if told else "")
     if heading is not None and told is not None:
         rest = rest[told.end() :].strip(" ,")
     distance, spread = _amount(words, quantity, WALKING)
@@ -244,13 +192,13 @@ def _gone(clause: str, match: re.Match[str]) -> list[Leg | str]:
     """Read a clause with a verb of motion; empty where it says something else."""
     verb = (match["past"] or match["now"] or match["going"]).lower()
     rest = match["rest"]
-    quantity = _QUANTITY.search(rest)
+    quantity = QUANTITY.search(rest)
     cut = rest if quantity is None else rest[: quantity.start()] + " , " + rest[quantity.end() :]
     ends = [] if verb.startswith("cross") else list(_ends(cut))
-    bare = _ENDS.sub(" ", cut) if ends else cut
+    bare = ENDS.sub(" ", cut) if ends else cut
     if re.search(r"\byou", rest, re.IGNORECASE) or _position(cut):
         return []
-    heading = _direction(bare)
+    heading = direction(bare)
     if match["going"] and quantity is None:
         return []  # says which way one faces
     if match["who"] is None and match["past"] is None and quantity is None and heading is None:
@@ -271,7 +219,7 @@ def _gone(clause: str, match: re.Match[str]) -> list[Leg | str]:
             _amount(rest, quantity, SPEED.get(verb, WALKING))
             if quantity is not None
             else (A_BIT, 0.6 * A_BIT)
-            if _SMALL.search(rest)
+            if SMALL.search(rest)
             else (UNSAID, UNSAID_SPREAD)
         )
         leg = Leg(clause, distance, spread, bearing, turn, sigma)
@@ -280,12 +228,12 @@ def _gone(clause: str, match: re.Match[str]) -> list[Leg | str]:
 
 def _direct(clause: str, words: str) -> Leg | None:
     """Read "100 m north" after a way, or as all that is said."""
-    quantity = _QUANTITY.search(words)
+    quantity = QUANTITY.search(words)
     if quantity is None:
         return None
     rest = words[: quantity.start()] + " " + words[quantity.end() :]
-    heading = _direction(rest)
-    left = re.findall(r"[^\W\d_]+", _FILLERS.sub(" ", rest.lower()))
+    heading = direction(rest)
+    left = re.findall(r"[^\W\d_]+", FILLERS.sub(" ", rest.lower()))
     if heading is None or len(left) > 2 or _position(rest):
         return None
     distance, spread = _amount(words, quantity, WALKING)
@@ -313,51 +261,11 @@ def _position(words: str) -> bool:
     )
 
 
-def _direction(words: str) -> tuple[float | None, float | None, float] | None:
-    """Bearing, turn and sigma [rad] that words tell, or None."""
-    if degrees := _DEGREES.search(words):
-        angle = radians(float(degrees[1]))
-        side = re.search(r"\b(left|right)\b", words, re.IGNORECASE)
-        if side is None:
-            return angle % (2.0 * pi), None, 0.15
-        return None, angle if side[1].lower() == "right" else -angle, 0.2
-    tokens = re.findall(r"[^\W\d_]+", words)
-    low = [w.lower() for w in tokens]
-    for i in range(len(low)):
-        if (found := _one_direction(tokens, low, i)) is not None:
-            return found
-    if any(w in _BACK for w in low):
-        return None, pi, TURN_SIGMA
-    if any(w in _AHEAD for w in low):
-        return None, 0.0, STRAIGHT_SIGMA
-    return None
-
-
-def _one_direction(
-    tokens: list[str], low: list[str], i: int
-) -> tuple[float | None, float | None, float] | None:
-    """Read the direction that begins at word i, or None."""
-    loose = any(w in ("slightly", "mostly", "roughly", "half", "bit") for w in low)
-    if low[i] == "left" or (low[i] == "right" and low[i + 1 : i + 2] != ["along"]):
-        side = pi / 2 if low[i] == "right" else -pi / 2
-        return None, side * (0.5 if loose else 1.0), TURN_SIGMA
-    phrase = english().longest(low, i)
-    kind = phrase[1][0].type if phrase else ""
-    if phrase is None or not (kind == "DIR" or (kind == "SHORT" and tokens[i].isupper())):
-        return None
-    direction = phrase[1][0].value
-    if direction.facing:
-        return None, direction.bearing, TURN_SIGMA
-    sharp = any(w in ("due", "directly", "exactly") for w in low)
-    sigma = SHARP_SIGMA if sharp else LOOSE_SIGMA if loose else direction.sigma
-    return direction.bearing, None, sigma
-
-
 def _ends(words: str) -> Iterator[str]:
     """Sentences about the place that a way leads to."""
-    for match in _ENDS.finditer(words):
+    for match in ENDS.finditer(words):
         what = match["what"].strip(" .")
-        if _direction(what) is not None or re.match(r"(?:my|your|me|you)\b", what, re.IGNORECASE):
+        if direction(what) is not None or re.match(r"(?:my|your|me|you)\b", what, re.IGNORECASE):
             continue
         how = match["how"].lower()
-        yield f"I am {_SAID.get(how, 'at')} {what}."
+        yield f"I am {SAID.get(how, 'at')} {what}."

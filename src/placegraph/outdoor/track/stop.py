@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.language.check import LONGEST_TEXT
+from placegraph.outdoor.language.description import Description
+from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import Posterior
 from placegraph.outdoor.search.viewpoints import SPACING
-from placegraph.outdoor.track.grid import Belief, TrackGrid, laid
+from placegraph.outdoor.track.grid import Belief, TrackGrid, laid, mixed
 from placegraph.outdoor.track.score import Scores, score
 
 if TYPE_CHECKING:
@@ -20,10 +23,15 @@ if TYPE_CHECKING:
 
     from placegraph.estimate import Evidence
     from placegraph.geometry import Floats
-    from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
 
+MOST_STATEMENTS = 24
+"""What was said at one place is read as one text up to so many statements."""
+SURPRISED = 0.1
+"""A text that believed places explain worse than this may have been said somewhere else."""
+UNTOLD = 0.02
+"""Prior probability that the speaker has moved without a word."""
 LIGHT = 1e-5
 """Cells lighter than this, against the heaviest, are no part of a mode."""
 MOST_REMEMBERED = 400
@@ -49,6 +57,25 @@ class Stop:
         """Return what is believed after all that was said."""
         return self.arrival if self.belief is None else self.belief
 
+    def goes_on(self, text: str | Description) -> bool:
+        """Whether a text can be read together with those said here."""
+        if isinstance(text, Description) or any(isinstance(t, Description) for t in self.texts):
+            return False
+        if sum(len(str(t)) for t in (*self.texts, text)) + len(self.texts) > LONGEST_TEXT:
+            return False
+        return self.query is None or len(self.query.used) < MOST_STATEMENTS
+
+    def after(
+        self, text: str | Description, city: City, grid: TrackGrid, heading: float | None
+    ) -> Stop | None:
+        """Return it with one more text; the same or None where the text adds nothing to it."""
+        texts = (*self.texts, text)
+        joint = text if isinstance(text, Description) else " ".join(map(str, texts))
+        query = compile_query(read(city, joint, heading=heading), city)
+        if self.query is not None and len(query.used) == len(self.query.used):
+            return self  # said again, it is no surer
+        return self.heard(texts, query, city, grid) if query.used else None
+
     def heard(
         self, texts: tuple[str | Description, ...], query: Query, city: City, grid: TrackGrid
     ) -> Stop:
@@ -69,6 +96,10 @@ class Stop:
             Belief((mass / np.float32(total)).reshape(arrival.mass.shape), lost / total),
             _fine(scores, weights, highest, total),
         )
+
+    def unsure(self, grid: TrackGrid) -> Stop:
+        """Return a fresh one, whose speaker may have moved without a word."""
+        return Stop(mixed(self.now, grid, 1.0 - UNTOLD, 1.0 - UNTOLD, UNTOLD))
 
     def placed(self, grid: TrackGrid) -> Belief:
         """Belief in which the heaviest cells lie where the closer look saw them."""
@@ -136,14 +167,6 @@ class Memory:
     def after(self, shift: Floats, spread: Floats) -> Memory:
         """Return it after one more motion (2,) [m] with covariance (2, 2) [m^2]."""
         return replace(self, shift=self.shift + shift, spread=self.spread + spread)
-
-
-def explained(
-    position: Floats, city: City, query: Query | None, memory: tuple[Memory, ...]
-) -> tuple[Evidence, ...]:
-    """Evidence of what was said here, then of what was said before, the latest first."""
-    here = evidence_at(position, city, query) if query is not None else ()
-    return (*here, *(e for m in reversed(memory) for e in m.evidence(position, city)))
 
 
 def _fine(scores: Scores, weights: Floats, highest: float, total: float) -> tuple[Floats, Floats]:

@@ -8,66 +8,41 @@ and what is said twice is no surer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
 from math import atan2, hypot, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Place, Status
-from placegraph.language.check import LONGEST_TEXT, check
+from placegraph.estimate import CityEstimate, Status
+from placegraph.language.check import check
 from placegraph.outdoor.language.description import Description
-from placegraph.outdoor.likelihood.query import Query, compile_query, read
-from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, place, support
-from placegraph.outdoor.search.posterior import modes, status_of
-from placegraph.outdoor.search.viewpoints import SPACING
+from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.search.request import is_count
+from placegraph.outdoor.search.whereabouts import Whereabouts, finite, positive
+from placegraph.outdoor.track.answer import Waypoint, estimate, why_nothing
 from placegraph.outdoor.track.grid import (
+    COMPASS,
     FARTHEST,
     Belief,
     Kernel,
     TrackGrid,
-    mixed,
     moved,
+    odometry_sigma,
     reborn,
     straight,
     way,
 )
 from placegraph.outdoor.track.motion import Leg, ways
-from placegraph.outdoor.track.options import finite, positive, shares_near
-from placegraph.outdoor.track.stop import Memory, Stop, explained
+from placegraph.outdoor.track.stop import SURPRISED, Memory, Stop
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.outdoor.map.city import City
 
-MOST_STATEMENTS = 24
-"""What was said at one place is read as one text up to so many statements."""
 REMEMBERED = 6
 """Of so many places before, the evidence is told again."""
-SURPRISED = 0.1
-"""A text that believed places explain worse than this may have been said somewhere else."""
-UNTOLD = 0.02
-"""Prior probability that the speaker has moved without a word."""
-ODOMETRY = 0.03
-"""Deviation of measured motion, as a share of it ..."""
-STEP = 1.0
-"""... plus this [m]."""
-COMPASS = 0.1
-"""Deviation of a measured bearing [rad]."""
-
-
-@dataclass(frozen=True)
-class Waypoint:
-    """One call of a tracker, and what it came to."""
-
-    said: str
-    """The text, or the motion in words."""
-    status: Status
-    best: Place | None
-    """The best mode after it."""
 
 
 class CityTracker:
@@ -106,13 +81,14 @@ class CityTracker:
         heading: float | None = None,
         top: int = 5,
     ) -> None:
-        if isinstance(top, bool) or not isinstance(top, int | np.integer) or top < 1:
+        if not is_count(top):
             raise OptionError(f"top is {top!r}; ask for at least one mode.")
         self.city = city
         self._top = int(top)
         self._grid = TrackGrid.of(city.views)
         self._first_heading = None if heading is None else finite(heading, "heading", "an angle")
-        self._shares = shares_near(city, near, radius)
+        known = None if near is None else Whereabouts.around(city, near, radius)
+        self._shares = None if known is None else known.shares(city.views)
         self.reset()
 
     def reset(self) -> CityEstimate:
@@ -158,11 +134,6 @@ class CityTracker:
             Words such as "I walked 200 m east. There is a bakery to my north." (or an already parsed
             description of what is in sight).
 
-        Returns
-        -------
-        CityEstimate
-            Where the speaker is after it.
-
         Raises
         ------
         DescriptionError
@@ -200,7 +171,7 @@ class CityTracker:
         east = finite(east, "east", "metres")
         north = finite(north, "north", "metres")
         length = hypot(east, north)
-        loose = ODOMETRY * length + STEP if sigma is None else positive(sigma, "sigma")
+        loose = odometry_sigma(length) if sigma is None else positive(sigma, "sigma")
         if length > 0.0:
             self._heading = atan2(east, north), min(pi, loose / length)
         if max(length, loose) > FARTHEST:
@@ -237,11 +208,9 @@ class CityTracker:
 
         """
         distance = positive(distance, "distance")
-        loose = (
-            ODOMETRY * distance + STEP
-            if distance_sigma is None
-            else positive(distance_sigma, "distance_sigma")
-        )
+        loose = odometry_sigma(distance)
+        if distance_sigma is not None:
+            loose = positive(distance_sigma, "distance_sigma")
         turn = positive(bearing_sigma, "bearing_sigma")
         if bearing is not None:
             bearing = finite(bearing, "bearing", "an angle")
@@ -298,16 +267,15 @@ class CityTracker:
     def _hear(self, text: str | Description) -> str:
         """Sharpen the belief; returns why that was not possible, or an empty string."""
         stop = self._stop
-        if stop.texts and not self._goes_on(text):
+        if stop.texts and not stop.goes_on(text):
             stop = self._next()
-        after = self._after(stop, text)
+        after = stop.after(text, self.city, self._grid, self.heading)
         if after is None or after is stop:
             alone = compile_query(read(self.city, text, heading=self.heading), self.city)
-            return "" if alone.used else _why_nothing(alone)
+            return "" if alone.used else why_nothing(alone)
         gain = after.log_evidence - stop.log_evidence
         if stop.texts and gain < np.log(SURPRISED):
-            doubt = Stop(mixed(stop.now, self._grid, 1.0 - UNTOLD, 1.0 - UNTOLD, UNTOLD))
-            anew = self._after(doubt, text)
+            anew = stop.unsure(self._grid).after(text, self.city, self._grid, self.heading)
             if anew is not None and anew.log_evidence > gain + np.log(2.0):
                 self._memory = self._remembered()
                 after = anew
@@ -315,61 +283,20 @@ class CityTracker:
         self._understood = True
         return ""
 
-    def _goes_on(self, text: str | Description) -> bool:
-        """Whether a text can be read together with those said at this stop."""
-        texts, query = self._stop.texts, self._stop.query
-        if isinstance(text, Description) or any(isinstance(t, Description) for t in texts):
-            return False
-        if sum(len(str(t)) for t in (*texts, text)) + len(texts) > LONGEST_TEXT:
-            return False
-        return query is None or len(query.used) < MOST_STATEMENTS
-
-    def _after(self, stop: Stop, text: str | Description) -> Stop | None:
-        """Return a stop with one more text; the same or None where the text adds nothing to it."""
-        texts = (*stop.texts, text)
-        joint = text if isinstance(text, Description) else " ".join(map(str, texts))
-        query = compile_query(read(self.city, joint, heading=self.heading), self.city)
-        if stop.query is not None and len(query.used) == len(stop.query.used):
-            return stop  # said again, it is no surer
-        return stop.heard(texts, query, self.city, self._grid) if query.used else None
-
     # --- answers ---
 
     def _noted(self, said: str, why: str) -> CityEstimate:
         """Make the estimate and keep it."""
-        self._estimate = self._estimated(why)
+        if self._understood or self._shares is not None:
+            self._estimate = estimate(
+                self.city, self._stop, self._memory, self._grid, self._top, why
+            )
+        else:
+            understood = self._stop.query.description if self._stop.query else None
+            reason = why or "Nothing was said of a place yet; say what stands around you."
+            self._estimate = CityEstimate(Status.LOST, (), reason, understood)
         self._history += (Waypoint(said, self._estimate.status, self._estimate.best),)
         return self._estimate
 
-    def _estimated(self, why: str) -> CityEstimate:
-        stop, city = self._stop, self.city
-        understood = stop.query.description if stop.query else None
-        if not self._understood and self._shares is None:
-            reason = why or "Nothing was said of a place yet; say what stands around you."
-            return CityEstimate(Status.LOST, (), reason, understood)
-        found = stop.posterior(self._grid, MOST_SUPPORT)
-        peaks = modes(found, self._top, SPACING)
-        places = tuple(
-            place(mode, city, partial(explained, mode.position, city, stop.query, self._memory))
-            for mode in peaks
-        )
-        status, reason = status_of(found, peaks)
-        if understood and understood.conflicts and places and _opposed(places[0]):
-            status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
-        reason = f"{reason} {why}".strip()
-        return CityEstimate(status, places, reason, understood, support(found, city))
-
     def __repr__(self) -> str:
         return f"CityTracker({self.city.source!r}, {len(self._history)} steps)"
-
-
-def _opposed(place: Place) -> bool:
-    return any(e.verdict == "against" for e in place.evidence)
-
-
-def _why_nothing(query: Query) -> str:
-    """Why a text changed nothing."""
-    reasons = sorted({reason for _, reason in query.unused})
-    if reasons:
-        return "Nothing that was said last can be looked for: " + "; ".join(reasons) + "."
-    return "Nothing of what was said last could be understood."

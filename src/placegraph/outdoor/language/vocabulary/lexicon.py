@@ -143,6 +143,17 @@ class Lexicon:
             if entry.kind == "n" and letter in entry.languages
         }
 
+    def names_of_labels(self, language: str) -> dict[tuple[str, str], str]:
+        """Preset names by language and label; a detail takes the name of the first preset that has it."""
+        found: dict[tuple[str, str], str] = {}
+        for preset, name in sorted(
+            self.names(language).items(), key=lambda item: item[0].count("=")
+        ):
+            labels = weighted(preset)
+            if labels[-1][1] == 1.0:
+                found.setdefault((language, labels[-1][0]), name)
+        return found
+
 
 def read_lexicon(table: Traversable | Path) -> Lexicon:
     """Read a lexicon.

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary.tables import find, rows
+from placegraph.outdoor.language.vocabulary.text import normal
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
 COLUMNS = ("key", "values", "role", "rank", "with", "said")
@@ -17,6 +19,14 @@ OBJECT, KIND, DETAIL, SKIP = ROLES = ("object", "kind", "detail", "skip")
 
 _VALUE = re.compile(r"[^\W_][\w:.+-]{0,39}")
 """A tag value that can be a label; free text ("The old mill, now closed") cannot."""
+
+KIN = {
+    "shop": ("shop", "amenity", "craft", "office", "leisure"),
+    "office": ("office", "amenity", "healthcare", "craft"),
+    "healthcare": ("healthcare", "amenity"),
+    "craft": ("craft", "shop"),
+}
+"""Keys whose labels "x shop", "x office" ... may mean as well ("pharmacy shop")."""
 
 
 class Rule(NamedTuple):
@@ -113,9 +123,28 @@ class ObjectTable:
             if value != "*" and rule.role in (OBJECT, KIND)
         ]
 
-    def patterns(self) -> dict[str, str]:
-        """How unlisted values are said (``"{} shop"``), by key."""
-        return {key: values["*"].said for key, values in self._rules.items() if "*" in values}
+    def by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
+        """Nameable labels, those of specific keys first."""
+        known = [label for label in found if self.names(label)]
+        known.sort(key=lambda label: self.rule(label).rank)
+        return {label: found[label] for label in known}
+
+    def built(self, form: str) -> Iterator[tuple[str, str]]:
+        """Key and value of a phrase by the way it is built: "kite shop" is ``shop``, "kite"."""
+        for key, pattern in self._patterns:
+            if match := pattern.fullmatch(form):
+                yield key, match[1]
+
+    @cached_property
+    def _patterns(self) -> tuple[tuple[str, re.Pattern[str]], ...]:
+        """How unlisted values are said ("0 shop"), as expressions, by key."""
+        said = [
+            (key, normal(values["*"].said.replace("{}", " 0 ")))
+            for key, values in self._rules.items()
+            if "*" in values and values["*"].said != "{}"
+        ]
+        said.append(("shop", "0 store"))
+        return tuple((key, re.compile(pattern.replace("0", "(.+)", 1))) for key, pattern in said)
 
 
 def _any(needs: tuple[str, ...], tags: Mapping[str, str]) -> bool:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 # fmt: off
 ARTICLES = frozenset((
@@ -138,3 +142,55 @@ def folded(phrase: str) -> str:
     parts = unicodedata.normalize("NFKD", phrase.translate(_LETTERS))
     bare = "".join([letter for letter in parts if not unicodedata.combining(letter)])
     return unicodedata.normalize("NFC", bare)
+
+
+_ENDINGS = ("ed", "ing", "ly", "er", "est", "es", "s", "al", "ive")
+LONG = 8
+"""Letters of words in which two letters may differ."""
+
+
+def corrected(form: str, choices: Sequence[str]) -> tuple[str, float] | None:
+    """The choice that a word is a misspelling of, and how near it is (Jaro-Winkler)."""
+    from rapidfuzz import process
+    from rapidfuzz.distance import OSA, JaroWinkler
+
+    near = process.extract(
+        form,
+        choices,
+        scorer=OSA.distance,
+        score_cutoff=2 if len(form) >= LONG else 1,
+        limit=None,
+    )
+    return max(
+        ((word, JaroWinkler.similarity(form, word)) for word, *_ in near if _slip(form, word)),
+        key=lambda found: found[1],
+        default=None,
+    )
+
+
+def _slip(typed: str, meant: str) -> bool:
+    """Tell whether one word may be a misspelling of another.
+
+    In a short word a letter replaced is another word more often than a slip ("like", "line"), and
+    so is another ending ("poster", "posted").
+    """
+    from rapidfuzz.distance import Prefix
+
+    if typed[0] != meant[0] or singular(typed) == singular(meant):
+        return False
+    replaced = len(typed) == len(meant) and sorted(typed) != sorted(meant)
+    if replaced and len(typed) < LONG - 1:
+        return False
+    stem = Prefix.similarity(typed, meant)
+    return not any(typed[stem:].endswith(ending) and len(typed) - stem <= 4 for ending in _ENDINGS)
+
+
+def beginnings(phrases: Iterable[str]) -> frozenset[str]:
+    """All proper beginnings of phrases, word by word."""
+    found = set()
+    for phrase in phrases:
+        at = phrase.find(" ")
+        while at > 0:
+            found.add(phrase[:at])
+            at = phrase.find(" ", at + 1)
+    return frozenset(found)

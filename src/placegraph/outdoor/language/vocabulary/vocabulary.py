@@ -7,10 +7,17 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, read_lexicon, weighted
-from placegraph.outdoor.language.vocabulary.objects import read_objects
+from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, read_lexicon
+from placegraph.outdoor.language.vocabulary.objects import KIN, read_objects
 from placegraph.outdoor.language.vocabulary.tables import find, user_folder
-from placegraph.outdoor.language.vocabulary.text import ARTICLES, folded, normal, singular
+from placegraph.outdoor.language.vocabulary.text import (
+    ARTICLES,
+    beginnings,
+    corrected,
+    folded,
+    normal,
+    singular,
+)
 from placegraph.outdoor.language.vocabulary.words import read_words
 
 if TYPE_CHECKING:
@@ -31,8 +38,8 @@ _CALLED = 0.8
 """Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
 _GUESS = 0.6
 """Weight of ``shop=x`` for "x shop", where nothing is known of x."""
-_SHORTEST, _LONG = 4, 8
-"""Letters of the shortest word that is corrected, and of words in which two letters may differ."""
+_SHORTEST = 4
+"""Letters of the shortest word that is corrected."""
 _TAG = re.compile(r"([\w:]+)=(\*|[\w:.+-]+)")
 _MEMORY = 1 << 14
 """Phrases remembered, so that a word is looked up once."""
@@ -110,12 +117,8 @@ class Vocabulary:
     ) -> tuple[int, tuple[Sense, ...]] | None:
         """Longest phrase of at most `LONGEST` tokens that starts at `start` and names a thing.
 
-        Ordinary words (`stops`) match only within a longer phrase.
-
-        Returns
-        -------
-        (int, senses) or None
-            How many tokens, and what they may mean.
+        Ordinary words (`stops`) match only within a longer phrase. Returns how many tokens, and
+        what they may mean.
         """
         best = None
         phrase = ""
@@ -174,13 +177,7 @@ class Vocabulary:
     @cached_property
     def _prefixes(self) -> frozenset[str]:
         """All proper beginnings of English phrases."""
-        found = set()
-        for word in (*self._english.words(), *self._words.english, *self._words.others):
-            at = word.find(" ")
-            while at > 0:
-                found.add(word[:at])
-                at = word.find(" ", at + 1)
-        return frozenset(found)
+        return beginnings((*self._english.words(), *self._words.english, *self._words.others))
 
     def _begins(self, phrase: str) -> bool:
         """Tell whether a longer known phrase may begin with this one."""
@@ -208,7 +205,7 @@ class Vocabulary:
             if senses := self._ranked(self._words.others.get(word, {})):
                 return senses
         for word in () if self._is_stop(plain) else forms:
-            if senses := self._ranked(self._by_rank(self._world.senses(word))):
+            if senses := self._ranked(self._objects.by_rank(self._world.senses(word))):
                 return senses
         return ()
 
@@ -219,7 +216,7 @@ class Vocabulary:
         if made is not None:
             tagged = {label: _ASIDE * weight for label, weight in tagged.items()}
         found = dict(made or {})
-        for others in (self._by_rank(tagged), self._called.get(word, {})):
+        for others in (self._objects.by_rank(tagged), self._called.get(word, {})):
             for label, weight in others.items():
                 if label not in (made or {}):
                     found[label] = max(weight, found.get(label, 0.0))
@@ -264,35 +261,14 @@ class Vocabulary:
     def _built(self, form: str) -> tuple[Sense, ...]:
         """Senses of "x shop", "x office", "x building" ...: a kind of shop, office, building."""
         found: dict[str, float] = {}
-        for key, pattern in self._patterns:
-            match = pattern.fullmatch(form)
-            if not match:
-                continue
+        for key, value in self._objects.built(form):
             inner = {
                 sense.label: sense.weight
-                for sense in self._meant(match[1])
-                if sense.label.partition("=")[0] in _KIN.get(key, (key,))
+                for sense in self._meant(value)
+                if sense.label.partition("=")[0] in KIN.get(key, (key,))
             }
-            value = match[1].replace(" ", "_")
-            found |= inner or {f"{key}={value}": _GUESS, f"{key}=*": _GUESS / 2}
+            found |= inner or {f"{key}={value.replace(' ', '_')}": _GUESS, f"{key}=*": _GUESS / 2}
         return self._ranked(found)
-
-    @cached_property
-    def _patterns(self) -> tuple[tuple[str, re.Pattern[str]], ...]:
-        """How values are said ("0 shop"), as expressions, by key."""
-        said = [
-            (key, normal(pattern.replace("{}", " 0 ")))
-            for key, pattern in self._objects.patterns().items()
-            if pattern != "{}"
-        ]
-        said.append(("shop", "0 store"))
-        return tuple((key, re.compile(pattern.replace("0", "(.+)", 1))) for key, pattern in said)
-
-    def _by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
-        """Nameable labels, those of specific keys first."""
-        known = [label for label in found if self._objects.names(label)]
-        known.sort(key=lambda label: self._objects.rule(label).rank)
-        return {label: found[label] for label in known}
 
     def _ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
         """Senses of nameable labels, likeliest first, otherwise in the given order."""
@@ -315,59 +291,9 @@ class Vocabulary:
             return None
         if self._known(form):
             return form, 1.0
-        if len(form) < _SHORTEST:
-            return None
-        from rapidfuzz import process
-        from rapidfuzz.distance import OSA, JaroWinkler
-
-        near = process.extract(
-            form,
-            self._choices,
-            scorer=OSA.distance,
-            score_cutoff=2 if len(form) >= _LONG else 1,
-            limit=None,
-        )
-        return max(
-            ((word, JaroWinkler.similarity(form, word)) for word, *_ in near if _slip(form, word)),
-            key=lambda found: found[1],
-            default=None,
-        )
+        return corrected(form, self._choices) if len(form) >= _SHORTEST else None
 
     def _names_in(self, language: str) -> dict[tuple[str, str], str]:
         """Preset names by language and label; a detail takes the name of the first preset that has it."""
         lexicon = self._english if language in self._english.languages else self._world
-        found: dict[tuple[str, str], str] = {}
-        for preset, name in sorted(
-            lexicon.names(language).items(), key=lambda item: item[0].count("=")
-        ):
-            labels = weighted(preset)
-            if labels[-1][1] == 1.0:
-                found.setdefault((language, labels[-1][0]), name)
-        return found
-
-
-def _slip(typed: str, meant: str) -> bool:
-    """Tell whether one word may be a misspelling of another.
-
-    In a short word a letter replaced is another word more often than a slip ("like", "line"), and
-    so is another ending ("poster", "posted").
-    """
-    from rapidfuzz.distance import Prefix
-
-    if typed[0] != meant[0] or singular(typed) == singular(meant):
-        return False
-    replaced = len(typed) == len(meant) and sorted(typed) != sorted(meant)
-    if replaced and len(typed) < _LONG - 1:
-        return False
-    stem = Prefix.similarity(typed, meant)
-    return not any(typed[stem:].endswith(ending) and len(typed) - stem <= 4 for ending in _ENDINGS)
-
-
-_ENDINGS = ("ed", "ing", "ly", "er", "est", "es", "s", "al", "ive")
-_KIN = {
-    "shop": ("shop", "amenity", "craft", "office", "leisure"),
-    "office": ("office", "amenity", "healthcare", "craft"),
-    "healthcare": ("healthcare", "amenity"),
-    "craft": ("craft", "shop"),
-}
-"""Keys whose labels "x shop", "x office" ... may mean as well ("pharmacy shop")."""
+        return lexicon.names_of_labels(language)

@@ -1,0 +1,70 @@
+"""What a tracker answers: the belief at a stop as an estimate, with what was said here and before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from placegraph.estimate import CityEstimate, Place, Status
+from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, place, support
+from placegraph.outdoor.search.evidence import evidence_at
+from placegraph.outdoor.search.posterior import modes, status_of
+from placegraph.outdoor.search.viewpoints import SPACING
+
+if TYPE_CHECKING:
+    from placegraph.estimate import Evidence
+    from placegraph.geometry import Floats
+    from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.track.grid import TrackGrid
+    from placegraph.outdoor.track.stop import Memory, Stop
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One call of a tracker, and what it came to."""
+
+    said: str
+    """The text, or the motion in words."""
+    status: Status
+    best: Place | None
+    """The best mode after it."""
+
+
+def estimate(
+    city: City, stop: Stop, memory: tuple[Memory, ...], grid: TrackGrid, top: int, why: str
+) -> CityEstimate:
+    """Where the speaker is by what is believed at a stop; `why` the last text added nothing to it."""
+    understood = stop.query.description if stop.query else None
+    found = stop.posterior(grid, MOST_SUPPORT)
+    peaks = modes(found, top, SPACING)
+    places = tuple(
+        place(mode, city, partial(explained, mode.position, city, stop.query, memory))
+        for mode in peaks
+    )
+    status, reason = status_of(found, peaks)
+    if understood and understood.conflicts and places and _opposed(places[0]):
+        status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
+    reason = f"{reason} {why}".strip()
+    return CityEstimate(status, places, reason, understood, support(found, city))
+
+
+def explained(
+    position: Floats, city: City, query: Query | None, memory: tuple[Memory, ...]
+) -> tuple[Evidence, ...]:
+    """Evidence of what was said here, then of what was said before, the latest first."""
+    here = evidence_at(position, city, query) if query is not None else ()
+    return (*here, *(e for m in reversed(memory) for e in m.evidence(position, city)))
+
+
+def _opposed(place: Place) -> bool:
+    return any(e.verdict == "against" for e in place.evidence)
+
+
+def why_nothing(query: Query) -> str:
+    """Why a text changed nothing."""
+    reasons = sorted({reason for _, reason in query.unused})
+    if reasons:
+        return "Nothing that was said last can be looked for: " + "; ".join(reasons) + "."
+    return "Nothing of what was said last could be understood."
