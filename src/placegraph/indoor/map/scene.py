@@ -83,10 +83,8 @@ class Scene:
             Of the N objects.
         floor
             Height of the floor [m, map].
-        attributes
-            Of each object, or of none.
-        relations
-            Edges (source row, relation, target row).
+        attributes, relations
+            Of each object, or of none; edges (source row, relation, target row).
         scene, source
             Names for messages.
         encoded
@@ -107,34 +105,18 @@ class Scene:
             )
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
         mesh = ordered(replace(mesh.snapped(), textures=textures.decode(blobs, source or scene)))
-        boxes = mesh.object_bounds(len(ids))
-        bare = np.flatnonzero(np.isnan(boxes[:, 0, 0]))
+        bare = np.flatnonzero(np.isnan(mesh.object_bounds(len(ids))[:, 0, 0]))
         if bare.size:
             raise OptionError(
                 f"objects: {ids[bare[0]]!r} has no triangle; a scene map is made of objects with "
                 "triangles."
             )
-        graph = SceneGraph(
-            ids=tuple(ids),
-            labels=tuple(labels),
-            names=tuple(names),
-            positions=boxes.mean(axis=1),
-            extents=boxes[:, 1] - boxes[:, 0],
-            sources=np.array([s for s, _, _ in relations], np.int64),
-            relations=tuple(r for _, r, _ in relations),
-            targets=np.array([t for _, _, t in relations], np.int64),
-        )
         return cls(
-            graph=graph,
-            mesh=mesh,
+            graph=graph_of(mesh, ids, labels, names, relations), mesh=mesh, encoded=blobs,
             attributes=tuple(dict(a) for a in attributes) or ({},) * len(ids),
-            floors=np.array([floor], np.float64),
-            scenes=(scene,),
-            scene_of=np.zeros(len(ids), np.int32),
-            scene_from_map=np.eye(4)[None],
-            source=source,
-            encoded=blobs,
-        )
+            floors=np.array([floor], np.float64), scenes=(scene,),
+            scene_of=np.zeros(len(ids), np.int32), scene_from_map=np.eye(4)[None], source=source,
+        )  # fmt: skip
 
     def __post_init__(self) -> None:
         n, s = len(self.graph), len(self.scenes)
@@ -250,6 +232,24 @@ class Scene:
         if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
             vectors = from_8_bits(*in_8_bits(vectors))
         return replace(self, graph=replace(self.graph, embeddings=vectors), encoder=encoder)
+
+
+def graph_of(
+    mesh: Mesh,
+    ids: Sequence[str],
+    labels: Sequence[str],
+    names: Sequence[str],
+    relations: Sequence[tuple[int, str, int]],
+) -> SceneGraph:
+    """Graph of N objects, in the boxes of their triangles; edges (source row, relation, target row)."""
+    boxes = mesh.object_bounds(len(ids))
+    return SceneGraph(
+        ids=tuple(ids), labels=tuple(labels), names=tuple(names),
+        positions=boxes.mean(axis=1), extents=boxes[:, 1] - boxes[:, 0],
+        sources=np.array([s for s, _, _ in relations], np.int64),
+        relations=tuple(r for _, r, _ in relations),
+        targets=np.array([t for _, _, t in relations], np.int64),
+    )  # fmt: skip
 
 
 def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:

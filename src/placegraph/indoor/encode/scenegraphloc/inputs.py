@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode.scenegraphloc.views import Views
     from placegraph.indoor.map.scene import Scene
 
-POINTS = 512
-"""Of each object."""
+POINTS = 512  # of each object
 PointSource = Literal["surface", "vertices"]
 _DIRECTIONS = 1024
 _PORTION = 1 << 14

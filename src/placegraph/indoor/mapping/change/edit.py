@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any, Generic
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered
 from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
 from placegraph.indoor.map.relations.words import BIGGER, PART, canonical
 from placegraph.indoor.map.rooms import rooms_of, with_rooms
-from placegraph.indoor.map.scene import S
+from placegraph.indoor.map.scene import S, graph_of
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.register import moved
 
@@ -84,7 +83,6 @@ class Edit(Generic[S]):
         mesh, encoded = self._mesh()
         mesh = replace(mesh, object_of=place[mesh.object_of].astype(np.int32))
         mesh = ordered(mesh.snapped())
-        boxes = mesh.object_bounds(len(rows))
         labels = [self._labels[i] for i in rows]
         attributes = [self._attributes[i] for i in rows]
         room_of = None
@@ -93,17 +91,9 @@ class Edit(Generic[S]):
             floor = float(self._before.floors[0])
             room_of, attributes = rooms_now(mesh, labels, floor, attributes, stirred)
         edges = self._edges(relate(mesh, labels, room_of), rows, place)
-        graph = SceneGraph(
-            ids=tuple(self._ids[i] for i in rows),
-            labels=tuple(labels),
-            names=tuple(self._names[i] for i in rows),
-            positions=boxes.mean(axis=1),
-            extents=boxes[:, 1] - boxes[:, 0],
-            embeddings=self._embeddings(rows),
-            sources=np.array([s for s, _, _ in edges], np.int64),
-            relations=tuple(r for _, r, _ in edges),
-            targets=np.array([t for _, _, t in edges], np.int64),
-        )
+        ids, names = ([given[i] for i in rows] for given in (self._ids, self._names))
+        graph = graph_of(mesh, ids, labels, names, edges)
+        graph = replace(graph, embeddings=self._embeddings(rows))
         return replace(
             self._before,
             graph=graph,
