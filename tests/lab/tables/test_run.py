@@ -12,7 +12,7 @@ from placegraph_lab.tables.run import Run, known, load, names, spoken
 from placegraph_lab.worlds.town.town import Town
 
 
-def test_every_table_is_listed():
+def test_every_table_is_listed(measure):
     listed = CliRunner().invoke(app, ["table", "--list"])
     assert listed.exit_code == 0, listed.output
     shown = dict(line.split(maxsplit=1) for line in listed.output.splitlines())
@@ -21,6 +21,7 @@ def test_every_table_is_listed():
     for name, asks in shown.items():
         assert asks.startswith(load(name).asks)
         assert len(load(name).asks) > 20
+        assert name == "weight" or "--quick" in measure(name, "--help").output
 
 
 def test_a_table_has_options_of_its_own_and_of_all():
@@ -70,6 +71,7 @@ def test_drawn_homes(measure, tmp_path):
 def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("placegraph_lab.tables.run.LAB", tmp_path)
     Run("some", tmp_path, tmp_path).save({"rows": []}, whole=False)
+    Run("some", tmp_path, tmp_path, options={"quick": True}).save({"rows": []})
     assert not list(tmp_path.iterdir())
     Run("some", tmp_path, tmp_path).save({"rows": []})
     assert (tmp_path / "results/some.json").exists()

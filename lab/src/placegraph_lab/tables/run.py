@@ -108,8 +108,10 @@ class Run:
     def save(self, record: dict[str, Any], *, whole: bool = True) -> None:
         """Write rows as JSON, with machine, commit and options.
 
-        `whole`: False of a part of the table, which is written only where `--out` says so.
+        `whole`: False of a part of the table, which is written only where `--out` says so, as a
+        quick run is.
         """
+        whole = whole and not self.options.get("quick")
         out = self.out or (LAB / "results" / f"{self.name}.json" if whole else None)
         if out is None:
             return

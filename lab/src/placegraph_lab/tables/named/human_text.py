@@ -18,11 +18,7 @@ from placegraph.errors import PlacegraphError
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.outdoor.human_text import Baselines, landmarks, read_records, write_osm
 from placegraph_lab.tables.outdoor.metrics import HIT, distances
-from placegraph_lab.tables.run import (
-    Run,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
@@ -111,10 +107,13 @@ def cells(row: dict[str, Any]) -> str:
 
 @table()
 def human_text(
-    run: Run, *, baselines: Annotated[bool, option("Leave the map out.")] = False
+    run: Run,
+    *,
+    baselines: Annotated[bool, option("Leave the map out.")] = False,
+    quick: Quick = False,
 ) -> None:
     """Does what people write find its place? 1,023 descriptions from Pittsburgh (RVS)."""
-    told = read_records(run.data / "text/rvs_pittsburgh.jsonl")
+    told = read_records(run.data / "text/rvs_pittsburgh.jsonl")[: 50 if quick else None]
     places = landmarks(told)
     simple = Baselines(places)
     answers: dict[str, list[Guess]] = {

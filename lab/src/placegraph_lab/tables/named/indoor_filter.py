@@ -24,13 +24,7 @@ from placegraph_lab.tables.indoor.jobs import (
 )
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.report import Row, report
-from placegraph_lab.tables.indoor.windows import (
-    EVERY,
-    HALVES,
-    LENGTHS,
-    OFFICE_EVERY,
-    OFFICE_LENGTH,
-)
+from placegraph_lab.tables.indoor.windows import EVERY, HALVES, LENGTHS, OFFICE_EVERY, OFFICE_LENGTH
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.run import (
     Device,

@@ -23,6 +23,7 @@ from placegraph_lab.tables.indoor.windows import HALVES
 from placegraph_lab.tables.run import (
     Device,
     OfficeEvery,
+    Quick,
     Run,
     Seed,
     option,
@@ -78,9 +79,12 @@ def indoor_matchers(
     device: Device = "cpu",
     *,
     part: Annotated[Part, option("Queries: even ones tune, odd ones test.")] = Part.ALL,
+    quick: Quick = False,
 ) -> None:
     """Which matches of photographs with renderings of the map are right? House and office."""
     specs = parts(only, ";")
+    if quick:
+        specs, every, office_every = specs[:2], 50, 60
     weights = run.shared / "weights/xfeat.pt"
     matchers = {spec: made(spec, weights, device) for spec in specs}
     bench = Bench(run.data, run.cache, every, office_every)

@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import Asker, Bench
 from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
-from placegraph_lab.tables.indoor.refine import (
-    GICP,
-    MATCHERS,
-    QUICK,
-    RefineJob,
-    ask,
-    refine_jobs,
-)
+from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, RefineJob, ask, refine_jobs
 from placegraph_lab.tables.indoor.refine_metrics import Refined
 from placegraph_lab.tables.indoor.refine_report import RefineRow, refine_report
 from placegraph_lab.tables.indoor.windows import EVERY, LENGTHS, OFFICE_EVERY

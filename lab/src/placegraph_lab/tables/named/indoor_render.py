@@ -24,11 +24,7 @@ from placegraph.threads import processors
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.speed import no_cuda
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.run import (
-    Run,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
@@ -124,8 +120,11 @@ def fresh_rays(camera: Camera) -> float:
 
 
 @table()
-def indoor_render(run: Run, poses: Annotated[int, option("Poses of each map.")] = 24) -> None:
+def indoor_render(
+    run: Run, poses: Annotated[int, option("Poses of each map.")] = 24, *, quick: Quick = False
+) -> None:
     """What does a picture of the map cost? By map, size, engine, samples and threads."""
+    poses = 2 if quick else poses
     house, office = (read_camera(run.data / f"{p}/camera.json") for p in ("house/seq00", "office"))
     tours = [true_poses(folder) for folder in sorted((run.data / "house").glob("seq[0-9]*"))]
     half = next(iter(HALVES))

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import Asker
-from placegraph_lab.tables.indoor.jobs import ANSWERING, chosen
+from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.semantics import Case, SemanticBench, ask, available, cases
 from placegraph_lab.tables.indoor.semantics_report import Row, report
@@ -23,6 +23,7 @@ from placegraph_lab.tables.run import (
     Every,
     Fresh,
     OfficeEvery,
+    Quick,
     Run,
     Seed,
     option,
@@ -44,9 +45,12 @@ def indoor_semantics(
     seed: Seed = 0,
     device: Device = "auto",
     *,
+    quick: Quick = False,
     fresh: Fresh = False,
 ) -> None:
     """What is each encoder worth to the particle filter? Alone, and with depth and colour."""
+    if quick:
+        every, office_every = QUICK_EVERY, 2 * office_every
     bench = SemanticBench(run.data, run.cache, every, office_every)
     code = fingerprint(ANSWERING)
     done = []

@@ -29,13 +29,7 @@ from placegraph_lab.tables.indoor.speed import (
     resized,
     tracking,
 )
-from placegraph_lab.tables.run import (
-    Run,
-    known,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
@@ -170,10 +164,13 @@ def started(path: Path, folder: Path) -> tuple[str, dict[str, Any]]:
 
 @table("SG2Loc, Table 4")
 def indoor_speed(
-    run: Run, only: Annotated[str, option(f"Parts with commas: {', '.join(PARTS)}.")] = ""
+    run: Run,
+    only: Annotated[str, option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
+    *,
+    quick: Quick = False,
 ) -> None:
     """What does localizing indoors cost? By particles, rays and triangles; memory, cold starts."""
-    wanted = known(parts(only), PARTS, "part")
+    wanted = known(parts(only) or (["start"] if quick else []), PARTS, "part")
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
     reason = no_cuda()
     house = indoor_maps.house(run.data, run.cache)

@@ -16,14 +16,7 @@ from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.tables.outdoor.ablation import CANDIDATES, Task, evaluate, mean_of
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.queries import load
-from placegraph_lab.tables.run import (
-    Device,
-    Quick,
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Device, Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
 from placegraph_lab.train.city.train import TrainOptions, train
 

@@ -21,14 +21,7 @@ from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask, cell_cent
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:

@@ -17,13 +17,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask
 from placegraph_lab.tables.outdoor.metrics import RANKS, score
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, shares
 
 PAPER = {

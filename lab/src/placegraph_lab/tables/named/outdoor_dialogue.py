@@ -15,12 +15,7 @@ import numpy as np
 from placegraph_lab.tables.outdoor.dialogue import RIGHT, Asking, Speaker, dialogue, distance
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.queries import load, make_queries
-from placegraph_lab.tables.run import (
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, share
 
 AFTER = (0, 1, 2, 3, 5, 8)
@@ -33,11 +28,15 @@ def outdoor_dialogue(
     queries: Annotated[int, option("Dialogues a city.")] = 100,
     most: Annotated[int, option("Questions at the most.")] = 8,
     seed: Seed = 0,
+    *,
+    quick: Quick = False,
 ) -> None:
     """How many questions until the place is found? Informative against random questions."""
     rows: list[dict[str, Any]] = []
     ways: tuple[Asking, Asking] = ("best", "random")
     names = names_of(cities)
+    if quick:
+        names, queries = names[-1:], 5
     with run.progress() as progress:
         task = progress.add_task("asking", total=len(names) * len(ways) * queries)
         for name in names:

@@ -30,14 +30,7 @@ from placegraph_lab.tables.kitti.kitti360pose import (
     size_table,
 )
 from placegraph_lab.tables.kitti.relational import Relational
-from placegraph_lab.tables.run import (
-    Run,
-    Seed,
-    known,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
 
 if TYPE_CHECKING:
     from placegraph.outdoor.network.network import GraphTransformer
@@ -114,8 +107,11 @@ def outdoor_kitti360pose(
     edge_distance: Annotated[float, option("Objects nearer are joined [m].")] = 15.0,
     seed: Seed = 0,
     weights: Annotated[Path | None, option("Of the network, not the shipped ones.")] = None,
+    quick: Quick = False,
 ) -> None:
     """Retrieval of the cell, and localization, on KITTI360Pose, for every matcher."""
+    if quick:
+        queries, slow = 50, 5
     network = None
     if weights is not None:
         from placegraph.outdoor.network.network import GraphTransformer

@@ -14,12 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop
 from placegraph_lab.tables.outdoor.extracts import names_of, open_city
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:

@@ -20,13 +20,7 @@ from placegraph_lab.tables.outdoor.matchers import MATCHERS, SLOW, ask, matcher
 from placegraph_lab.tables.outdoor.matchers_report import advantages, report
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load
 from placegraph_lab.tables.outdoor.report import Protocol, Row, of_answers
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

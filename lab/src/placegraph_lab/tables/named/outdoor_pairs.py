@@ -16,13 +16,7 @@ import numpy as np
 from placegraph_lab.tables.apart import apart
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.pairs import Pairs, rate
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:

@@ -28,13 +28,7 @@ from placegraph_lab.tables.outdoor.metrics import (
     measure,
     positions,
 )
-from placegraph_lab.tables.outdoor.queries import (
-    CELL,
-    SETTINGS,
-    Query,
-    load,
-    make_queries,
-)
+from placegraph_lab.tables.outdoor.queries import CELL, SETTINGS, Query, load, make_queries
 from placegraph_lab.tables.outdoor.report import (
     BAGS,
     CEILING,
@@ -45,14 +39,7 @@ from placegraph_lab.tables.outdoor.report import (
     of_answers,
     report,
 )
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,11 +66,7 @@ def protocols(statements: Sequence[int], settings: Sequence[str]) -> list[Protoc
     chosen = [s for s in SETTINGS if s in settings]
     table = [Protocol(n, s) for n in statements for s in chosen if s != "speaker" or n == 6]
     if 6 in statements and "variants" in settings:
-        table += [
-            Protocol(position="centroid"),
-            Protocol(same_label=True),
-            Protocol(anywhere=True),
-        ]
+        table += [Protocol(position="centroid"), Protocol(same_label=True), Protocol(anywhere=True)]
     return table
 
 

@@ -19,13 +19,7 @@ from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.metrics import measure, score
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.tiling import tile
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:

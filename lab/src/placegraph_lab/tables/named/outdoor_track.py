@@ -16,12 +16,7 @@ import numpy as np
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score
 from placegraph_lab.tables.outdoor.walks import METHODS, Method, Walk, follow, make_walks
-from placegraph_lab.tables.run import (
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
@@ -85,10 +80,14 @@ def outdoor_track(
     walks: Annotated[int, option("Walks a city and setting.")] = 100,
     statements: Annotated[int, option("Sentences at a place.")] = 2,
     seed: Seed = 0,
+    *,
+    quick: Quick = False,
 ) -> None:
     """What is a way worth? A few sentences along a walk, against one place at a time."""
     rows: list[dict[str, Any]] = []
     names = names_of(cities)
+    if quick:
+        names, walks = names[:1], 5
     with run.progress() as progress:
         task = progress.add_task("walking", total=len(names) * len(SETTINGS) * len(METHODS))
         for name in names:

@@ -18,14 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from placegraph.vectors import EmbeddedStore
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
@@ -247,4 +240,4 @@ def outdoor_vectors(
             done.append(race(name, build, vectors, asked, wanted))
         print(f"### {count:,} vectors\n\n{printed(done)}\n", flush=True)
         rows += done
-    run.save({"dimension": DIMENSION, "rows": [asdict(row) for row in rows]}, whole=not quick)
+    run.save({"dimension": DIMENSION, "rows": [asdict(row) for row in rows]})

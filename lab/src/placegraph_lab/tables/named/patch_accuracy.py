@@ -14,13 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from placegraph.indoor.encode import bound, encoder
 from placegraph_lab.tables.retrieval.patch_accuracy import Accuracy, accuracy, mean, report
 from placegraph_lab.tables.retrieval.patch_places import HOMES, places
-from placegraph_lab.tables.run import (
-    Run,
-    option,
-    parts,
-    spoken,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, option, parts, spoken, table
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder
@@ -32,8 +26,12 @@ def patch_accuracy(
     encoders: Annotated[str, option("Names and options.")] = "appearance; labels",
     every: Annotated[int, option("Of the recordings' frames, every so many.")] = 2,
     homes: Annotated[int, option("Drawn homes.")] = HOMES,
+    *,
+    quick: Quick = False,
 ) -> None:
     """Which object does a patch show? Encoders where poses are known: house, office, homes."""
+    if quick:
+        every, homes = 10, 2
     asked: dict[str, Encoder] = {}
     for spec in parts(encoders, ";"):
         name, options = spoken(spec)

@@ -12,13 +12,7 @@ from __future__ import annotations
 
 from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.journal import INDOOR, fingerprint
-from placegraph_lab.tables.run import (
-    Fresh,
-    Quick,
-    Run,
-    Seed,
-    table,
-)
+from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, table
 from placegraph_lab.tables.scene.changes import Told, ask, figures, report
 
 CODE = (*INDOOR, "placegraph_lab/tables/scene/changes.py")

@@ -22,11 +22,7 @@ from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.indoor.windows import true_poses
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, table
 from placegraph_lab.tables.scene.fusion import House, Office, Way, open3d_volume, own
 from placegraph_lab.tables.tables import markdown, number
 

@@ -22,6 +22,7 @@ from placegraph_lab.tables.run import (
     Every,
     Fresh,
     OfficeEvery,
+    Quick,
     Run,
     Seed,
     known,
@@ -73,6 +74,7 @@ def scene_maps(
     *,
     build_only: Annotated[bool, option("Ask about no window.")] = False,
     fresh: Fresh = False,
+    quick: Quick = False,
     weights: Annotated[
         Path | None, option("Of the network that labels images; those of --data if not given.")
     ] = None,
@@ -83,6 +85,8 @@ def scene_maps(
         both = {r.name for r in chosen([*rows, *refining], named(only))}
         rows, refining = ([r for r in of if r.name in both] for of in (rows, refining))
     names = parts(sizes)
+    if quick:
+        names, every, office_every = names or ["default", "small"], 50, 60
     known(names, ALL, "size")
     weights = weights or run.shared / "weights/deeplabv3_mnv2_pascal_quant.tflite"
     maps = Maps(run.data, weights, run.cache, run.journal(fresh=fresh), run.say)

@@ -28,14 +28,7 @@ from placegraph_lab.tables.retrieval.retrieval_places import (
 from placegraph_lab.tables.retrieval.retrieval_report import PAPER, figures, report
 from placegraph_lab.tables.retrieval.retrieval_study import Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import BOTH, ROWS
-from placegraph_lab.tables.run import (
-    Fresh,
-    Run,
-    known,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables.run import Fresh, Quick, Run, known, option, parts, table
 
 LARGE = BOTH
 """The row that is asked in the large library, too: what a library does by default."""
@@ -65,9 +58,12 @@ def scene_retrieval(
         bool, option("One walk a home: as it was, of every second months later.")
     ] = False,
     fresh: Fresh = False,
+    quick: Quick = False,
 ) -> None:
     """Which scene of a library was a walk taken in? Homes, rooms of the house, the office."""
     rows = known(parts(encoders, ";"), ROWS, "row")
+    if quick:
+        rows, scenes, thin = rows[:1], 0, True
     journal = run.journal(fresh=fresh)
     places, walks = asked(run, 0 if development else FIRST, thin=thin)
     study = Study(places, walks, run.cache, journal, run.say)

@@ -17,13 +17,7 @@ import numpy as np
 from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.indoor import spoken_poses
 from placegraph_lab.tables.indoor.windows import house_windows
-from placegraph_lab.tables.run import (
-    Quick,
-    Run,
-    Seed,
-    option,
-    table,
-)
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.scene.sentences import (
     FACTS,
     WRONG,
@@ -87,4 +81,4 @@ def scene_sentences(
         spoken = spoken_poses.ask(house, windows, rng, seed=seed)
         print(f"\n{len(windows)} single frames of the house\n\n{spoken_poses.report(spoken)}")
         record["poses"] = spoken_poses.figures(spoken)
-    run.save(record, whole=not quick)
+    run.save(record)

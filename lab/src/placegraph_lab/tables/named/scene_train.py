@@ -42,4 +42,4 @@ def scene_train(
     )
     text, record = learn_and_ask(run, options, count=homes, held=held, frames=frames)
     print(text)
-    run.save(record, whole=not quick)
+    run.save(record)
