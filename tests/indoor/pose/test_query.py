@@ -1,4 +1,6 @@
-"""Which frames of a capture are asked about."""
+"""What is asked: which frames, by which options, of which map."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,7 +9,8 @@ from placegraph.errors import OptionError
 from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.query import PoseQuery, chosen_frames
 
 CAMERA = Camera(8, 6, 8.0, 8.0, 4.0, 3.0)
 
@@ -64,3 +67,22 @@ def test_what_is_refused(capture, asked, says):
 def test_nothing_to_choose_from():
     with pytest.raises(OptionError, match="none chosen of the capture's 0"):
         chosen_frames([], None)
+
+
+def test_of_the_frames_chosen_keyframes_are_asked_about(room, capture):
+    query = PoseQuery.of(room, capture, frames=slice(1, 6), options=FilterOptions(every=0.4))
+    assert [f.index for f in query.frames] == [1, 3, 5]
+    assert PoseQuery.of(room).frames == []
+
+
+def test_what_the_map_cannot_serve_is_not_asked(room, capture):
+    assert PoseQuery.of(room, capture).options.colour is room.coloured is True
+    grey = SimpleNamespace(coloured=False)
+    assert not PoseQuery.of(grey, capture).options.colour
+    with pytest.raises(OptionError, match="all off"):
+        PoseQuery.of(grey, capture, options=FilterOptions().only(colour=True))
+
+
+def test_seeds_are_not_negative(room, capture):
+    with pytest.raises(OptionError, match="seed is -1"):
+        PoseQuery.of(room, capture, seed=-1)

@@ -33,7 +33,7 @@ class Calibrated:
         self.options = options
         self.noise = Noise.of(options, gaussian=False)
 
-    def named(self, cosines: Floats, temperature: float, usual: Floats) -> Floats:
+    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
         """Likelihood ratio (M, N + 1) of what patches say if they see each object; see `Model`.
 
         A softmax of the cosines, mixed with the share of patches that are labelled wrongly.

@@ -22,7 +22,7 @@ class Model(Protocol):
     noise: Noise
     """Its numbers, for compiled loops."""
 
-    def named(self, cosines: Floats, temperature: float, usual: Floats) -> Floats:
+    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
         """What patches say if they see each of N objects or, last column, none: (M, N + 1).
 
         `cosines`: (M, N) of each kind of patch with each object; `temperature`: of their softmax;

@@ -1,3 +1,4 @@
+# ruff: noqa: ARG002  # what `Model` asks of it
 """The paper's likelihood, taken at its word (SG2Loc Sec. 3.3, 3.4, Eq. 2)."""
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class Paper:
         self.options = options
         self.noise = Noise.of(options, gaussian=True)
 
-    def named(self, cosines: Floats, temperature: float, usual: Floats) -> Floats:  # noqa: ARG002
+    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
         """Sec. 3.3: cosine + 1 where patch and object agree, (M, N + 1); see `Model`."""
         best = cosines >= cosines.max(axis=1, keepdims=True) - 1e-6
         table = np.where(best, cosines + 1.0, 0.0)
@@ -34,10 +35,7 @@ class Paper:
         return np.ones(len(counts))
 
     def usual_depth(
-        self,
-        depth: NDArray[np.float32],
-        directions: Floats,  # noqa: ARG002  of `Model`
-        background: Background,  # noqa: ARG002  of `Model`
+        self, depth: NDArray[np.float32], directions: Floats, background: Background
     ) -> NDArray[np.float32]:
         """Scores are not ratios: nothing is usual."""
         return np.zeros(len(depth), np.float32)
@@ -49,6 +47,6 @@ class Paper:
         missing = 2.0 * factors.sum() - scores.astype(np.float64) @ factors
         return np.asarray(-(missing**2) / (2.0 * o.sigma**2))
 
-    def heat(self, frames: int, *, depth: bool) -> float:  # noqa: ARG002  of `Model`
+    def heat(self, frames: int, *, depth: bool) -> float:
         """Eq. 2 is a log-likelihood already."""
         return 1.0

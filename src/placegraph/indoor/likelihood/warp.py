@@ -42,11 +42,12 @@ class WarpScorer:
     def __init__(self, scene: Scene, device: str = "cuda") -> None:
         self._caster = WarpCaster(scene.mesh.vertices, scene.mesh.triangles, device=device)
         from placegraph.indoor.likelihood import warp_kernels
+        from placegraph.indoor.rays.warp_kernels import Surface
 
         self._kernels = warp_kernels
         with quietly(self._caster.warp):
             self._caster.warp.load_module(warp_kernels, device=self._caster.device)
-        self._surface = warp_kernels.Surface()
+        self._surface = Surface()
         for name in scene.surface._fields:
             setattr(self._surface, name, self._caster.array(getattr(scene.surface, name)))
         self._last: tuple[View, Any] | None = None

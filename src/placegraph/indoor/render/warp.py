@@ -38,12 +38,13 @@ class WarpRenderer:
     def __init__(self, scene: Scene, device: str = "cuda") -> None:
         mesh = scene.mesh
         self._caster = WarpCaster(mesh.vertices, mesh.triangles, device=device)
+        from placegraph.indoor.rays.warp_kernels import Surface
         from placegraph.indoor.render import warp_kernels
 
         self._kernels = warp_kernels
         with quietly(self._caster.warp):
             self._caster.warp.load_module(warp_kernels, device=self._caster.device)
-        surface = warp_kernels.Surface()
+        surface = Surface()
         for name in scene.surface._fields:
             setattr(surface, name, self._caster.array(getattr(scene.surface, name)))
         self._world = warp_kernels.World()

@@ -155,7 +155,8 @@ class RomaMatcher(_DenseMatcher):
                 image.thumbnail((self.size, self.size))
         # the tiny network leaves the batch's axis out
         warp, certainty = (_plain(t) for t in self._network.match(*both))
-        warp, certainty = warp.reshape(warp.shape[-3:]), certainty.reshape(certainty.shape[-2:])
+        warp = warp[0] if warp.ndim > 3 else warp
+        certainty = certainty[0] if certainty.ndim > 2 else certainty
         half = warp.shape[1] // 2
         symmetric = self._network.symmetric
         parts = [slice(0, half), slice(half, None)] if symmetric else [slice(None)]
