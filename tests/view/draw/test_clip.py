@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.view.draw.clip import clip_line, clip_ring
+from placegraph.view.draw.clip import clip_line, clip_ring, dashes
 
 BOUNDS = (0.0, 0.0, 100.0, 60.0)
 coordinate = st.integers(-300, 300).map(float)
@@ -81,3 +81,16 @@ def test_a_clipped_box_has_the_area_of_the_overlap(x, y, width, height):
     )
     clipped = clip_ring(ring, BOUNDS)
     assert abs((area(clipped) if len(clipped) > 3 else 0.0) - overlap) < 1e-6
+
+
+@given(
+    st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=2, max_size=6),
+    st.integers(1, 20),
+    st.integers(1, 20),
+)
+def test_dashes_cover_their_share_of_a_line(points, drawn, blank):
+    line = np.array(points, float)
+    length = np.hypot(*np.diff(line, axis=0).T).sum()
+    pieces = dashes(line, float(drawn), float(blank))
+    total = sum(np.hypot(*np.diff(piece, axis=0).T).sum() for piece in pieces)
+    assert abs(total - length * drawn / (drawn + blank)) <= drawn + blank

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from PIL import ImageColor
 
 from placegraph.view.draw.canvas import Area, Disc, Dot, Frame, Glow, Line, Stroke, Text
-from placegraph.view.draw.painter import dashes, heat, paint_picture
+from placegraph.view.draw.painter import heat, paint_picture
 from placegraph.view.draw.style import PALETTE
 
 FRAME = Frame((0.0, 0.0), 2.0, 200, 120)
@@ -80,19 +80,6 @@ def test_heat_grows_with_density():
 def test_the_same_items_give_the_same_picture():
     items = [Area([box(25.0)], "park"), Text(np.zeros(2), "Park", 12.0, "ink")]
     assert paint_picture(items, FRAME).tobytes() == paint_picture(items, FRAME).tobytes()
-
-
-@given(
-    st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=2, max_size=6),
-    st.integers(1, 20),
-    st.integers(1, 20),
-)
-def test_dashes_cover_their_share_of_a_line(points, drawn, blank):
-    line = np.array(points, float)
-    length = np.hypot(*np.diff(line, axis=0).T).sum()
-    pieces = dashes(line, float(drawn), float(blank))
-    total = sum(np.hypot(*np.diff(piece, axis=0).T).sum() for piece in pieces)
-    assert abs(total - length * drawn / (drawn + blank)) <= drawn + blank
 
 
 @given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.integers(50, 900), st.integers(50, 900))

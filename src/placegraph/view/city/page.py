@@ -49,12 +49,25 @@ def write_page(
     title = title or f"Where am I? {city.source.partition('.')[0].replace('_', ' ')}"
     drawn = page_map(city, estimate)
 
+    slots = _slots(city, estimate, drawn, question) | {"title": clean(title)}
+    pieces = _shipped("page.html").split("{{")
+    page = pieces[0] + "".join(
+        slots[slot] + rest for slot, rest in (piece.split("}}", 1) for piece in pieces[1:])
+    )
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _slots(
+    city: CityMap, estimate: CityEstimate, drawn: PageMap, question: str | None
+) -> dict[str, str]:
+    """What stands in the page's template, by name."""
+
     def at(longitude: float, latitude: float) -> str:
         x, y = drawn.svg.units(city.plane.to_plane((longitude, latitude))).tolist()
         return f'data-x="{x:.0f}" data-y="{y:.0f}"'
 
-    slots = {
-        "title": clean(title),
+    return {
         "css": style_sheet() + "\n" + _shipped("page.css"),
         "script": _shipped("page.js"),
         "status": estimate.status.name,
@@ -75,12 +88,6 @@ def write_page(
         "pins": drawn.pins,
         "k": f"{max(drawn.start[2:]) / 900:.4f}",
     }
-    pieces = _shipped("page.html").split("{{")
-    page = pieces[0] + "".join(
-        slots[slot] + rest for slot, rest in (piece.split("}}", 1) for piece in pieces[1:])
-    )
-    path.write_text(page, encoding="utf-8")
-    return path
 
 
 def _shipped(name: str) -> str:

@@ -31,6 +31,7 @@ from placegraph.view.draw.canvas import (
     Text,
     in_painters_order,
 )
+from placegraph.view.draw.clip import overlap
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.lettering import Taken, covering, letter
 from placegraph.view.draw.style import LINE, PAINTS
@@ -228,7 +229,7 @@ def _heat(svg: Svg, city: CityMap, estimate: CityEstimate) -> list[str]:
     for mode in estimate.modes:
         x, y = place_of(city, mode).tolist()
         new = x - HEAT_REACH, y - HEAT_REACH, x + HEAT_REACH, y + HEAT_REACH
-        while hit := next((w for w in windows if _overlap(w, new)), None):
+        while hit := next((w for w in windows if overlap(w, new)), None):
             windows.remove(hit)
             new = (
                 min(new[0], hit[0]), min(new[1], hit[1]), max(new[2], hit[2]), max(new[3], hit[3])
@@ -241,10 +242,6 @@ def _heat(svg: Svg, city: CityMap, estimate: CityEstimate) -> list[str]:
         if glow:
             glows.append(svg.mark(glow))
     return glows
-
-
-def _overlap(a: Bounds, b: Bounds) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _names(svg: Svg, city: CityMap, estimate: CityEstimate, items: list[MapItem]) -> str:

@@ -1,4 +1,4 @@
-"""Cutting lines and rings to a rectangle, so that a ferry to Corsica does not fill the page."""
+"""Cutting lines and rings: to a rectangle (a ferry to Corsica must not fill the page), to dashes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ import numpy as np
 if TYPE_CHECKING:
     from placegraph.geometry import Floats
     from placegraph.view.draw.canvas import Bounds, Points
+
+
+def overlap(a: Bounds, b: Bounds) -> bool:
+    """Whether two rectangles have an area in common."""
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def clip_line(points: Points, bounds: Bounds) -> list[Floats]:
@@ -56,3 +61,17 @@ def clip_ring(ring: Points, bounds: Bounds) -> Floats:
             return np.zeros((0, 2))
         corners = np.array(kept)
     return corners if (corners[0] == corners[-1]).all() else np.concatenate([corners, corners[:1]])
+
+
+def dashes(points: Points, drawn: float, blank: float) -> list[Floats]:
+    """Cut a polyline into dashes; the dashed length starts and ends with half a dash."""
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    starts = np.arange(-drawn / 2, along[-1], drawn + blank)
+    pieces = []
+    for start in starts:
+        a, b = max(start, 0.0), min(start + drawn, along[-1])
+        inner = along[(along > a) & (along < b)]
+        at = np.concatenate(([a], inner, [b]))
+        pieces.append(np.stack([np.interp(at, along, points[:, k]) for k in range(2)], axis=1))
+    return pieces

@@ -23,6 +23,7 @@ from placegraph.view.draw.canvas import (
     Text,
     in_painters_order,
 )
+from placegraph.view.draw.clip import dashes
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.style import CASED, PAINTS, PALETTE, Paint
 
@@ -291,17 +292,3 @@ class _Painter:
             turned = mask.rotate(np.degrees(item.angle), Image.Resampling.BICUBIC, expand=True)
             corner = round(x - turned.width / 2), round(y - turned.height / 2)
             self.image.paste(color[:3], corner, turned)
-
-
-def dashes(points: Points, drawn: float, blank: float) -> list[Floats]:
-    """Cut a polyline into dashes; the dashed length starts and ends with half a dash."""
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    along = np.concatenate(([0.0], np.cumsum(steps)))
-    starts = np.arange(-drawn / 2, along[-1], drawn + blank)
-    pieces = []
-    for start in starts:
-        a, b = max(start, 0.0), min(start + drawn, along[-1])
-        inner = along[(along > a) & (along < b)]
-        at = np.concatenate(([a], inner, [b]))
-        pieces.append(np.stack([np.interp(at, along, points[:, k]) for k in range(2)], axis=1))
-    return pieces

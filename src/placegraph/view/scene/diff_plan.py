@@ -11,11 +11,11 @@ from placegraph.view.draw.canvas import Disc, Frame, Item, Mark, Stroke, Text
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture
 from placegraph.view.draw.sheet import Sheet
+from placegraph.view.scene.plan_drawing import measures, names
 from placegraph.view.scene.plan_layout import FOOT, Layout
 from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.room_style import plain_words
-from placegraph.view.scene.scene_plan import measures, names
 
 if TYPE_CHECKING:
     from pathlib import Path

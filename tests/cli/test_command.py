@@ -1,0 +1,93 @@
+"""Commands made of functions, and imported when they are asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import click
+import pytest
+
+from placegraph.cli.command import Argument, Group, Option, command_of
+
+HEAVY = {"numpy", "numba", "rich", "PIL", "lark", "placegraph.outdoor", "placegraph.indoor"}
+
+
+def tell(
+    words: Annotated[list[str], Argument(help="What is said.")],
+    out_file: Annotated[Path | None, Option("--out", "-o", help="Where.", panel="Written")] = None,
+    times: Annotated[int, Option(help="How often.", least=1)] = 1,
+    by: Annotated[list[float] | None, Option(help="By what; may be repeated.")] = None,
+    loud: Annotated[bool, Option("--loud", help="Loudly.")] = False,
+    segment: Annotated[bool | None, Option("--segment/--no-segment", help="Cut it.")] = None,
+) -> None:
+    """Say something."""
+    click.echo(repr((words, out_file, times, by, loud, segment)))
+
+
+def said(capsys, *arguments):
+    with command_of(tell, "tell").make_context("tell", list(arguments)) as context:
+        context.command.invoke(context)
+    return capsys.readouterr().out.strip()
+
+
+def test_types_and_defaults_are_those_of_the_function(capsys):
+    assert said(capsys, "a") == repr((["a"], None, 1, None, False, None))
+    given = (
+        "a",
+        "b",
+        "-o",
+        "x",
+        "--times",
+        "2",
+        "--by",
+        "1",
+        "--by",
+        "2.5",
+        "--loud",
+        "--no-segment",
+    )
+    assert said(capsys, *given) == repr((["a", "b"], Path("x"), 2, [1.0, 2.5], True, False))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [((), "Missing argument"), (("a", "--times", "0"), "not in the range"), (("a", "--by", "x"), "float")],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(capsys, arguments, message):
+    with pytest.raises(click.UsageError) as refused:
+        said(capsys, *arguments)
+    assert message in refused.value.format_message()
+
+
+def test_the_help_has_a_heading_for_each_panel():
+    with pytest.raises(click.exceptions.Exit):
+        command_of(tell, "tell").make_context("tell", ["--help"])
+    text = click.Context(command_of(tell, "tell")).get_help()
+    assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "] == [
+        "Arguments:", "Written:", "Options:",
+    ]  # fmt: skip
+    assert "WORDS..." in text
+    assert "[required]" in text
+
+
+def test_a_group_imports_what_is_asked_for_and_names_what_is_near():
+    group = Group(
+        "g", "Of commands.", {"tell": f"{__name__}:tell"}, lambda: {"more": "no.such:one"}
+    )
+    context = click.Context(group)
+    assert group.list_commands(context) == ["tell", "more"]
+    assert group.get_command(context, "none") is None
+    with pytest.raises(ModuleNotFoundError):
+        group.get_command(context, "more")
+    with pytest.raises(click.UsageError, match="Did you mean 'more'"):
+        group.resolve_command(context, ["moer"])
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["city", "locate", "--help"]])
+def test_help_is_light(words):
+    code = f"from placegraph.cli import _run; import sys; _run({words}); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    assert not HEAVY & set(done.stdout.split())
