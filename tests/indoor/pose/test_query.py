@@ -70,7 +70,7 @@ def test_nothing_to_choose_from():
 
 
 def test_of_the_frames_chosen_keyframes_are_asked_about(room, capture):
-    query = PoseQuery.of(room, capture, frames=slice(1, 6), options=FilterOptions(every=0.4))
+    query = PoseQuery.of(room, capture, frames=slice(1, 6), options=FilterOptions(every=0.35))
     assert [f.index for f in query.frames] == [1, 3, 5]
     assert PoseQuery.of(room).frames == []
 
