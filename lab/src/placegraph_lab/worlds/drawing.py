@@ -6,7 +6,9 @@ A text has a head section, ``[town]`` or ``[flat]``, then ``[drawing]`` and ``[l
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,8 @@ from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
+
+    from placegraph_lab.worlds.trace import Cell
 
 BLANKS = " ."
 LARGEST = 1_000_000
@@ -69,6 +73,55 @@ def page(lines: list[tuple[int, str]], source: str, head: str) -> tuple[tuple[st
     if width * len(rows) > LARGEST:
         raise InputError(f"{source}: the drawing has over {LARGEST:,} characters; cut it.")
     return tuple(row.ljust(width) for row in rows), numbers[0]
+
+
+class Drawing:
+    """What may be asked of any drawn world: where its glyphs are."""
+
+    rows: tuple[str, ...]
+    """The drawing."""
+    source: str
+    """File that it was read from, for messages."""
+    first_line: int
+    """Line of that file that holds ``rows[0]``, for messages."""
+
+    @cached_property
+    def drawn(self) -> dict[Cell, str]:
+        """Glyph of every cell that is not blank, in reading order."""
+        return {
+            (r, c): glyph
+            for r, row in enumerate(self.rows)
+            for c, glyph in enumerate(row)
+            if glyph not in BLANKS
+        }
+
+    def cells(self, glyph: str) -> list[Cell]:
+        """Row and column of every occurrence of a glyph, in reading order."""
+        return [cell for cell, drawn in self.drawn.items() if drawn == glyph]
+
+    @abstractmethod
+    def positions(self, glyph: str) -> list[tuple[float, float]]:
+        """Places of what a glyph drew, in reading order."""
+
+    def position(self, glyph: str) -> tuple[float, float]:
+        """Place of the one thing that a glyph drew, in the units of `positions`.
+
+        Raises
+        ------
+        OptionError
+            The glyph drew nothing, or several things.
+        """
+        found = self.positions(glyph)
+        if len(found) != 1:
+            raise OptionError(
+                f"{self.source} has {len(found)} places drawn {glyph!r}, not one; "
+                "ask with `positions`, or draw the place with a glyph of its own."
+            )
+        return found[0]
+
+    def where(self, cell: Cell) -> str:
+        """Name file, line and column of a cell, for messages."""
+        return f"{self.source}, line {self.first_line + cell[0]}, column {cell[1] + 1}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,20 +81,7 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
     files = _files(Path(path))
     info = _Info.read(files)
     left_out: Counter[str] = Counter()
-    numbers = sorted(
-        {int(m[1]): m[1] for name in files.names if (m := _FRAME.fullmatch(name))}.items()
-    )
-    found = []
-    for number, digits in numbers:
-        pose = _pose(files, digits, left_out)
-        if pose is not None:
-            found.append((number, digits, pose))
-    announced = info.frames - len(numbers)
-    if announced > 0:
-        left_out["frames that are announced, but not there"] += announced
-    if not found:
-        why = "; ".join(f"{reason}: {count}" for reason, count in left_out.items())
-        raise InputError(f"{files.where('')} has no frame to use ({why or 'it is empty'}).")
+    found = _used(files, info, left_out)
     turns = upright_turns([-pose[2, :3] for *_, pose in found]) if rotate else 0
     deep = {digits for _, digits, _ in found if f"frame-{digits}.depth.pgm" in files.names}
     frames = tuple(
@@ -120,6 +107,26 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
         label_names={},
         left_out=left_out,
     )
+
+
+def _used(
+    files: _Files, info: _Info, left_out: Counter[str]
+) -> list[tuple[int, str, NDArray[np.float64]]]:
+    """Number, digits and pose of the frames that have one; `InputError` where none has."""
+    there = {int(m[1]): m[1] for name in files.names if (m := _FRAME.fullmatch(name))}
+    numbers = sorted(there.items())
+    found = []
+    for number, digits in numbers:
+        pose = _pose(files, digits, left_out)
+        if pose is not None:
+            found.append((number, digits, pose))
+    announced = info.frames - len(numbers)
+    if announced > 0:
+        left_out["frames that are announced, but not there"] += announced
+    if not found:
+        why = "; ".join(f"{reason}: {count}" for reason, count in left_out.items())
+        raise InputError(f"{files.where('')} has no frame to use ({why or 'it is empty'}).")
+    return found
 
 
 @dataclass(frozen=True, slots=True)

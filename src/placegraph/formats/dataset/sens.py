@@ -131,15 +131,20 @@ def read_sens(
         )
     marks = find_labels(file.parent, labels, camera, label_column=label_column)
     used = _tracked(file, entries, counts)
-    stamps = np.array([entry.stamp for entry in used], np.float64) * 1e-6
-    if np.any(np.diff(stamps) <= 0):
-        notes.append("The file's stamps do not ascend; stamps are numbers of frames instead.")
-        stamps = np.array([entry.number for entry in used], np.float64)
     frames = [
         _frame(header, entry, stamp, camera, depth_camera, marks)
-        for entry, stamp in zip(used, stamps, strict=True)
+        for entry, stamp in zip(used, _stamps(used, notes), strict=True)
     ]
     return _capture(file, frames, camera, depth_camera, marks, notes, counts)
+
+
+def _stamps(entries: Sequence[SensFrame], notes: list[str]) -> NDArray[np.float64]:
+    """Seconds of frames (T,), or their numbers where seconds do not ascend, which is noted."""
+    stamps = np.array([entry.stamp for entry in entries], np.float64) * 1e-6
+    if np.any(np.diff(stamps) <= 0):
+        notes.append("The file's stamps do not ascend; stamps are numbers of frames instead.")
+        stamps = np.array([entry.number for entry in entries], np.float64)
+    return stamps
 
 
 def _tracked(file: Path, entries: Sequence[SensFrame], counts: Counter[str]) -> list[SensFrame]:
@@ -184,10 +189,7 @@ def _frame(
 
 
 def read_scannet_export(
-    path: str | PathLike[str],
-    *,
-    labels: Wanted = "auto",
-    label_column: str | None = None,
+    path: str | PathLike[str], *, labels: Wanted = "auto", label_column: str | None = None
 ) -> Capture:
     """Open a folder of exported frames: `color/7.jpg`, `depth/7.png`, `pose/7.txt`, intrinsics.
 

@@ -73,16 +73,24 @@ def write_ply(
     faces["count"], faces["corners"] = 3, triangles
     if objects is not None:
         faces["object"] = objects
-    head = [
+    head = _head(len(vertices), len(triangles), colours is not None, objects is not None, comments)
+    return write_file(path, [head.encode("ascii"), rows.tobytes(), faces.tobytes()])
+
+
+def _head(
+    vertices: int, triangles: int, coloured: bool, owned: bool, comments: tuple[str, ...]
+) -> str:
+    """Header of a file of so many vertices and triangles."""
+    lines = [
         "ply",
         "format binary_little_endian 1.0",
         *(f"comment {line}" for line in comments),
-        f"element vertex {len(vertices)}",
+        f"element vertex {vertices}",
         *(f"property float {axis}" for axis in "xyz"),
-        *(f"property uchar {c}" for c in ("red", "green", "blue") if colours is not None),
-        f"element face {len(triangles)}",
+        *(f"property uchar {c}" for c in ("red", "green", "blue") if coloured),
+        f"element face {triangles}",
         "property list uchar int vertex_indices",
-        *(f"property int {name}" for name in (OBJECT_ID,) if objects is not None),
+        *(f"property int {name}" for name in (OBJECT_ID,) if owned),
         "end_header\n",
     ]
-    return write_file(path, ["\n".join(head).encode("ascii"), rows.tobytes(), faces.tobytes()])
+    return "\n".join(lines)

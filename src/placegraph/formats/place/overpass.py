@@ -18,6 +18,7 @@ from placegraph.formats.place.overpass_answer import copied, download, query_of
 from placegraph.formats.place.services import osmnx_or_what_installs_it
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Iterable
     from os import PathLike
 
@@ -97,23 +98,31 @@ def fetch_osm(
     try:
         # In the same folder, so that replacing is atomic; gone afterwards, whatever happens.
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as room:
-            answer = file = Path(room) / "answer.osm"
+            answer = Path(room) / "answer.osm"
             download(ox, f"{base}/interpreter", query, answer, told)
-            if out.name.lower().endswith(".pbf"):
-                file = Path(room) / "answer.osm.pbf"
-            counts = copied(answer, file, told)
-            if not counts.total():
-                raise InputError(
-                    f"Overpass knows nothing in {name!r} with one of {len(query_keys)} keys; check "
-                    "that this is the place you mean, and that the server covers it."
-                )
-            size = file.stat().st_size
-            file.replace(out)
+            counts, size = _moved(answer, out, told)
     except OSError as error:
         raise InputError(
             f"{out} cannot be written: {error.strerror or error}; choose another folder or make room."
         ) from error
+    if not counts.total():
+        raise InputError(
+            f"Overpass knows nothing in {name!r} with one of {len(query_keys)} keys; check "
+            "that this is the place you mean, and that the server covers it."
+        )
     return FetchSummary(name, counts["n"], counts["w"], counts["r"], size)
+
+
+def _moved(answer: Path, out: Path, told: Progress) -> tuple[Counter[str], int]:
+    """Put an answer in the place of `out`, unless it is empty; counts of elements, and bytes."""
+    file = answer
+    if out.name.lower().endswith(".pbf"):
+        file = answer.with_name("answer.osm.pbf")
+    counts = copied(answer, file, told)
+    size = file.stat().st_size
+    if counts.total():
+        file.replace(out)
+    return counts, size
 
 
 def _check(place: str, out: Path) -> Path:

@@ -51,8 +51,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import InputError, OptionError
-from placegraph_lab.worlds.drawing import BLANKS, load, page, sections
+from placegraph.errors import InputError
+from placegraph_lab.worlds.drawing import Drawing, load, page, sections
 from placegraph_lab.worlds.drawing import shipped as drawings
 from placegraph_lab.worlds.flat.legend import (
     COMMON,
@@ -103,7 +103,7 @@ class Blot:
 
 
 @dataclass(frozen=True)
-class Flat:
+class Flat(Drawing):
     """A flat drawn in characters: make it an `Interior` with `furnish`."""
 
     name: str
@@ -185,40 +185,10 @@ class Flat:
         row = len(self.rows) - y / self.metres[1]
         return int(np.floor(row)), int(np.floor(x / self.metres[0]))
 
-    def cells(self, glyph: str) -> list[Cell]:
-        """Row and column of every occurrence of a glyph, in reading order."""
-        return [cell for cell, drawn in self.drawn.items() if drawn == glyph]
-
     def positions(self, glyph: str) -> list[tuple[float, float]]:
         """Middles x, y [m] of the connected blots of a glyph, in reading order."""
         groups = (np.mean(sorted(group), axis=0) + 0.5 for group in blots(self.cells(glyph)))
         return [self.corner(*middle.tolist()) for middle in groups]
-
-    def position(self, glyph: str) -> tuple[float, float]:
-        """Middle x, y [m] of the one thing that a glyph drew.
-
-        Raises
-        ------
-        OptionError
-            The glyph drew nothing, or several things.
-        """
-        found = self.positions(glyph)
-        if len(found) != 1:
-            raise OptionError(
-                f"{self.source} has {len(found)} places drawn {glyph!r}, not one; "
-                "ask with `positions`, or draw the place with a glyph of its own."
-            )
-        return found[0]
-
-    @cached_property
-    def drawn(self) -> dict[Cell, str]:
-        """Glyph of every cell that is not blank, in reading order."""
-        return {
-            (r, c): glyph
-            for r, row in enumerate(self.rows)
-            for c, glyph in enumerate(row)
-            if glyph not in BLANKS
-        }
 
     @cached_property
     def room_of(self) -> NDArray[np.int32]:
@@ -311,10 +281,6 @@ class Flat:
             return blot.symbol.base
         host = self.host(blot)
         return self.base(host) + host.symbol.height if host else 0.0
-
-    def where(self, cell: Cell) -> str:
-        """Name file, line and column of a cell, for messages."""
-        return f"{self.source}, line {self.first_line + cell[0]}, column {cell[1] + 1}"
 
     def _carries(self, host: Blot, blot: Blot) -> bool:
         return host.glyph == blot.symbol.host and blot.own in host.cells

@@ -45,12 +45,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import TYPE_CHECKING
 
-from placegraph.errors import InputError, OptionError
+from placegraph.errors import InputError
 from placegraph.geometry import LocalPlane
-from placegraph_lab.worlds.drawing import BLANKS, legend_line, load, page, sections
+from placegraph_lab.worlds.drawing import Drawing, legend_line, load, page, sections
 from placegraph_lab.worlds.drawing import shipped as drawings
 from placegraph_lab.worlds.trace import DIAGONAL, EAST, NORTH, ORTHOGONAL, SOUTH, WEST, Cell, blots
 
@@ -112,7 +111,7 @@ _SETTING = re.compile(r"(name|center|metres)\s*=\s*(.*)$")
 
 
 @dataclass(frozen=True)
-class Town:
+class Town(Drawing):
     """A town drawn in characters: write it with `write_osm`, ask for places with `position`."""
 
     name: str
@@ -183,10 +182,6 @@ class Town:
         longitude, latitude = self.plane.to_lonlat(east_north).tolist()
         return longitude, latitude
 
-    def cells(self, glyph: str) -> list[Cell]:
-        """Row and column of every occurrence of a glyph, in reading order."""
-        return [cell for cell, drawn in self.drawn.items() if drawn == glyph]
-
     def positions(self, glyph: str) -> list[tuple[float, float]]:
         """Longitude and latitude [deg] of what a glyph drew, in reading order.
 
@@ -207,22 +202,6 @@ class Town:
             for group in groups
         ]
 
-    def position(self, glyph: str) -> tuple[float, float]:
-        """Longitude and latitude [deg] of the one thing that a glyph drew.
-
-        Raises
-        ------
-        OptionError
-            The glyph drew nothing, or several things.
-        """
-        found = self.positions(glyph)
-        if len(found) != 1:
-            raise OptionError(
-                f"{self.source} has {len(found)} places drawn {glyph!r}, not one; "
-                "ask with `positions`, or draw the place with a glyph of its own."
-            )
-        return found[0]
-
     def write_osm(self, path: str | Path) -> Path:
         """Write an OpenStreetMap XML file; the same town gives the same bytes.
 
@@ -235,24 +214,10 @@ class Town:
 
         return write(self, path)
 
-    @cached_property
-    def drawn(self) -> dict[Cell, str]:
-        """Glyph of every cell that is not blank, in reading order."""
-        return {
-            (r, c): glyph
-            for r, row in enumerate(self.rows)
-            for c, glyph in enumerate(row)
-            if glyph not in BLANKS
-        }
-
     def kind(self, cell: Cell) -> Kind | None:
         """Kind of what is drawn in a cell; None for a blank."""
         glyph = self.drawn.get(cell)
         return self.legend[glyph].kind if glyph else None
-
-    def where(self, cell: Cell) -> str:
-        """Name file, line and column of a cell, for messages."""
-        return f"{self.source}, line {self.first_line + cell[0]}, column {cell[1] + 1}"
 
     def _check_glyphs(self) -> None:
         for cell, glyph in self.drawn.items():
