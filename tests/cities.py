@@ -10,7 +10,7 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.shape import Shape
+from placegraph.outdoor.network.weights import Shape
 from placegraph_lab.train.city.sample import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)

@@ -14,17 +14,18 @@ from placegraph.outdoor.network.graphs import (
     TextGraphs,
     words_of,
 )
-from placegraph.outdoor.network.graphs_kernels import MOST_THINGS, REACH
-from placegraph.outdoor.network.relations_kernels import (
+from placegraph.outdoor.network.graphs_kernels import (
     ALONG,
     CHANNELS,
     CONTAINS,
     EAST,
     INSIDE,
+    MOST_THINGS,
     NEAR,
     NORTH,
     OPPOSITE,
     PRESENT,
+    REACH,
     SOUTH,
     WEST,
     place_relations,

@@ -9,8 +9,7 @@ import pytest
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.outdoor.network import weights as module
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.shape import Shape
-from placegraph.outdoor.network.weights import read_weights, shipped, trained, write_weights
+from placegraph.outdoor.network.weights import Shape, read_weights, shipped, trained, write_weights
 from placegraph.store import read_map, write_map
 
 

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.outdoor.network import network_kernels as kernels
-from placegraph.outdoor.network.batches_kernels import _agreement, _holds
-from placegraph.outdoor.network.relations_kernels import CHANNELS, place_relations, text_relations
+from placegraph.outdoor.network.graphs_kernels import agreement, place_relations, text_relations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,29 +46,6 @@ class GraphBatch(NamedTuple):
     words: NodeWords
 
 
-class PairBatch(NamedTuple):
-    """P pairs of a text and a place."""
-
-    text: Rows
-    """(P,) row of the texts."""
-    place: Rows
-    """(P,) row of the places."""
-    agreement: Floats
-    """(P, n, m) how well a thing fits a mention by its words."""
-    rarity: Floats
-    """(P, n) how rare a mention is on the map, 0 to about 1."""
-    ends: Rows
-    """(P, S, 2) source and target of the statements."""
-    said: Floats
-    """(P, S, R + 1) channels, and whether it is negated."""
-    spoken: Floats
-    """(P, S) 1 where there is a statement."""
-    holds: Floats
-    """(P, S, m, m) how far things i and j of the place stand as the statement says."""
-    literal: Floats
-    """(P, S, LITERAL) what a statement says if words alone decide; see `kernels.literal`."""
-
-
 def text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
     """Padded texts `rows` (B,)."""
     rows = np.asarray(rows, np.int64)
@@ -82,7 +57,7 @@ def text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
     nodes.reshape(-1, 2)[at, 1] = texts.counts[node]
     return GraphBatch(
         nodes,
-        _mask(counts, size),
+        mask_of(counts, size),
         text_relations(texts.edge_starts, texts.ends, texts.channels, texts.negated, rows, size),
         _words(texts.word_starts, texts.words, texts.weights, node, at),
     )
@@ -102,7 +77,7 @@ def place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
     flat[at, 6] = np.hypot(flat[at, 4], flat[at, 5])
     return GraphBatch(
         nodes,
-        _mask(counts + 1, size),
+        mask_of(counts + 1, size),
         place_relations(places.starts, places.offsets, places.kinds, rows, size),
         _words(places.word_starts, places.words, places.weights, thing, at),
     )
@@ -115,7 +90,8 @@ def entries(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Ro
     return starts[graph] + within, graph * size + within + skip
 
 
-def _mask(counts: Rows, size: int) -> Floats:
+def mask_of(counts: Rows, size: int) -> Floats:
+    """Ones (B, size) where each of B graphs has a node."""
     return (np.arange(size) < counts[:, None]).astype(np.float32)
 
 
@@ -129,57 +105,6 @@ def _words(
     return NodeWords(np.cumsum(counts) - counts, words[entry].astype(np.int64), weights[entry], at)
 
 
-def pair_batch(
-    texts: TextGraphs,
-    places: PlaceGraphs,
-    text_rows: Rows,
-    place_rows: Rows,
-    pairs: tuple[Rows, Rows],
-    words: WordFits,
-) -> PairBatch:
-    """Pairs of the texts and places of two batches.
-
-    `pairs` are rows of the batches, `words` how well words of the map fit the nodes of the texts.
-    """
-    text, place = pairs
-    n = int((texts.starts[text_rows + 1] - texts.starts[text_rows]).max())
-    m = int((places.starts[place_rows + 1] - places.starts[place_rows]).max(initial=0)) + 1
-    counts = texts.edge_starts[text_rows + 1] - texts.edge_starts[text_rows]
-    s = max(1, int(counts.max()))
-    edge, at = entries(texts.edge_starts[text_rows], counts, s)
-    ends = np.zeros((len(text_rows), s, 2), np.int64)
-    said = np.zeros((len(text_rows), s, len(CHANNELS) + 1), np.float32)
-    ends.reshape(-1, 2)[at] = texts.ends[edge]
-    said.reshape(-1, len(CHANNELS) + 1)[at] = np.column_stack(
-        [texts.channels[edge], texts.negated[edge]]
-    )
-    nodes = texts.starts[text_rows + 1] - texts.starts[text_rows]
-    node, at = entries(texts.starts[text_rows], nodes, n)
-    rarity = np.zeros((len(text_rows), n), np.float32)
-    rarity.reshape(-1)[at] = words.rarity[node]
-    agreement = agreements(texts, places, text_rows[text], place_rows[place], words, (n, m))
-    holds = _holds(
-        texts.edge_starts, texts.channels, text_rows[text],
-        places.starts, places.offsets, places.kinds, place_rows[place], s, m,
-    )  # fmt: skip
-    things = places.starts[place_rows + 1] - places.starts[place_rows]
-    sizes = things[place] + 1
-    literal = kernels.literal(
-        agreement, holds, rarity[text], ends[text], said[text], counts[text], sizes
-    )
-    return PairBatch(
-        text,
-        place,
-        agreement,
-        rarity[text],
-        ends[text],
-        said[text],
-        _mask(counts, s)[text],
-        holds,
-        literal,
-    )
-
-
 def agreements(
     texts: TextGraphs,
     places: PlaceGraphs,
@@ -189,7 +114,7 @@ def agreements(
     size: tuple[int, int],
 ) -> Floats:
     """How well things of places fit mentions of texts, (P, n, m); the speaker fits the centre."""
-    return _agreement(
+    return agreement(
         texts.starts, text_rows, words.starts, words.tokens, words.weights,
         places.starts, place_rows, places.word_starts, places.words, places.weights,
         *size, len(places.vocabulary),

@@ -15,13 +15,16 @@ from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import is_tag
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.map.raster import sightings
-from placegraph.outdoor.network.graphs_kernels import MOST_THINGS, REACH, _gather, _nearest_things
-from placegraph.outdoor.network.relations_kernels import (
+from placegraph.outdoor.network.graphs_kernels import (
     ALONG,
     CHANNELS,
     INSIDE,
+    MOST_THINGS,
     NEAR,
     PRESENT,
+    REACH,
+    _gather,
+    _nearest_things,
     winds,
 )
 

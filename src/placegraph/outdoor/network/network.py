@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.network.batches import Floats, Rows
     from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-    from placegraph.outdoor.network.shape import Shape
+    from placegraph.outdoor.network.weights import Shape
 
 BLOCK = 1024
 """Places embedded at once."""

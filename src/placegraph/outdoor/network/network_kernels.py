@@ -147,7 +147,7 @@ def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, he
 
 
 LITERAL = 5
-"""Numbers of `literal`."""
+"""Numbers of `literal_of`."""
 CHANCE = np.array([0.25, 0.25, 0.25, 0.25, 0.4, 0.2, 0.2, 0.2, 1.0], np.float32)
 """P(two things in sight stand so, anywhere) of each channel."""
 NOISE = np.float32(0.12)
@@ -157,30 +157,7 @@ CROWD, LONELY = np.float32(30.0), np.float32(0.5)
 
 
 @kernel(fastmath=True)
-def literal(agreement, holds, rarity, ends, said, counts, sizes):
-    """What statements say of places if words alone decide, (P, S, LITERAL).
-
-    Logs of how many pairs of things fit and stand so, how many things fit the source, how many the
-    target, how many there are; and the log-likelihood ratio that relational matching would give
-    (`outdoor.match`, without what it knows of distance and of one thing serving many statements).
-
-    `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `said`
-    (P, S, R + 1) channels and negation, `counts` (P,) statements, `sizes` (P,) nodes of a place.
-    """
-    out = np.zeros((len(counts), holds.shape[1], LITERAL), np.float32)
-    for p in range(len(counts)):
-        for s in range(counts[p]):
-            a, b = ends[p, s]
-            background = _background(said[p, s], rarity[p, a], rarity[p, b])
-            _literal(
-                agreement[p, a], agreement[p, b], holds[p, s], sizes[p], background,
-                min(a, b) == 0, said[p, s, len(CHANCE)] > 0.0, out[p, s],
-            )  # fmt: skip
-    return out
-
-
-@kernel(fastmath=True)
-def _background(said, rare_source, rare_target):
+def background_of(said, rare_source, rare_target):
     """P(statement | anywhere)."""
     chance = np.float32(0.0)
     for r in range(len(CHANCE)):
@@ -190,7 +167,13 @@ def _background(said, rare_source, rare_target):
 
 
 @kernel(fastmath=True)
-def _literal(source, target, as_said, m, background, of_me, negated, out):
+def literal_of(source, target, as_said, m, background, of_me, negated, out):
+    """What a statement says of a place if words alone decide, into `out` (LITERAL,).
+
+    Logs of how many pairs of things fit and stand so, how many things fit the source, how many the
+    target, how many there are; and the log-likelihood ratio that relational matching would give,
+    without what it knows of distance and of one thing serving many statements.
+    """
     held = of_source = of_target = np.float32(0.0)
     for i in range(m):
         row = np.float32(0.0)
@@ -215,7 +198,7 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds
     """What every statement of every pair finds, (E, 3 H + LITERAL).
 
     Of each head how far what its ends attend to stands as said, how far they attend to anything,
-    and the ratio; then `literal`. `bounds` (P + 1,) are those of a pair's statements, `ends`
+    and the ratio; then `literal_of`. `bounds` (P + 1,) are those of a pair's statements, `ends`
     (E, 2) nodes within a text, `known` (E, R + 3) what is said and how rare both ends are, row p of
     `relations` those of the place of pair p.
     """
@@ -247,8 +230,8 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds
                 features[e, heads + h] = there
                 features[e, 2 * heads + h] = held / (there + np.float32(0.05))
             channels = len(CHANCE)
-            background = _background(known[e], known[e, channels + 1], known[e, channels + 2])
-            _literal(
+            background = background_of(known[e], known[e, channels + 1], known[e, channels + 2])
+            literal_of(
                 agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], as_said, m, background,
                 min(ends[e, 0], ends[e, 1]) == 0, known[e, channels] > 0.0,
                 features[e, 3 * heads :],
@@ -272,7 +255,7 @@ def add_to_ends(told, ends, bounds, t_starts):
 
 @kernel
 def literally(agreement, t_starts, m_starts, relations, ends, known, bounds):
-    """Sum over the statements of each pair (P,) of the last number of `literal`."""
+    """Sum over the statements of each pair (P,) of the last number of `literal_of`."""
     nothing = np.zeros((t_starts[-1], 0, np.max(m_starts[1:] - m_starts[:-1])), np.float32)
     each = heard(nothing, agreement, t_starts, m_starts, relations, ends, known, bounds)
     out = np.zeros(len(bounds) - 1, np.float32)

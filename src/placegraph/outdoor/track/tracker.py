@@ -208,12 +208,10 @@ class CityTracker:
 
         """
         distance = positive(distance, "distance")
-        loose = odometry_sigma(distance)
-        if distance_sigma is not None:
-            loose = positive(distance_sigma, "distance_sigma")
+        given = distance_sigma
+        loose = odometry_sigma(distance) if given is None else positive(given, "distance_sigma")
         turn = positive(bearing_sigma, "bearing_sigma")
-        if bearing is not None:
-            bearing = finite(bearing, "bearing", "an angle")
+        bearing = None if bearing is None else finite(bearing, "bearing", "an angle")
         self._go(distance, loose, bearing, turn)
         where = "" if bearing is None else f" at {np.rad2deg(bearing) % 360.0:.0f} degrees"
         return self._noted(f"walked {distance:.1f} m{where}", "")

@@ -9,7 +9,7 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.shape import Shape
+from placegraph.outdoor.network.weights import Shape
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     in_held_out_tiles,

@@ -6,7 +6,7 @@ import pytest
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.shape import Shape
+from placegraph.outdoor.network.weights import Shape
 from placegraph_lab.tables.outdoor.ablation import CANDIDATES, GIVEN, Task, evaluate, mean_of
 from placegraph_lab.tables.outdoor.pairs import Pairs
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries

@@ -9,7 +9,7 @@ import pytest
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.shape import Shape
+from placegraph.outdoor.network.weights import Shape
 from placegraph_lab.train.city.train import Progress, TrainOptions, train
 
 pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")

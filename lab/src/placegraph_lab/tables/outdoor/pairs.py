@@ -155,8 +155,9 @@ class Pairs:
         """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
         import torch
 
-        from placegraph.outdoor.network.batches import pair_batch, place_batch, text_batch
+        from placegraph.outdoor.network.batches import place_batch, text_batch
         from placegraph.outdoor.network.labels import Bags
+        from placegraph_lab.train.city.pairs import pair_batch
         from placegraph_lab.train.city.torch_batches import Batch, forward
         from placegraph_lab.train.city.torch_network import Network
 

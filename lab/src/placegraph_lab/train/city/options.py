@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.network.shape import Shape
+from placegraph.outdoor.network.weights import Shape
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,9 +14,7 @@ from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 from placegraph.outdoor.network.batches import (
     GraphBatch,
     NodeWords,
-    PairBatch,
     entries,
-    pair_batch,
     place_batch,
     text_batch,
     word_fits,
@@ -25,6 +23,7 @@ from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.labels import Bags
 from placegraph.outdoor.search.rerank import HARD
 from placegraph_lab.train.city.objective import Scores, Truth
+from placegraph_lab.train.city.pairs import PairBatch, pair_batch
 from placegraph_lab.train.city.pool import AT, NEARBY, Pool
 from placegraph_lab.train.city.torch_network import Graphs, Pairs
 

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
+from placegraph.outdoor.network.graphs_kernels import CHANNELS
 from placegraph.outdoor.network.labels_kernels import BUCKETS
 from placegraph.outdoor.network.network_kernels import LITERAL
-from placegraph.outdoor.network.relations_kernels import CHANNELS
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.network.shape import Shape
+    from placegraph.outdoor.network.weights import Shape
 
 R = len(CHANNELS)
 EPSILON = 1e-5

@@ -6,14 +6,14 @@ import pytest
 from placegraph.outdoor.network.batches import (
     Fits,
     entries,
-    pair_batch,
     place_batch,
     text_batch,
     word_fits,
 )
 from placegraph.outdoor.network.graphs import PlaceGraphs
+from placegraph.outdoor.network.graphs_kernels import CHANNELS
 from placegraph.outdoor.network.network_kernels import CHANCE, CROWD, LITERAL, LONELY, NOISE
-from placegraph.outdoor.network.relations_kernels import CHANNELS
+from placegraph_lab.train.city.pairs import pair_batch
 
 
 def test_entries_of_graphs_and_where_they_stand():
