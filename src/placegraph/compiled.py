@@ -31,6 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.types import unliteral
 
 from placegraph import kept
 from placegraph.fingerprint import fingerprint
@@ -98,8 +99,9 @@ class Kernel(_Part):
         return types in self.overloads or any(f.exists() for f in self._cache.files(types))
 
     def get_call_template(self, args: Any, kws: Any) -> Any:  # noqa: ANN401  # numba's
-        """How a call from another kernel is typed."""
-        return self.part.get_call_template(args, kws)
+        """How a call from another kernel is typed; each constant is not a type of its own."""
+        args = [unliteral(arg) for arg in args]
+        return self.part.get_call_template(args, {k: unliteral(arg) for k, arg in kws.items()})
 
     def get_overload(self, sig: Any) -> Any:  # noqa: ANN401  # numba's
         """Code for a call from another kernel."""

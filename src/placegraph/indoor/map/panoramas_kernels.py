@@ -165,7 +165,8 @@ def _scan_headings(
                 m[c, 2] = sums[c, 1]
         if len(colour):
             _add_correlation(total, hits, m, colour_weight / np.float32(samples))
-        out[k] = total
+        for a in range(AZIMUTHS):
+            out[k, a] = total[a]
 
 
 @kernel(fastmath=True, error_model="numpy")

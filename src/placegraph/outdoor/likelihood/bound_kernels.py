@@ -187,6 +187,7 @@ def _heaviest(bound, touched, most):
             n_edge += 1
     if n < most and n_edge:
         heavier = np.argsort(-bound[edge[:n_edge]])[: most - n]
-        chosen[n : n + len(heavier)] = edge[heavier]
-        n += len(heavier)
+        for k in heavier:
+            chosen[n] = edge[k]
+            n += 1
     return chosen[:n][np.argsort(-bound[chosen[:n]])]

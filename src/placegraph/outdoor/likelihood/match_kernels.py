@@ -69,9 +69,10 @@ def in_sight(scene, objects, at, sight, total, pairs, blur, view):
     stands = np.empty((len(objects), 2), np.float32)
     lies = np.ones(len(objects), np.bool_)
     for e in range(len(objects)):
-        stands[e] = at[e]
+        stands[e, 0], stands[e, 1] = at[e, 0], at[e, 1]
         if scene.kind[objects[e]] == AREA and at[e, 0] == 0.0 and at[e, 1] == 0.0:
-            stands[e] = scene.center[objects[e]] - view
+            stands[e, 0] = scene.center[objects[e], 0] - view[0]
+            stands[e, 1] = scene.center[objects[e], 1] - view[1]
             lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL * SMALL
     return InSight(objects, at, stands, lies, sight, total, pairs, blur)
 

@@ -42,6 +42,20 @@ def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
 
 
 @kernel
+def _sort(values, count):
+    """Sort the first `count` values, by Shell's method: numba's own takes long to compile."""
+    gap = count // 2
+    while gap > 0:
+        for i in range(gap, count):
+            value, j = values[i], i
+            while j >= gap and values[j - gap] > value:
+                values[j] = values[j - gap]
+                j -= gap
+            values[j] = value
+        gap //= 2
+
+
+@kernel
 def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity):
     east0, north0, stride, columns, n_rows = grid
     at = np.empty(capacity, np.int64)
@@ -114,7 +128,7 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                                 points[i + 1, 0] - points[i, 0]
                             )
                             count += 1
-                crossings[:count].sort()
+                _sort(crossings, count)
                 for k in range(0, count - 1, 2):
                     ca = max(c0, int(np.ceil((crossings[k] - east0) / stride)))
                     cb = min(c1, int(np.floor((crossings[k + 1] - east0) / stride)))
@@ -129,6 +143,7 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                         where = np.concatenate((where, where))
                     at[used] = (r + r0) * columns + c + c0
                     who[used] = row
-                    where[used] = near[r * width + c]
+                    where[used, 0] = near[r * width + c, 0]
+                    where[used, 1] = near[r * width + c, 1]
                     used += 1
     return at[:used], who[:used], where[:used]

@@ -240,7 +240,8 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
                         faces[f, corner % 3] = a
                 corner = after[corner]
         for i in range(n):
-            values[own[i]] = new[group[i]]
+            for k in range(values.shape[1]):
+                values[own[i], k] = new[group[i], k]
         join(a, b, head, tail, after)
         join(a, b, plane_head, plane_tail, plane_after)
         degree[a] += degree[b]

@@ -134,11 +134,13 @@ def meeting_values(
                 corner = after[corner]
         for g in range(n):
             if total[g] != 0.0:
-                new[g] /= abs(total[g])
+                for k in range(new.shape[1]):
+                    new[g, k] /= abs(total[g])
                 total[g] = 1.0
     for i in range(n):
         if total[group[i]] == 0.0:  # nothing but slivers
-            new[group[i]] = values[own[group[i]]]
+            for k in range(values.shape[1]):
+                new[group[i], k] = values[own[group[i]], k]
     if not checked:
         return 0.0, 0.0
     return shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new)
