@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mkdocs.structure.files import File, Files
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mkdocs.config.defaults import MkDocsConfig
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,14 +36,19 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def _commands() -> str:
-    """Options of all commands, placegraph-lab's among them."""
-    import typer
-    from typer.cli import get_docs_for_click
+    """Help of all commands, those that placegraph-lab brings among them."""
+    import click
 
-    from placegraph.cli import app
+    from placegraph.cli import APP
 
-    command = typer.main.get_command(app)
-    with command.make_context("placegraph", ["--version"], resilient_parsing=True) as context:
-        text = get_docs_for_click(obj=command, ctx=context, name="placegraph")
-    text = re.sub(r"^# .*\n", "", text)
-    return re.sub(r"^\* ", "- ", text, flags=re.MULTILINE)
+    def told(command: click.Command, context: click.Context, depth: int) -> Iterator[str]:
+        yield f"{'#' * depth} {context.command_path}\n\n```text\n{command.get_help(context)}\n```\n"
+        if isinstance(command, click.Group):
+            for name in command.list_commands(context):
+                below = command.get_command(context, name)
+                if below is not None and not below.hidden:
+                    with click.Context(below, info_name=name, parent=context) as inner:
+                        yield from told(below, inner, depth + 1)
+
+    with click.Context(APP, info_name="placegraph", terminal_width=110) as context:
+        return "\n".join(told(APP, context, 2))

@@ -10,10 +10,12 @@ above is skipped, with its reason.
 
 import contextlib
 import io
+import os
 import pkgutil
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 import textwrap
 from dataclasses import dataclass
@@ -26,8 +28,6 @@ from placegraph import cli
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-LONG = {"docs/howto-library.md", "docs/howto-maps.md"}
-"""Pages that `make test-all` alone runs."""
 SHELL = ("bash", "sh", "shell", "console")
 
 FENCE = re.compile(
@@ -122,12 +122,7 @@ def run(block, namespace, monkeypatch):
         exec(compile(source, str(block.page), "exec"), namespace)  # noqa: S102
 
 
-def page_test(page):
-    name = str(page.relative_to(ROOT))
-    return pytest.param(page, id=name, marks=[pytest.mark.all] if name in LONG else [])
-
-
-@pytest.mark.parametrize("page", [page_test(page) for page in PAGES])
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_page(page, request, tmp_path, monkeypatch):
     blocks = blocks_of(page, page.read_text("utf-8"))
     assert all(block.reason != "" for block in blocks), f"{page}: a no-run without a reason"
@@ -163,6 +158,21 @@ def test_files_and_names_that_are_spoken_of_exist(page):
     missing = [path for path in PATH.findall(text) if not (ROOT / path.rstrip(".")).exists()]
     missing += [name for name in NAME.findall(text) if not exists(name)]
     assert not missing
+
+
+@pytest.mark.all
+def test_the_site_is_built_and_its_links_lead_somewhere(tmp_path):
+    pytest.importorskip("mkdocs")
+    result = subprocess.run(  # noqa: S603  # our own interpreter and site
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
+        cwd=ROOT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "placegraph city locate" in (tmp_path / "commands.html").read_text("utf-8")
 
 
 # --- the runner itself ---
