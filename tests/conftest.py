@@ -93,7 +93,7 @@ def interrupted():
             while process.poll() is None and time.monotonic() < end:
                 process.send_signal(signal.SIGINT)  # again until it is seen
                 with suppress(subprocess.TimeoutExpired):
-                    process.wait(1.0)
+                    process.wait(20.0)  # a second Ctrl-C would cut its last words short
             said = process.communicate(timeout=1.0)
             return Run(process.returncode, *said)
         finally:

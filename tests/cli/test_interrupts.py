@@ -41,6 +41,7 @@ def test_one_that_falls_where_exceptions_are_ignored_is_raised_again(pressed):
             pressed()
 
     hook = sys.unraisablehook
+
     def lose_one():
         with interruptible():
             Falling()  # dies at once, and Python ignores what a destructor raises

@@ -12,7 +12,7 @@ from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.scan3r_rooms import read_rooms
-from placegraph_lab.datasets.scan3r_pairs import (
+from placegraph_lab.tables.pairs.scan3r import (
     candidates,
     cross_temporal_pairs,
     pair_windows,

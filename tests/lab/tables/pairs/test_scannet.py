@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.sens import read_sens
 from placegraph.geometry import rotation_z
-from placegraph_lab.datasets.scannet_pairs import (
+from placegraph_lab.tables.indoor.windows import sampled
+from placegraph_lab.tables.pairs.scannet import (
     ScanPair,
     derive_pairs,
     pair_windows,
@@ -16,7 +17,6 @@ from placegraph_lab.datasets.scannet_pairs import (
     scans_in,
     true_poses,
 )
-from placegraph_lab.tables.indoor.windows import sampled
 
 FOUND = ["scene0001_00", "scene0002_00", "scene0001_01", "scene0001_03", "scene0010_00"]
 MAP_FROM_QUERY = np.eye(4)

@@ -1,0 +1,1 @@
+"""Lists of pairs of 3RScan and ScanNet: which recording is asked in which map."""
