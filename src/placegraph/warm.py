@@ -37,7 +37,7 @@ _STALE = AttributeError, ImportError, NameError
 
 
 def commands() -> dict[str, list[str]]:
-    """Calls ``KERNEL(TYPE, ...)`` by command and kind, those that take longest to compile first."""
+    """Calls ``KERNEL(TYPE, ...)`` by command and kind, in the order to compile them in."""
     found: dict[str, list[str]] = {}
     for line in _lines():
         if line.startswith("["):

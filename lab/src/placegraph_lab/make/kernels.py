@@ -8,17 +8,21 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from placegraph.compiled import Kernel
 from placegraph.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import FunctionType
 
 HEAD = """\
 # What each command compiles: the kernels that Python calls, and the types of their arguments; those
-# that take longest come first. Written by `placegraph-lab kernels`; read by `placegraph.warm`.
+# that take longest come first, those that share parts with these last. Written by
+# `placegraph-lab kernels`; read by `placegraph.warm`.
 """
 QUERIES = (
     "I'm at a fountain. The Casino de Monte-Carlo is south of me and the Hotel de Paris is to the southwest.",
@@ -99,8 +103,28 @@ def list_kernels(data: Path, say: Callable[[str], None]) -> str:
             say(f"{len(found):4} {label}")
     lines = [f"{name} = {text}" for text, name in names.items()]
     for label, found in calls.items():
-        lines += ["", f"[{label}]", *sorted(found, key=lambda call: (-found[call], call))]
+        lines += ["", f"[{label}]", *apart(sorted(found, key=lambda call: (-found[call], call)))]
     return HEAD + "\n".join(lines) + "\n"
+
+
+def apart(calls: list[str]) -> list[str]:
+    """Move calls to the end that share parts with earlier ones, which they would wait for."""
+    first: list[str] = []
+    later: list[str] = []
+    used: set[str] = set()
+    for call in calls:
+        module, name = call.partition("(")[0].rsplit(".", 1)
+        parts = _parts_of(getattr(import_module(f"placegraph.{module}"), name).py_func)
+        (later if parts & used else first).append(call)
+        used |= set() if parts & used else parts
+    return first + later
+
+
+def _parts_of(function: FunctionType) -> set[str]:
+    """Names of the kernels that a function calls, however deep, and its own."""
+    called = [function.__globals__.get(name) for name in function.__code__.co_names]
+    kernels = [each.py_func for each in called if isinstance(each, Kernel)]
+    return {f"{function.__module__}.{function.__name__}"}.union(*map(_parts_of, kernels))
 
 
 def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, int]]:
