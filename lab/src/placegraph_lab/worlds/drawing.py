@@ -162,7 +162,7 @@ def legend_line(line: str, where: str) -> LegendLine:
 
 
 def shipped(folder: str) -> tuple[str, ...]:
-    """Names of the drawings in a folder of `synthetic/data` that ship with the package."""
+    """Names of the drawings in a folder of `worlds/data` that ship with the package."""
     return tuple(
         sorted(
             file.name.removesuffix(".txt")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from placegraph.formats.mesh.gltf import MENDS, Gltf, Json
+from placegraph.formats.mesh.gltf import MENDS, Gltf
 from placegraph.formats.mesh.materials import Materials, vertex_colours
 from placegraph.formats.mesh.model import Model, Thing
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import NDArray
+
+    from placegraph.formats.mesh.gltf_file import Json
 
 OWN = "placegraph"
 """Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the

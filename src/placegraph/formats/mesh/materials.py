@@ -13,7 +13,8 @@ from placegraph.formats.mesh.model import Picture
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.formats.mesh.gltf import Gltf, Json
+    from placegraph.formats.mesh.gltf import Gltf
+    from placegraph.formats.mesh.gltf_file import Json
 
 _CLAMP, _MIRROR = 33071, 33648
 _EDGE = 1e-4  # of a texture: within the outermost texel of any texture a map holds

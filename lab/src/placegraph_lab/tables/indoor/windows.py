@@ -161,7 +161,7 @@ def drifting_windows(
 ) -> list[Window]:
     """Windows of `length` frames that do not overlap, of a recording whose own poses are its truth.
 
-    Their odometry is made of these, in a frame of its own, and drifts as `synthetic.walks.drifted`
+    Their odometry is made of these, in a frame of its own, and drifts as `worlds.flat.walks.drifted`
     says; gravity is off by `TILT` along each axis. `truth` (T, 4, 4): map_from_camera. Raises
     `OptionError` where `length` is less than 1.
     """

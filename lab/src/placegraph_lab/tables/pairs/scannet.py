@@ -179,7 +179,7 @@ def pair_windows(
     """Sequences of `length` images, one in `every`, of a pair's query, that do not overlap.
 
     A recording's own poses are its truth; the windows' captures have an odometry made of them, in a
-    frame of its own, that drifts as `synthetic.walks.drifted` says.
+    frame of its own, that drifts as `worlds.flat.walks.drifted` says.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ NAMED = (
     *(Size(name, ("--detail", name)) for name in ("fine", "default", "small", "tiny")),
 )
 VERTICES = Size("coarse", ())
-"""20,000 triangles whose vertices alone have colours, of `evaluate.decimate`; from the full map."""
+"""20,000 triangles whose vertices alone have colours, of `tables.indoor.decimate`; from the full map."""
 LABELLED = Size("labelled", ())
 """The default, its objects found by a segmenter of images instead of geometry and colour."""
 SWEEP = (

@@ -46,7 +46,7 @@ SHAPES = ((9, 16), (10, 15))
 
 
 class Thing(NamedTuple):
-    """What the light of a map's object depends on; as `synthetic.interior.Thing`."""
+    """What the light of a map's object depends on; as `worlds.flat.interior.Thing`."""
 
     id: int
     glow: float = 0.0
