@@ -73,7 +73,7 @@ class Scorer:
         return self.model.combined(self.terms(poses, view), view.terms)
 
     def together(self, poses: Floats, views: Sequence[View], steps: Floats) -> Floats:
-        """Log-likelihoods (N,) of poses (N, 4) of a reference frame against a whole sequence.
+        """Log-likelihoods (N,) of poses (N, 4) of a reference frame against a whole window.
 
         `steps`: (T, 4) from the reference frame to that of each view, by odometry.
         """

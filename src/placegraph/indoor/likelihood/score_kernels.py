@@ -127,7 +127,7 @@ def _semantic(seen, count, weight, gaussian):
 
 @kernel(inline="always", fastmath=True)
 def _depth(expected, measured, noise):
-    """One reading: the paper's clipped error, or a log-likelihood with Cauchy's tails."""
+    """One reading: the paper's clipped error (Sec. 3.4), or a log-likelihood with Cauchy's tails."""
     if noise.gaussian:
         error = abs(expected - measured) / np.float32(noise.depth_clip)
         return min(error, np.float32(1.0))
@@ -141,7 +141,7 @@ def _depth(expected, measured, noise):
 
 @kernel(inline="always", fastmath=True)
 def _colour(tile, packet, ints, surface, view, moments):
-    """Add a tile to the frame's colour moments; its hits and the SSIM of its lightness."""
+    """Add a tile to the frame's colour moments; its hits and the SSIM of its lightness (Sec. 3.4)."""
     hits = 0
     q1 = q2 = r1 = r2 = qr = np.float32(0.0)
     for lane in range(LANES):

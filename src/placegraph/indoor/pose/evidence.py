@@ -48,7 +48,7 @@ class Agreement:
 
 
 def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats) -> Agreement:
-    """Agreement of a pose (4,) of the reference frame with all frames of the sequence."""
+    """Agreement of a pose (4,) of the reference frame with all frames of the window."""
     scene, noise = scorer.scene, scorer.model.noise
     count = len(scene)
     weights, told = np.zeros(count), np.zeros(count)

@@ -1,4 +1,4 @@
-"""The filter in passes over a window, coarse to fine (Sec. 3.5), and its first particles (Sec. 3.1)."""
+"""The filter in passes over a window, and the first particles of each."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Passes:
 
 
 def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
-    """Filter the window, from seeds (K, 4) of the last frame, in the passes of the options."""
+    """Filter the window, from seeds (K, 4) of the last frame, in passes coarse to fine (Sec. 3.5)."""
     options, query, poses = window.options, window.query, window.poses
     modes, history, counts = seeds, [], []
     steps = np.zeros((len(window), 4))

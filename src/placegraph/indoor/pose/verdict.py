@@ -171,7 +171,7 @@ def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[St
 def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
     """Why the best pose cannot be right; empty where it can.
 
-    `lenient`: how much smaller shares of agreement may be than for a whole sequence.
+    `lenient`: how much smaller shares of agreement may be than for a whole window.
     """
     if agreed.covered < _BLIND - lenient:
         return f"the map shows only {agreed.covered:.0%} of what the frames see"

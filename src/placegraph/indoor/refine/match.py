@@ -84,7 +84,7 @@ class Sights:
 
 
 def turned(map_from_camera: Floats, options: RefineOptions) -> list[Floats]:
-    """The pose and others turned about the vertical within +-spread, evenly: `views` in all."""
+    """The pose and others turned about the vertical within +-spread, evenly: `views` in all (Sec. 3.6)."""
     if options.views == 1:
         return [map_from_camera]
     turns = np.linspace(-options.spread, options.spread, options.views - 1)
@@ -106,7 +106,7 @@ def look(
     size: int,
     sigma: float,
 ) -> Sights:
-    """Points of the map that a frame (H, W, 3) shares with renderings from some poses (4, 4).
+    """Points of the map that a frame (H, W, 3) shares with renderings from poses (4, 4) (Sec. 3.6).
 
     `size`: longer side of the renderings [px]; the query is brought to theirs. `sigma`: deviation of
     a match [px of an image `REFERENCE` wide].
@@ -194,7 +194,7 @@ class Consensus:
 
 
 def solve_frame(sights: Sights, options: RefineOptions) -> Consensus | None:
-    """PnP with RANSAC on one frame, by PoseLib; None where too few matches agree."""
+    """PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None where too few matches agree."""
     return solve_rig([sights], [np.eye(4)], options)
 
 
