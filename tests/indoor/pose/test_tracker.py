@@ -169,6 +169,13 @@ def test_forgetting(room, film):
     assert tracker.update(film[20]).modes
 
 
+def test_the_papers_likelihood_is_tracked_too(room, film):
+    """Its start, particles everywhere, is no tracker's: the table says where to look first."""
+    tracker = room.tracker(film.camera, options=FilterOptions.paper(), seed=0)
+    for frame in film[:3]:
+        assert tracker.update(frame).modes
+
+
 def test_frames_of_another_camera(room, film):
     other = Camera(160, 90, 120.0, 120.0, 80.0, 45.0)
     tracker = room.tracker(other)

@@ -60,7 +60,8 @@ class Tracker:
     """
 
     def __init__(self, query: PoseQuery, camera: Camera | None = None) -> None:
-        self.query = query
+        # until the pose is known there are no particles: the table is where a tracker starts
+        self.query = replace(query, options=replace(query.options, start="table"))
         self.camera = camera
         self.rng = np.random.default_rng(query.seed)
         self.scorer = Scorer(query.scene, query.options.likelihood, query.device)
