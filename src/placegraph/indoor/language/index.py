@@ -26,7 +26,7 @@ Triple = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unit:
+class Described:
     """A room, or a scene as a whole: what somebody may describe."""
 
     labels: dict[str, int]
@@ -41,7 +41,7 @@ class Unit:
     """Whether nobody told its rooms apart."""
 
 
-def units(graph: SceneGraph, rooms: Sequence[str] = ()) -> list[Unit]:
+def units(graph: SceneGraph, rooms: Sequence[str] = ()) -> list[Described]:
     """What may be described of a scene: its rooms, and, where there are several, all of it.
 
     `rooms`: (N,) name of the room of each object, empty where unknown. Raises `OptionError` where
@@ -53,16 +53,16 @@ def units(graph: SceneGraph, rooms: Sequence[str] = ()) -> list[Unit]:
     all_ = list(triples(graph))
     if not groups:
         labels = Counter(graph.labels)
-        return [Unit(dict(labels), _counted(all_, graph.labels), undivided=True)]
+        return [Described(dict(labels), _counted(all_, graph.labels), undivided=True)]
     out = []
     for name, rows in groups:
         labels = Counter(graph.labels[row] for row in rows)
         inside = set(rows)
         own = all_ if len(groups) == 1 else [t for t in all_ if t[0] in inside]
-        out.append(Unit(dict(labels), _counted(own, graph.labels), name))
+        out.append(Described(dict(labels), _counted(own, graph.labels), name))
     if len(out) == 1:  # with what lies between rooms
         return [replace(out[0], labels=dict(Counter(graph.labels)))]
-    return [*out, Unit(dict(Counter(graph.labels)), _counted(all_, graph.labels), whole=True)]
+    return [*out, Described(dict(Counter(graph.labels)), _counted(all_, graph.labels), whole=True)]
 
 
 def _groups(graph: SceneGraph, rooms: Sequence[str]) -> list[tuple[str, list[int]]]:
@@ -182,7 +182,7 @@ class Columns(NamedTuple):
         return fits(asked, self.labels)
 
 
-def columns_of(scenes: Sequence[Sequence[Unit]]) -> Columns:
+def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
     """The units of scenes as arrays."""
     flat = [unit for scene in scenes for unit in scene]
     label_row: dict[str, int] = {}
@@ -209,7 +209,7 @@ def columns_of(scenes: Sequence[Sequence[Unit]]) -> Columns:
 
 
 def _rooms(
-    flat: Sequence[Unit], labels: Sequence[str], of_labels: Postings, scene: NDArray[np.int32]
+    flat: Sequence[Described], labels: Sequence[str], of_labels: Postings, scene: NDArray[np.int32]
 ) -> NDArray[np.float64]:
     """Expected number (U, R) of rooms of each kind; of a whole the sum of its rooms'."""
     held = [of_labels.many(likeness, len(flat)).best for likeness in likenesses(labels).T]

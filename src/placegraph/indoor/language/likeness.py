@@ -63,7 +63,7 @@ def _start(label: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Rooms:
+class RoomKinds:
     """Kinds of rooms."""
 
     kind_of: Mapping[tuple[str, ...], str]
@@ -75,12 +75,12 @@ class Rooms:
 
 
 @cache
-def rooms() -> Rooms:
+def rooms() -> RoomKinds:
     """The kinds of rooms that placegraph knows."""
     table = tomllib.loads(files(__package__).joinpath("data", "rooms.toml").read_text("utf-8"))
     names = {kind: [kind, *entry.get("names", [])] for kind, entry in table.items()}
     total = sum(entry["usual"] for entry in table.values())
-    return Rooms(
+    return RoomKinds(
         kind_of={tuple(name.split()): kind for kind, all_ in names.items() for name in all_},
         usual={kind: entry["usual"] / total for kind, entry in table.items()},
         holds={kind: entry["holds"] for kind, entry in table.items()},

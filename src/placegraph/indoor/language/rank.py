@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.graph import SceneGraph
-    from placegraph.indoor.language.index import Columns, Unit
+    from placegraph.indoor.language.index import Columns, Described
     from placegraph.indoor.language.sentence import Mention, Sentence, Statement
 
 _TOLD = 0.05  # evidence that says anything [nat]
@@ -89,7 +89,7 @@ class TextIndex:
     def __init__(
         self, graphs: Iterable[SceneGraph] = (), rooms: Iterable[Sequence[str]] | None = None
     ) -> None:
-        self._scenes: list[list[Unit]] = []
+        self._scenes: list[list[Described]] = []
         self._columns: Columns | None = None
         given = iter(rooms) if rooms is not None else None
         for graph in graphs:
@@ -102,13 +102,13 @@ class TextIndex:
         """Add a scene at the end and return its row; raises `OptionError` as `score`."""
         return self.add_units(units(graph, rooms))
 
-    def add_units(self, described: Sequence[Unit]) -> int:
+    def add_units(self, described: Sequence[Described]) -> int:
         """Add a scene by what may be described of it (`units`, `TextIndex.units`)."""
         self._scenes.append(list(described))
         self._columns = None
         return len(self._scenes) - 1
 
-    def units(self, row: int) -> tuple[Unit, ...]:
+    def units(self, row: int) -> tuple[Described, ...]:
         """What may be described of a scene: its rooms, and where there are several all of it."""
         return tuple(self._scenes[row])
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Up = Literal["auto", "y", "z"]
 
 
-class Kind(NamedTuple):
+class SourceKind(NamedTuple):
     """One kind of source that is a labelled mesh already."""
 
     holds: str
@@ -68,29 +68,29 @@ class Kind(NamedTuple):
 
 
 KINDS = (
-    Kind(".glb", "mesh.glb", "glb", ".glb", ("up",)),
-    Kind(".gltf", "mesh.glb", "glb", ".gltf", ("up",)),
-    Kind(".obj", "mesh.obj", "obj", ".obj", ("up", "table"), own=("groups",)),
-    Kind(
+    SourceKind(".glb", "mesh.glb", "glb", ".glb", ("up",)),
+    SourceKind(".gltf", "mesh.glb", "glb", ".gltf", ("up",)),
+    SourceKind(".obj", "mesh.obj", "obj", ".obj", ("up", "table"), own=("groups",)),
+    SourceKind(
         "a 3RScan scan's folder",
         "dataset.scan3r",
         "scan3r",
         own=("reference_frame", "undo_moves", "rooms", "annotations"),
     ),
-    Kind(
+    SourceKind(
         "a ScanNet scan's folder",
         "dataset.scannet",
         "scannet",
         own=("label_table", "label_column", "align"),
     ),
-    Kind(
+    SourceKind(
         "what SceneGraphFusion predicted",
         "dataset.scenegraphfusion",
         "scenegraphfusion",
         own=("mesh",),
     ),
-    Kind("Spark-DSG's .json", "mesh.spark_dsg", "spark_dsg"),
-    Kind(".ply", "mesh.ply", "ply", ".ply", ("up", "table", "object_property")),
+    SourceKind("Spark-DSG's .json", "mesh.spark_dsg", "spark_dsg"),
+    SourceKind(".ply", "mesh.ply", "ply", ".ply", ("up", "table", "object_property")),
 )
 """In the order in which they are asked: what is told by little comes last."""
 
@@ -205,7 +205,7 @@ def _labelled(model: Model, table: Mapping[str, Entry] | None) -> Model:
     return replace(model, things=things)
 
 
-def _axis(kind: Kind, up: Up) -> str:
+def _axis(kind: SourceKind, up: Up) -> str:
     """The axis that a reader takes for up: y of GLB, as glTF has it, else z."""
     return up if up != "auto" else "y" if kind.verb == "glb" else "z"
 

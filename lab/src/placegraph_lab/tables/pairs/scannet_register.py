@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.register import Fit
+    from placegraph.indoor.mapping.change.register import Registration
     from placegraph.indoor.scene_map import SceneMap
 
 WITHIN = 0.05
@@ -44,7 +44,7 @@ def register_scans(map_: SceneMap, query: SceneMap, rng: Generator) -> Floats | 
     target, rough = (sample(map_.mesh, everything[0], n, rng) for n in (_TARGET, _COARSE_TARGET))
     source, few = (sample(query.mesh, everything[1], n, rng).points for n in (_FINE, _COARSE))
     middle, goal = _middle(source), _middle(target.points)
-    found: list[Fit] = []
+    found: list[Registration] = []
     for turn in range(4):
         starts = (
             about(middle, turn * np.pi / 2, goal + np.array([x, y, 0.0]))

@@ -10,7 +10,13 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.surface import Surface
 from placegraph.indoor.mapping.atlas.surface_kernels import colours_of, nearest, sorted_cells
-from placegraph.indoor.mapping.atlas.view_kernels import OBSERVED, Views, balance, mixed, observe
+from placegraph.indoor.mapping.atlas.view_kernels import (
+    OBSERVED,
+    Keyframes,
+    balance,
+    mixed,
+    observe,
+)
 from placegraph.indoor.mapping.atlas.views import keyframes, looked
 from placegraph.indoor.rays import RayCaster
 from placegraph.threads import share
@@ -107,7 +113,7 @@ def _checked(poses: ArrayLike, count: int) -> Floats:
     return where
 
 
-def _gains(views: Views, vertices: Floats, triangles: NDArray[Any]) -> NDArray[np.float32]:
+def _gains(views: Keyframes, vertices: Floats, triangles: NDArray[Any]) -> NDArray[np.float32]:
     """What the colours of each view are multiplied by (K, 3), near 1, so that all agree."""
     points, normals = _spread(vertices, triangles, _POINTS)
     rows = np.full((len(points), OBSERVED), -1, np.int64)

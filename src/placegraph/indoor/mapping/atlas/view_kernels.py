@@ -26,7 +26,7 @@ BORDER = 24.0
 """A view counts fully from this far inside the image on [px]."""
 
 
-class Views(NamedTuple):
+class Keyframes(NamedTuple):
     """K images with their poses, ready to be looked up."""
 
     camera_from_map: NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.mapping.atlas.view_kernels import Views, around, resampled
+from placegraph.indoor.mapping.atlas.view_kernels import Keyframes, around, resampled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,7 +69,7 @@ def looked(
     groups: Sequence[Sequence[int]],
     caster: RayCaster,
     progress: Callable[[int, int], None] | None,
-) -> Views:
+) -> Keyframes:
     """Views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
     total, done = sum(len(g) for g in groups), 0
     first = _plain(frames[groups[0][0]].camera)
@@ -89,7 +89,7 @@ def looked(
                 progress(done, total)
     map_from_camera = poses[rows]
     pinhole = np.array([first.fx, first.fy, first.cx, first.cy])
-    return Views(
+    return Keyframes(
         camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
         centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
         pinholes=np.tile(pinhole, (len(rows), 1)),

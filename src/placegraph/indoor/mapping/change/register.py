@@ -82,7 +82,7 @@ def sample(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class Registration:
     """How well a motion brings points onto a surface."""
 
     motion: Floats
@@ -96,7 +96,7 @@ class Fit:
 def register(
     source: Floats, target: Sampled, start: Floats, *, reach: float, upright: bool = True,
     within: float = 0.03,
-) -> Fit:  # fmt: skip
+) -> Registration:  # fmt: skip
     """Motion (4, 4) target_from_source near `start` that brings points (N, 3) onto a surface.
 
     Parameters
@@ -131,14 +131,14 @@ def register(
     return fit(source, target, motion, within)
 
 
-def fit(source: Floats, target: Sampled, motion: Floats, within: float) -> Fit:
+def fit(source: Floats, target: Sampled, motion: Floats, within: float) -> Registration:
     """How well a motion does as it is; distances are along the target's normals."""
     points = moved(motion, source)
     rows = nearest(points, target.points, 2.0 * within)
     off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])
     close = (rows >= 0) & (np.abs(off) < within)
     rms = float(np.sqrt(np.mean(off[close] ** 2))) if close.any() else np.inf
-    return Fit(motion, float(close.mean()) if len(close) else 0.0, rms)
+    return Registration(motion, float(close.mean()) if len(close) else 0.0, rms)
 
 
 def touching(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.fuse.views import View
+    from placegraph.indoor.mapping.fuse.views import Shot
 
 VOXEL = 0.03
 """Edge of a voxel [m]."""
@@ -149,7 +149,7 @@ class _Run:
             f"voxels of {100 * self.volume.voxel:.3g} cm"
         )
 
-    def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
+    def some_points(self, view: Shot, facets: NDArray[np.float32]) -> Floats:
         """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""
         v, u = np.nonzero(facets[..., 4])
         chosen = np.unique(

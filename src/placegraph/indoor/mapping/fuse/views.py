@@ -32,7 +32,7 @@ WIDEST = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class Shot:
     """Images of one frame without distortion, and where they were taken."""
 
     row: int
@@ -47,14 +47,14 @@ class View:
 
 def views_of(
     frames: Sequence[Frame], poses: Floats, good: NDArray[np.bool_], left_out: Counter[str]
-) -> Iterator[View | None]:
+) -> Iterator[Shot | None]:
     """Views of all frames in order, None for those without depth or whose pose is not `good` (T,).
 
     The next frames are read while the caller works on the last. Raises `InputError` where an image
     is broken.
     """
 
-    def view(row: int) -> View | None:
+    def view(row: int) -> Shot | None:
         return view_of(frames[row], row, poses[row]) if good[row] else None
 
     with ThreadPoolExecutor(1) as reader:
@@ -70,7 +70,7 @@ def views_of(
             yield found
 
 
-def view_of(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
+def view_of(frame: Frame, row: int, map_from_camera: Floats) -> Shot | None:
     """View of a frame, None where it has no depth."""
     depth, depth_camera = frame.depth(), frame.depth_camera
     if depth is None or depth_camera is None or not (depth > 0).any():
@@ -83,7 +83,7 @@ def view_of(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
         camera, table = undistorted(camera)
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
-    return View(
+    return Shot(
         row, np.ascontiguousarray(depth), np.ascontiguousarray(image), eyes, map_from_camera
     )
 

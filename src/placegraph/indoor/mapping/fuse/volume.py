@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.fuse.views import View
+    from placegraph.indoor.mapping.fuse.views import Shot
 
 FIRST = 4096
 """Blocks that there is room for at first."""
@@ -89,7 +89,7 @@ class Volume:
         """Memory of the blocks that are used."""
         return self.count * BLOCK
 
-    def take(self, view: View, facets: NDArray[np.float32], *, gains: bool) -> float:
+    def take(self, view: Shot, facets: NDArray[np.float32], *, gains: bool) -> float:
         """Take in a view, in place; what its image was multiplied by to fit those before.
 
         `facets`: (h, w, 6) of `depth_kernels.facets_of`. Raises `FullError` where memory ends.
@@ -126,7 +126,7 @@ class Volume:
         )  # fmt: skip
         return gain
 
-    def gain(self, view: View, facets: NDArray[np.float32]) -> float:
+    def gain(self, view: Shot, facets: NDArray[np.float32]) -> float:
         """What brings a view's image to the brightness of the model; 1 where they hardly overlap."""
         ratios = kernels.brightness_ratios(
             self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,

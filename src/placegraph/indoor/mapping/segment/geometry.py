@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.indoor.map.floor import quantiles
 from placegraph.indoor.mapping.segment.objects import join_patches, settle
-from placegraph.indoor.mapping.segment.patches import Patches, cut_patches, describe
+from placegraph.indoor.mapping.segment.patches import PatchGraph, cut_patches, describe
 from placegraph.indoor.mapping.segment.segment_kernels import connect, nearest
 from placegraph.indoor.mapping.segment.walls import find_walls, peak
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.mapping.segment.faces import Faces
-    from placegraph.indoor.mapping.segment.patches import Patches
+    from placegraph.indoor.mapping.segment.patches import PatchGraph
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
     Floats = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Cut:
     """Faces put into patches, and patches into objects."""
 
     structure: Structure
-    patches: Patches
+    patches: PatchGraph
     groups: Ints
     """(N,) object of each patch, named by one of its patches."""
 
@@ -65,7 +65,7 @@ def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str],
 
 
 def adopted(
-    group: Ints, patches: Patches, fixed: NDArray[np.bool_], faces: Faces, least: float
+    group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], faces: Faces, least: float
 ) -> Ints:
     """Groups (N,), those that are too small and touch nothing put into the nearest other one."""
     areas = np.bincount(group, patches.areas, len(patches))
@@ -83,8 +83,8 @@ def adopted(
 
 
 def lift_marks(
-    patches: Patches, structure: Structure, options: SegmentOptions
-) -> tuple[Patches, Structure]:
+    patches: PatchGraph, structure: Structure, options: SegmentOptions
+) -> tuple[PatchGraph, Structure]:
     """Patches and structure with the pictures, boards and carpets taken out of its planes.
 
     What hangs on a wall becomes a patch among others, so that its frame joins it. What lies on the
@@ -113,7 +113,7 @@ def lift_marks(
     return replace(patches, plane=plane), replace(structure, labels=tuple(labels))
 
 
-def _usual_colours(patches: Patches, count: int) -> Floats:
+def _usual_colours(patches: PatchGraph, count: int) -> Floats:
     """Colour (P, 3) CIELAB of each plane: the median of its patches by area."""
     out = np.zeros((max(count, 1), 3))
     for row in range(count):

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.indoor.mapping.segment.faces import Samples
 from placegraph.indoor.mapping.segment.geometry import ROUNDS, Cut, adopted
 from placegraph.indoor.mapping.segment.objects import joined, settle
-from placegraph.indoor.mapping.segment.patches import Patches, describe, step_weights
+from placegraph.indoor.mapping.segment.patches import PatchGraph, describe, step_weights
 from placegraph.indoor.mapping.segment.segment_kernels import connect
 from placegraph.indoor.mapping.segment.votes import NOTHING, label_faces
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.mapping.segment.faces import Faces
-    from placegraph.indoor.mapping.segment.patches import Patches
+    from placegraph.indoor.mapping.segment.patches import PatchGraph
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
     from placegraph.indoor.mapping.segment.votes import Votes
 
@@ -94,7 +94,7 @@ def _pieces(faces: Faces, label: Ints, thing: Ints) -> Ints:
 
 
 def _spilt(
-    pieces: Patches, label: Ints, plane: Ints, level: NDArray[np.bool_], options: SegmentOptions
+    pieces: PatchGraph, label: Ints, plane: Ints, level: NDArray[np.bool_], options: SegmentOptions
 ) -> NDArray[np.bool_]:
     """Pieces (N,) of floor or wall whose label is of a larger thing they touch, or that are small.
 
@@ -110,7 +110,7 @@ def _spilt(
 
 
 def _grouped(
-    pieces: Patches, label: Ints, thing: Ints, plane: Ints, kind: str, options: SegmentOptions
+    pieces: PatchGraph, label: Ints, thing: Ints, plane: Ints, kind: str, options: SegmentOptions
 ) -> Ints:
     """Group (N,) of each piece, named by its lowest."""
     if kind == "instances":
@@ -127,7 +127,7 @@ def _grouped(
     return group
 
 
-def _gathered(faces: Faces, piece: Ints, pieces: Patches, label: Ints, group: Ints) -> Ints:
+def _gathered(faces: Faces, piece: Ints, pieces: PatchGraph, label: Ints, group: Ints) -> Ints:
     """Groups (N,), the fragments among them put into what bears their label close by."""
     areas = np.bincount(group, pieces.areas, len(pieces))
     named = np.flatnonzero(label[piece] != NOTHING)
@@ -173,7 +173,7 @@ def _named(
 
 def cover(
     group: Ints,
-    pieces: Patches,
+    pieces: PatchGraph,
     label: Ints,
     plane: Ints,
     words: Sequence[str],
@@ -218,7 +218,7 @@ def cover(
 
 def _joined(
     group: Ints,
-    pieces: Patches,
+    pieces: PatchGraph,
     open_: Ints,
     plane: Ints,
     covers: dict[int, list[tuple[int, float, bool]]],

@@ -18,7 +18,7 @@ from placegraph.indoor.mapping.segment.segment_kernels import connect
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.indoor.mapping.segment.patches import Patches
+    from placegraph.indoor.mapping.segment.patches import PatchGraph
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
     Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ _ALONE = 0.25  # area [m2] of what could stand alone, and
 _WIDE = 0.3  # its second largest extent [m]: it is no post and no rail
 
 
-def join_patches(patches: Patches, floor: float | None, options: SegmentOptions) -> Ints:
+def join_patches(patches: PatchGraph, floor: float | None, options: SegmentOptions) -> Ints:
     """Object (N,) of each patch: its lowest patch; those of the structure's planes stay alone."""
     free = patches.plane < 0
     ends, kept = patches.ends, free[patches.ends].all(axis=1)
@@ -41,7 +41,7 @@ def join_patches(patches: Patches, floor: float | None, options: SegmentOptions)
     return joined(patches, ends[kept], patches.lengths[kept], patches.concave[kept], options)
 
 
-def _carried(patches: Patches, free: Mask, floor: float | None, options: SegmentOptions) -> Mask:
+def _carried(patches: PatchGraph, free: Mask, floor: float | None, options: SegmentOptions) -> Mask:
     """Contacts (E,) of things with the level surfaces they stand on."""
     ends, lengths = patches.ends, patches.lengths
     base = patches.low[:, 2].min(initial=0.0) if floor is None else floor
@@ -86,7 +86,7 @@ class _Part:
 
 
 def joined(
-    patches: Patches, ends: Ints, lengths: Floats, concave: Floats, options: SegmentOptions
+    patches: PatchGraph, ends: Ints, lengths: Floats, concave: Floats, options: SegmentOptions
 ) -> Ints:
     """Lowest patch (N,) of what each belongs to once contacts (E,) but the thin ones are closed."""
     parts = [
@@ -154,7 +154,7 @@ def _merge(parts: list[_Part], a: int, b: int) -> list[int]:
 
 
 def settle(
-    group: Ints, patches: Patches, fixed: NDArray[np.bool_], options: SegmentOptions
+    group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], options: SegmentOptions
 ) -> Ints:
     """Groups (N,) of patches, those that are too small put into what they touch most.
 
@@ -188,7 +188,7 @@ def settle(
     return root[group]
 
 
-def _touched(group: Ints, patches: Patches) -> list[dict[int, float]]:
+def _touched(group: Ints, patches: PatchGraph) -> list[dict[int, float]]:
     """Length of contact [m] of each group with others."""
     contacts: list[dict[int, float]] = [{} for _ in range(len(patches))]
     ends = group[patches.ends].tolist()

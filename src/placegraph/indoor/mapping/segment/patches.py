@@ -28,7 +28,7 @@ _SPECK = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class PatchGraph:
     """N patches and E contacts between them."""
 
     of_face: Ints
@@ -94,7 +94,7 @@ def describe(
     plane_of: Ints,
     outward: bool,
     options: SegmentOptions,
-) -> Patches:
+) -> PatchGraph:
     """Patches with their contacts: edges, and gaps between parts that no edge joins."""
     count = int(patch.max()) + 1 if len(patch) else 0
     areas = np.asarray(np.bincount(patch, faces.areas, count), np.float64)
@@ -103,7 +103,7 @@ def describe(
     corners = faces.points[faces.corners[order]]
     plane = plane_of[order[starts]]
     ends, lengths, concave = _contacts(faces, normals, patch, plane, outward, options)
-    return Patches(
+    return PatchGraph(
         of_face=patch,
         areas=areas,
         normals=_means(patch, normals, faces.areas, areas) * (1.0 if outward else -1.0),
