@@ -23,6 +23,7 @@ from pathlib import Path
 
 import pytest
 
+import placegraph as pg
 from placegraph import cli
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -158,6 +159,34 @@ def test_files_and_names_that_are_spoken_of_exist(page):
     missing = [path for path in PATH.findall(text) if not (ROOT / path.rstrip(".")).exists()]
     missing += [name for name in NAME.findall(text) if not exists(name)]
     assert not missing
+
+
+def test_the_reference_has_every_public_name():
+    listed = re.findall(
+        r"^::: placegraph\.(\w+)$", (ROOT / "docs/reference.md").read_text(), re.MULTILINE
+    )
+    assert set(pg.__all__) - {"__version__"} <= set(listed)
+
+
+def folders(top, depth):
+    """Packages below a folder, not those that hold data alone."""
+    if not depth:
+        return set()
+    own = {p.parent for p in top.glob("*/*.py")}
+    return own.union(*(folders(folder, depth - 1) for folder in own))
+
+
+def test_the_architecture_lists_the_rooms_that_there_are():
+    tree = (ROOT / "docs/architecture.md").read_text("utf-8").split("```")[1]
+    listed, above = set(), {}
+    for line in tree.splitlines():
+        indent, name = re.match(r"( *)(\S*)", line).groups()
+        if name.endswith("/"):
+            above[len(indent)] = above.get(len(indent) - 2, ROOT) / name
+            listed.add(above[len(indent)])
+    src, lab = ROOT / "src/placegraph", ROOT / "lab/src/placegraph_lab"
+    there = folders(src, 1) | folders(src / "outdoor", 1) | folders(src / "indoor", 1)
+    assert there | folders(lab, 1) | {src, lab} == listed - {ROOT / "examples"}
 
 
 @pytest.mark.all
