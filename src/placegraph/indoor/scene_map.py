@@ -80,16 +80,14 @@ class SceneMap(Scene):
 
         Parameters
         ----------
-        capture
-            A capture, or frames in order of time.
-        frames
-            Which of them; all if not given.
+        capture, frames
+            A capture, or frames in order of time; which of them, all if not given.
         prior
             Roughly where the first frame was taken, if known; else the whole map is searched.
         description
-            What somebody says of where the last frame was taken: "next to the sofa, facing the
-            window" (of a capture that is tracked, being longer than `localize.WINDOW`, the first). It
-            shapes the first particles, and counts as one witness for the poses found.
+            What somebody says of where the last frame was taken, "next to the sofa" (of a capture
+            longer than `localize.WINDOW`, which is tracked, the first). It shapes the first particles,
+            and counts as one witness for the poses found.
         shares
             (S,) of a merged map: share of the first particles that each of its scenes gets.
         encoder
@@ -100,24 +98,19 @@ class SceneMap(Scene):
         refine
             Fit the best mode to images and depth, to centimetres; `RefineOptions` say how.
         matcher
-            How images are matched with renderings of the map: ``auto`` and ``guided`` need no extra;
-            ``sift``, ``xfeat``, ``roma``, ``romav2`` need theirs; or a `Matcher` of one's own.
-        seed
-            Of all randomness.
-        device
-            ``auto``, ``cpu`` or ``cuda`` (extra ``gpu``).
-        progress
-            Called with what is done, how far, and of how much.
+            How images are matched with renderings: ``auto`` and ``guided`` need no extra; ``sift``,
+            ``xfeat``, ``roma``, ``romav2`` need theirs; or a `Matcher` of one's own.
+        seed, device, progress
+            Seed of all randomness; ``auto``, ``cpu`` or ``cuda`` (extra ``gpu``); called with what is
+            done, how far, and of how much.
 
         Raises
         ------
         OptionError
-            No frame is chosen; nothing that the frames show can be compared with the map; the
-            description says nothing that the map has.
-        MapError
-            The map holds vectors of another encoder.
-        InputError
-            An image is broken.
+            No frame is chosen, or nothing that the frames show, or that the description says, can be
+            compared with the map.
+        MapError, InputError
+            The map holds vectors of another encoder; an image is broken.
         MissingExtraError
             The device or the matcher asked for needs an extra.
 
