@@ -13,13 +13,13 @@ from placegraph.errors import (
     StoreError,
 )
 from placegraph.vectors import MilvusStore, Origin, Region, Vectors
-from placegraph.vectors import milvus as module
+from placegraph.vectors import milvus, milvus_load
 from placegraph.vectors.milvus import (
     collection_name,
     drop_store,
     list_stores,
-    load_milvus,
 )
+from placegraph.vectors.milvus_load import load_milvus
 from placegraph.vectors.server import Server, check_uri, shown
 
 HERE = Origin("a map", "a model")
@@ -29,7 +29,7 @@ NAME = collection_name("town", HERE)
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
     """47 rows in five batches."""
-    monkeypatch.setattr(module, "BATCH", 10)
+    monkeypatch.setattr(milvus_load, "BATCH", 10)
 
 
 def load(server, content, **options):
@@ -74,7 +74,7 @@ def test_equal_rows_come_by_their_ids(server):
 
 
 def test_queries_in_several_calls(server, content, monkeypatch):
-    monkeypatch.setattr(module, "TOGETHER", 3)
+    monkeypatch.setattr(milvus, "TOGETHER", 3)
     store = load(server, content)
     assert store.search(content.vectors, 1).ids[:, 0].tolist() == content.ids.tolist()
 
@@ -100,7 +100,8 @@ def test_a_region_holds_what_lies_in_it(server, content, region):
 
 
 def test_large_stores_have_a_graph(fake, server, content, monkeypatch):
-    monkeypatch.setattr(module, "LARGE", 40)
+    monkeypatch.setattr(milvus, "LARGE", 40)
+    monkeypatch.setattr(milvus_load, "LARGE", 40)
     store = load(server, content)
     assert fake.held[NAME]["index"] == "HNSW"
     world = Region(-180.0, -90.0, 180.0, 90.0)

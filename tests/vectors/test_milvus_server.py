@@ -14,14 +14,14 @@ from placegraph.vectors import (
     load_store,
     open_store,
 )
-from placegraph.vectors import milvus as module
+from placegraph.vectors import milvus_load
 
 COUNT, DIMENSION = 2_500, 64
 
 
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
-    monkeypatch.setattr(module, "BATCH", 1_000)
+    monkeypatch.setattr(milvus_load, "BATCH", 1_000)
 
 
 @pytest.fixture(scope="module")

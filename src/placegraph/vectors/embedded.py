@@ -75,25 +75,7 @@ class EmbeddedStore:
         bits: int = 16,
         lists: bool | None = None,
     ) -> Self:
-        """Store of these rows; as `of_rows` of `Vectors.of`.
-
-        Parameters
-        ----------
-        ids
-            (C,) integers from 0, each once.
-        vectors
-            (C, D) of any length but zero; their direction is kept.
-        positions
-            (C, 2) longitude and latitude [deg]; None: what the rows stand for has none.
-        origin, bits, lists
-            As for `of_rows`.
-
-        Raises
-        ------
-        OptionError
-            Columns do not fit together, or are no numbers.
-
-        """
+        """Store of ids, vectors and positions as of `Vectors.of`; the rest as of `of_rows`."""
         content = Vectors.of(ids, vectors, positions)
         return cls.of_rows(content, origin=origin, bits=bits, lists=lists)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.vectors import milvus
 from placegraph.vectors.embedded import EmbeddedStore
+from placegraph.vectors.milvus_load import load_milvus
 from placegraph.vectors.server import SCHEMES, Server
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ def load_store(
         return store
     server = Server.connect(str(where), timeout)
     try:
-        return milvus.load_milvus(
+        return load_milvus(
             server, content, name=name, origin=origin, resume=resume, progress=progress
         )
     except BaseException:
