@@ -12,8 +12,7 @@ from placegraph.errors import (
     ServiceError,
     StoreError,
 )
-from placegraph.vectors import MilvusStore, Origin, Region, Vectors
-from placegraph.vectors import milvus, milvus_load
+from placegraph.vectors import MilvusStore, Origin, Region, Vectors, milvus, milvus_load
 from placegraph.vectors.milvus import (
     collection_name,
     drop_store,

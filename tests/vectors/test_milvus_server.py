@@ -12,9 +12,9 @@ from placegraph.vectors import (
     drop_store,
     list_stores,
     load_store,
+    milvus_load,
     open_store,
 )
-from placegraph.vectors import milvus_load
 
 COUNT, DIMENSION = 2_500, 64
 

@@ -15,8 +15,7 @@ from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.extract import TOLERANCE, names_of
-from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT
-from placegraph.outdoor.map.simplify import centers, simplify
+from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, centers, simplify
 from placegraph.store import read_map, writing
 from placegraph_lab.worlds.town.town import Town
 

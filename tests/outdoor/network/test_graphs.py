@@ -31,6 +31,7 @@ from placegraph.outdoor.network.graphs_kernels import (
     place_relations,
     text_relations,
 )
+from placegraph_lab.tables.kitti.places import places_of_graphs
 
 BAKERY, BENCH, FOUNTAIN = "shop=bakery", "amenity=bench", "amenity=fountain"
 
@@ -161,7 +162,7 @@ def test_any_scene_graph_becomes_a_place(spots, center):
         (),
         tuple("Ada" if i % 4 == 0 else "" for i in range(n)),
     )
-    places = PlaceGraphs.of_scene_graphs([graph, graph], np.array([center, (0.0, 0.0)]))
+    places = places_of_graphs([graph, graph], np.array([center, (0.0, 0.0)]))
     assert len(places) == 2
     assert np.diff(places.starts).tolist() == [min(n, MOST_THINGS)] * 2
     off = np.hypot(*places.offsets[: places.starts[1]].T)

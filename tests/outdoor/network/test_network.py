@@ -9,6 +9,7 @@ from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.batches import fits_of, word_fits
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.outdoor.network.network import GraphTransformer
+from placegraph_lab.tables.kitti.places import places_of_graphs
 
 BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountain", "natural=tree"
 
@@ -139,7 +140,7 @@ def test_a_place_without_things_is_a_place(network, texts, harbour, words):
 
     none = np.zeros(0, np.int64)
     empty = SceneGraph((), (), np.zeros((0, 2)), none, none, ())
-    places = PlaceGraphs.of_scene_graphs([empty], np.zeros((1, 2)))
+    places = places_of_graphs([empty], np.zeros((1, 2)))
     places = replace(places, vocabulary=harbour.words)
     assert np.isfinite(network.embed_places(places)).all()
     assert np.isfinite(network.match(texts, 0, places, np.array([0]), words).logit).all()

@@ -22,15 +22,23 @@ from placegraph.outdoor.language.description import (
 from placegraph.outdoor.map.cells import compass
 from placegraph.outdoor.search.edit_distance import (
     PLAIN,
+    TIMEOUT,
     Costs,
+    Distance,
     distance,
-    edit_distance,
     rank,
 )
-from placegraph.outdoor.search.edit_graphs import Edge, LabelledGraph, Node
+from placegraph.outdoor.search.edit_graphs import Edge, LabelledGraph, Node, check_center
 
 LONG = 30.0
 BEARING = {"north": 0.0, "east": 0.5 * math.pi, "south": math.pi, "west": 1.5 * math.pi}
+
+
+def edit_distance(description, graph, *, center=None, timeout=TIMEOUT, plain=False):
+    """Distance from a text's graph to one cell's."""
+    centers = None if center is None else np.reshape(check_center(center), (1, 2))
+    ranked = rank(description, [graph], centers=centers, timeout=timeout, plain=plain)
+    return Distance(float(ranked.costs[0]), bool(ranked.exact[0]))
 
 
 def place(*things, names=(), extra=()):

@@ -14,9 +14,8 @@ from placegraph.geometry import LocalPlane
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex, tokens_of
 from placegraph.outdoor.map.names import NameIndex
-from placegraph.outdoor.map.objects import GRAIN, CityColumns, CityObjects, of_name
+from placegraph.outdoor.map.objects import GRAIN, CityColumns, CityObjects, centers, of_name
 from placegraph.outdoor.map.raster import Grid
-from placegraph.outdoor.map.simplify import centers
 from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from placegraph.errors import InputError
 from placegraph.formats.place.osm import LINE, LeftOut, OsmElement, read_osm
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.objects import GRAIN, CityObjects
-from placegraph.outdoor.map.simplify import centers, simplify
+from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

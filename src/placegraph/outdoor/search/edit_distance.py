@@ -16,7 +16,7 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.outdoor.search.edit_bound import Problem, bound, reduced
-from placegraph.outdoor.search.edit_graphs import BEARINGS, LabelledGraph, check_center, fit
+from placegraph.outdoor.search.edit_graphs import BEARINGS, LabelledGraph, fit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,23 +79,23 @@ class Ranked(NamedTuple):
     """(K,)"""
 
 
-def edit_distance(
+def rank(
     description: Description,
-    graph: SceneGraph,
+    graphs: Sequence[SceneGraph],
     *,
-    center: ArrayLike | None = None,
+    centers: ArrayLike | None = None,
     timeout: float = TIMEOUT,
     plain: bool = False,
-) -> Distance:
-    """Edit distance from a text's graph to a cell's scene graph.
+) -> Ranked:
+    """Rank cells by the edit distance of their scene graphs to a text's graph (question Q3).
 
     Parameters
     ----------
-    center
-        East and north [m] of the cell's middle. Statements about the speaker then take part: the
-        speaker is a node that stands there. Without it they do not, as in the paper.
+    centers
+        East and north (K, 2) [m] of the cells' middles. Statements about the speaker then take part:
+        the speaker is a node that stands there. Without them they do not, as in the paper.
     timeout
-        When to stop improving [s]; looked at between steps of the search.
+        When to stop improving one distance [s]; looked at between steps of the search.
     plain
         Count every edit as 1, as the paper does, instead of by `Costs`; never about the speaker.
 
@@ -106,24 +106,7 @@ def edit_distance(
     MissingExtraError
         NetworkX or SciPy is not installed.
     OptionError
-        The time limit is not above 0, or the centre is not two numbers.
-    """
-    centers = None if center is None else np.reshape(check_center(center), (1, 2))
-    ranked = rank(description, [graph], centers=centers, timeout=timeout, plain=plain)
-    return Distance(float(ranked.costs[0]), bool(ranked.exact[0]))
-
-
-def rank(
-    description: Description,
-    graphs: Sequence[SceneGraph],
-    *,
-    centers: ArrayLike | None = None,
-    timeout: float = TIMEOUT,
-    plain: bool = False,
-) -> Ranked:
-    """Rank cells by edit distance to a text (Eq. 16 with rules instead of a network).
-
-    As `edit_distance`, for the scene graphs of K cells with centres (K, 2); `timeout` is for each.
+        The time limit is not above 0, or a centre is not two numbers.
     """
     if centers is not None and np.shape(centers) != (len(graphs), 2):
         raise OptionError(f"centers: shape {np.shape(centers)} for {len(graphs)} graphs.")

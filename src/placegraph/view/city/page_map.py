@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import Status
-from placegraph.outdoor.map.simplify import simplify
+from placegraph.outdoor.map.objects import simplify
 from placegraph.view.city.coast import sea
 from placegraph.view.city.estimate_items import (
     Witness,

@@ -127,9 +127,9 @@ class Transformer:
     @cached_property
     def places(self) -> Any:  # noqa: ANN401  # `PlaceGraphs`
         """The cells as the network reads them."""
-        from placegraph.outdoor.network.graphs import PlaceGraphs
+        from placegraph_lab.tables.kitti.places import places_of_graphs
 
-        return PlaceGraphs.of_scene_graphs(self.graphs, self.centers)
+        return places_of_graphs(self.graphs, self.centers)
 
     @cached_property
     def embeddings(self) -> Any:  # noqa: ANN401  # (K, D) float32
