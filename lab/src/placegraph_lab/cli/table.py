@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from placegraph_lab.tables.run import load, names
 
-if TYPE_CHECKING:
-    from click import Command, Context
-
 
 class Tables(TyperGroup):
     """Commands that are imported when they are asked for."""
 
-    def list_commands(self, ctx: Context) -> list[str]:  # noqa: ARG002  # click's
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002  # click's, as Typer holds it
         """Names of all tables."""
         return names()
 
-    def get_command(self, ctx: Context, cmd_name: str) -> Command | None:  # noqa: ARG002
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
         """Command of a table."""
         if cmd_name not in names():
             return None

@@ -17,7 +17,7 @@ import placegraph_lab
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-PACKAGES = tuple(Path(p.__file__).parent for p in (placegraph, placegraph_lab))
+PACKAGES = tuple(Path(str(p.__file__)).parent for p in (placegraph, placegraph_lab))
 INDOOR = (
     "placegraph/*.py", "placegraph/formats/**/*.py", "placegraph/indoor/**/*.py",
     "placegraph/indoor/**/data/*",

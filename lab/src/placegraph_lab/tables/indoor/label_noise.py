@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Camera
     from placegraph.indoor.encode import MapEncoder, Patches
     from placegraph.indoor.encode.labels import LabelsEncoder
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
 
 SHARE = 0.3
 _SAME = 1e-5  # cosines nearer to 1 are of one label
@@ -147,7 +147,7 @@ class NoisyLabels:
         """Camera whose image the grid divides."""
         return self.encoder.camera(image)
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """Vectors (N, d) of a map's objects: without noise."""
         return self.encoder.objects(scene, captures)
 

@@ -18,7 +18,8 @@ from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED, open_city,
 from placegraph_lab.tables.outdoor.queries import load
 from placegraph_lab.tables.run import Device, Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
-from placegraph_lab.train.city.train import TrainOptions, train
+from placegraph_lab.train.city.options import TrainOptions
+from placegraph_lab.train.city.train import train
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -41,7 +41,15 @@ from placegraph_lab.tables.scene.maps import (
     Maps,
     Size,
 )
-from placegraph_lab.tables.scene.maps_recall import Asking, findings, refinement, refinings, study
+from placegraph_lab.tables.scene.maps_recall import (
+    Asking,
+    Finding,
+    Refining,
+    findings,
+    refinement,
+    refinings,
+    study,
+)
 from placegraph_lab.tables.scene.maps_report import MAPPING, STORAGE, report
 
 ALL = {s.name: s for s in (*NAMED, VERTICES, LABELLED, *SWEEP)}
@@ -82,8 +90,10 @@ def scene_maps(
     """How small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes."""
     rows, refining = findings(), refinings()
     if only:
-        both = {r.name for r in chosen([*rows, *refining], named(only))}
-        rows, refining = ([r for r in of if r.name in both] for of in (rows, refining))
+        every_row: list[Finding | Refining] = [*rows, *refining]
+        both = {r.name for r in chosen(every_row, named(only))}
+        rows = [r for r in rows if r.name in both]
+        refining = [r for r in refining if r.name in both]
     names = parts(sizes)
     if quick:
         names, every, office_every = names or ["default", "small"], 50, 60

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame, Images
     from placegraph.geometry import Camera
     from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.map.scene import Scene
     from placegraph_lab.tables.retrieval.retrieval_places import Walk
 
 NOISY = "labels, 30 % wrong"
@@ -101,7 +101,7 @@ class Replay:
         """Camera whose image the grid divides."""
         return self.encoder.camera(image)
 
-    def objects(self, scene: SceneMap, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """Vectors (N, d) of a map's objects."""
         return self.encoder.objects(scene, captures)
 

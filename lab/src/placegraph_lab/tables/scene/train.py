@@ -11,7 +11,8 @@ import torch
 
 from placegraph_lab.tables.tables import markdown, share
 from placegraph_lab.train.scenegraphloc.lessons import Lesson, read_lesson, split
-from placegraph_lab.train.scenegraphloc.train import Progress, TrainOptions, train
+from placegraph_lab.train.scenegraphloc.options import Progress, TrainOptions
+from placegraph_lab.train.scenegraphloc.train import train
 from placegraph_lab.train.scenegraphloc.trainer import Judged, Trainer, judge
 from placegraph_lab.train.scenegraphloc.worlds import homes
 from placegraph_lab.train.training import rows_of
