@@ -5,8 +5,7 @@ An entry point is named after its place in the command line, such as ``city.trai
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -39,7 +38,9 @@ def extensions(wing: str) -> dict[str, str | click.Command]:
     return missing | {point.name.partition(".")[2]: point.value for point in points}
 
 
-def _points() -> tuple:  # type: ignore[type-arg]
+def _points() -> tuple[Any, ...]:
+    from importlib.metadata import entry_points
+
     return tuple(entry_points(group="placegraph.commands"))
 
 
