@@ -133,15 +133,6 @@ def frustum(
     )
 
 
-def prism(
-    rectangles: Iterable[tuple[float, float, float, float]], look: Look, z: Size
-) -> list[Part]:
-    """Boxes over rectangles (x0, y0, x1, y1) [m] from one height to another: any plan."""
-    return [
-        part for x0, y0, x1, y1 in rectangles for part in box((x0, y0, z[0]), (x1, y1, z[1]), look)
-    ]
-
-
 def joined(parts: Iterable[Part]) -> list[Part]:
     """Parts of the same look and texture size, joined to one each, in order of appearance."""
     groups: dict[tuple[Look, Size], list[Part]] = {}
