@@ -232,7 +232,7 @@ def test_maps_with_holes(model, room, rng):
     missed = [(cast(caster, p, view).triangle < 0).mean() for p in poses]
     assert 0.1 < np.mean(missed) < 0.95
     got, expected = compared(caster, surface, poses, view, model)
-    agree(got, expected)
+    agree(got, expected, share=0.98)  # whether a ray grazes a rim hangs on the processor
 
 
 @MODELS
