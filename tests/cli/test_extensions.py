@@ -22,7 +22,7 @@ def brought(monkeypatch):
             assert group == GROUP
             return points
 
-        monkeypatch.setattr(extensions, "entry_points", installed)
+        monkeypatch.setattr("importlib.metadata.entry_points", installed)
         return extensions.extensions(wing)
 
     return of
