@@ -34,7 +34,7 @@ class Build:
 
 @pytest.fixture
 def folder(tmp_path):
-    before = kept.FOLDERS._chosen
+    before = kept.FOLDERS.chosen
     kept.use_folder(tmp_path)
     yield tmp_path
     kept.use_folder(before)
