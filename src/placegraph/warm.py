@@ -115,6 +115,7 @@ def _spelled(kind: types.Type, names: dict[str, str]) -> str:
     return str(kind)
 
 
+@cache
 def _lines() -> list[str]:
     text = files("placegraph").joinpath("kernels.txt").read_text("utf-8")
     return [line for line in text.splitlines() if line and not line.startswith("#")]
@@ -138,20 +139,22 @@ def _as_type(kind: Any) -> types.Type:  # noqa: ANN401  # tuples are written as 
     return kind
 
 
+class _Words(dict[str, Any]):
+    """Words of numba, and named tuples of the list, whose modules are imported when asked for."""
+
+    def __missing__(self, name: str) -> Any:  # noqa: ANN401
+        for line in _lines():
+            if line.startswith(f"{name} = "):
+                call = line.partition(" = ")[2]
+                self[name] = types.BaseTuple.from_types(_types_of(call, self), _found(call))
+                return self[name]
+        raise KeyError(name)
+
+
 @cache
-def _words() -> dict[str, Any]:
-    words: dict[str, Any] = {
-        name: kind for name, kind in vars(types).items() if isinstance(kind, types.Type)
-    }
-    words |= {"omitted": types.Omitted, "readonly": lambda kind: kind.copy(readonly=True)}
-    for line in _lines():
-        name, is_name, definition = line.partition(" = ")
-        if is_name:
-            with suppress(*_STALE):
-                words[name] = types.BaseTuple.from_types(
-                    _types_of(definition, words), _found(definition)
-                )
-    return words
+def _words() -> _Words:
+    named = {name: kind for name, kind in vars(types).items() if isinstance(kind, types.Type)}
+    return _Words(named, omitted=types.Omitted, readonly=lambda kind: kind.copy(readonly=True))
 
 
 def _begin(folder: Path | None) -> None:
