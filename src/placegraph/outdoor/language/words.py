@@ -115,7 +115,7 @@ class NameFinder(Protocol):
     def longest_name(self, tokens: Sequence[str], start: int) -> int:
         """Count the words of the longest name that begins at `start`; 0 for none.
 
-        Words are in the normal form of `describe.words.tokens`.
+        Words are in the normal form of `tokens`.
         """
 
     def closest_name(self, phrase: str) -> tuple[str, float] | None:
@@ -190,7 +190,7 @@ def normalise(text: str) -> str:
 
 
 def scan(text: str, labels: Iterable[tuple[int, int]] = ()) -> list[list[words.Word]]:
-    """Cut a text into sentences (`text.words.scan`); "St. Mary's" ends none."""
+    """Cut a text into sentences (`language.words.scan`); "St. Mary's" ends none."""
     return words.scan(text, labels, shortened=english().lists["shortened"])
 
 

@@ -109,7 +109,7 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
 def distant(statements, scene, far, positions):
     """What things out of sight add to P(statement | position), (K, S) float32.
 
-    `far` (`query.Far`) lists all objects of mentions rare enough to be spoken of from
+    `far` (`Far`) lists all objects of mentions rare enough to be spoken of from
     afar; and how far a statement reaches. In a relation
     of two things the one that is not listed stands where the speaker stands, nearly enough.
     """

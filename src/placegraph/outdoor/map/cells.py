@@ -47,7 +47,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Mapping[str, Cell]):
-    """Cells of a city by id (``c<column>r<row>``); only cells with two objects or more exist."""
+    """Cells of a city by id (``c<column>r<row>``), the keys of Eq. 8; only those with two objects exist."""
 
     plane: LocalPlane
     grid: Grid
@@ -207,7 +207,7 @@ def compass(delta: NDArray[np.float64]) -> str:
 
 
 def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
-    """Scene graph of a cell: objects where they are nearest to its centre, relations of Eq. 6.
+    """Scene graph of a cell (Eq. 7): objects where they are nearest to its centre, relations of Eq. 6.
 
     Every ordered pair nearer than the edge distance is an edge "source is <relation> of target";
     pairs closer than 10 m are also `near`, what stands in an area is `inside` it, and what stands
@@ -246,6 +246,7 @@ def _relations(
     target: int,
     edge_distance: float,
 ) -> Iterator[str]:
+    """Relations of a source to a target, by the difference of their positions (Eq. 5)."""
     delta = at[source] - at[target]
     apart = float(np.hypot(*delta))
     if 0.0 < apart <= edge_distance:

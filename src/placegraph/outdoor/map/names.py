@@ -20,7 +20,7 @@ CLOSE = 0.86
 
 @dataclass(frozen=True, eq=False)
 class NameIndex:
-    """Names by their words; implements `describe.NameFinder`."""
+    """Names by their words; a `language.NameFinder`."""
 
     by_words: dict[str, list[int]]
     """Rows of `CityObjects.names` by the name's words, joined by a space."""

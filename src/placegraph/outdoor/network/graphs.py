@@ -1,7 +1,7 @@
 """Graphs as the network reads them: columns of many text graphs, columns of many place graphs.
 
 Node 0 of every graph is *here*: the speaker of a text, the centre of a place. All other nodes are
-things; how they stand to each other is in `relations`.
+things; how they stand to each other is in `graphs_kernels`.
 """
 
 from __future__ import annotations
