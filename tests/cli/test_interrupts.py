@@ -16,14 +16,10 @@ DEAF = """
 import signal, threading
 from placegraph.cli import interrupts
 interrupts.GRACE = 0.01
-signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGINT, lambda *_: None)
 with interrupts.interruptible():
     print("begun", flush=True)
-    while True:
-        try:
-            threading.Event().wait()
-        except KeyboardInterrupt:
-            print("once", flush=True)
+    threading.Event().wait()
 """
 
 
