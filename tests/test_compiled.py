@@ -129,6 +129,15 @@ def test_a_folder_that_cannot_be_written_is_replaced_with_one_warning(total, tmp
     assert list(private.glob("*/*.nbc"))
 
 
+def test_the_next_process_finds_what_was_kept_in_the_private_folder(total, monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    for expected in (BOTH, []):
+        monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
+        kept.use_folder(tmp_path / "file" / "below")
+        with pytest.warns(UserWarning, match="cannot be kept in"):
+            assert total(np.arange(4.0)) == (18.0, expected)
+
+
 def test_a_folder_that_can_no_longer_be_written(total, tmp_path):
     assert total(np.arange(4.0))[1] == BOTH
     for file in tmp_path.glob("kept/*"):

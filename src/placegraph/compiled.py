@@ -154,6 +154,8 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
             return None
         rtsys.initialize(target_context)
         found = self._load(sig, target_context)
+        if found is None and kept.FOLDERS.fell_back():
+            found = self._load(sig, target_context)
         if found is None:
             tell(self.name, done=False)
             self._take_lock()

@@ -91,6 +91,10 @@ class _Folders:
                 return folder
         return self._fallback()
 
+    def fell_back(self) -> bool:
+        """Whether the private folder is used, which is known once something must be written."""
+        return self.write == self._private
+
     def keep(self, name: str, code: bytes) -> None:
         """Write whole or not at all, so that no reader sees half of it."""
         try:
