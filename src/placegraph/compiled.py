@@ -95,8 +95,8 @@ class Kernel(_Part):
         return self._part
 
     def is_kept(self, types: tuple[Any, ...]) -> bool:
-        """Whether code for arguments of these types need not be compiled."""
-        return types in self.overloads or any(f.exists() for f in self._cache.files(types))
+        """Whether code for arguments of these types is kept, and need not be compiled."""
+        return any(f.exists() for f in self._cache.files(types))
 
     def get_call_template(self, args: Any, kws: Any) -> Any:  # noqa: ANN401  # numba's
         """How a call from another kernel is typed; each constant is not a type of its own."""

@@ -81,9 +81,8 @@ class Place:
     """A mode of an outdoor estimate: a position, how sure it is, and why."""
 
     longitude: float
-    """Degrees, WGS84."""
     latitude: float
-    """Degrees, WGS84."""
+    """Degrees, WGS84, as the longitude."""
     probability: float
     """Probability over the whole city that the place lies within 50 m of this mode."""
     cell: str

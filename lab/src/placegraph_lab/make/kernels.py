@@ -10,7 +10,7 @@ import sys
 import tempfile
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from placegraph.compiled import Kernel
 from placegraph.errors import InputError
@@ -123,7 +123,7 @@ def apart(calls: list[str]) -> list[str]:
 def _parts_of(function: FunctionType) -> set[str]:
     """Names of the kernels that a function calls, however deep, and its own."""
     called = [function.__globals__.get(name) for name in function.__code__.co_names]
-    kernels = [each.py_func for each in called if isinstance(each, Kernel)]
+    kernels = [cast("FunctionType", k.py_func) for k in called if isinstance(k, Kernel)]
     return {f"{function.__module__}.{function.__name__}"}.union(*map(_parts_of, kernels))
 
 

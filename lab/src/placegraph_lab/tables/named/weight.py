@@ -31,7 +31,7 @@ FINDING = ("outdoor", "indoor", "language", "vectors")
 MAKING = ("indoor/mapping", "outdoor/map")
 """but for those where maps are made."""
 LONG, MANY = 60, 8
-"""Lines and parameters that a function has at most; commands have options, kernels are compiled."""
+"""Lines and parameters that a function has at most; options of commands and kernels do not count."""
 SENTENCE = "A bench is north of me. A cafe is east of me. I am on a street."
 
 
@@ -58,14 +58,14 @@ class Source:
     path: Path
     lines: int
     functions: tuple[tuple[str, int, int], ...]
-    """Name, lines and parameters of each function."""
+    """Name, lines without the docstring, and parameters of each function."""
 
     @classmethod
     def read(cls, path: Path) -> Source:
         """Weigh a file."""
         text = path.read_text("utf-8")
         functions = tuple(
-            (node.name, (node.end_lineno or 0) - node.lineno + 1, _parameters(node.args))
+            (node.name, _weight(node, "cli" in path.parts), _parameters(node.args))
             for node in ast.walk(ast.parse(text))
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         )
@@ -173,6 +173,14 @@ def _entries(folder: Path) -> list[Path]:
 
 def _lines(path: Path) -> int:
     return path.read_text("utf-8").count("\n")
+
+
+def _weight(node: ast.FunctionDef | ast.AsyncFunctionDef, command: bool) -> int:
+    """Lines of a function without its docstring, of a command without its options."""
+    told = ast.get_docstring(node) is not None
+    first = node.body[min(int(told), len(node.body) - 1)].lineno
+    head = 1 if command else node.body[0].lineno - node.lineno
+    return head + (node.end_lineno or 0) - first + 1
 
 
 def _parameters(given: ast.arguments) -> int:
