@@ -71,9 +71,9 @@ RUNS = {
 WALK = "A fountain is north of me.\nI walked about 100 metres south. There is a bank to my east.\n"
 PROGRAM = """
 import contextlib, json, sys
-from placegraph.cli import app
+from placegraph.cli import APP
 with contextlib.suppress(SystemExit):
-    app(sys.argv[2:], standalone_mode=False)
+    APP.main(sys.argv[2:], prog_name="placegraph", standalone_mode=False)
 from placegraph.compiled import Kernel
 from placegraph.warm import spelled
 names, calls = {}, {}
