@@ -33,12 +33,12 @@ lint: $(TOOLS) ## check rules, layout, who imports whom, and types
 docs: $(TOOLS) ## build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-bench: $(TOOLS) ## print the benchmark tables (needs ../shared; long)
-	set -e; for table in $$(ls lab/src/placegraph_lab/tables/named/ | grep -v "__\|kitti360pose"); do $(BIN)/placegraph-lab table $${table%.py}; done
+bench: $(TOOLS) ## print the benchmark tables but KITTI360Pose (needs ../shared; long)
+	set -e; for table in $$(ls lab/src/placegraph_lab/tables/named/ | grep -Ev "__|kitti360pose"); do $(BIN)/placegraph-lab table $${table%.py}; done
 
 clean: ## remove what the targets above left behind, .venv included
 	rm -rf $(VENV) demo-out dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmark-cache
-	find src lab tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src lab tests docs examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(CORE): pyproject.toml $(BIN)/python
 	$(PIP) --editable .
