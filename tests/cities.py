@@ -11,6 +11,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.weights import sizes as sizes_of
 from placegraph_lab.train.city.sample import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)
@@ -56,11 +57,11 @@ def build_world(write_world, tmp_path):
     return build
 
 
-def random_arrays(shape, seed=0):
+def random_arrays(shape, seed=0, known=None):
     rng = np.random.default_rng(seed)
     return {
         name: rng.normal(scale=0.3, size=size).astype(np.float32)
-        for name, size in shape.arrays().items()
+        for name, size in sizes_of(shape, known).items()
     }
 
 
@@ -93,10 +94,10 @@ def one_thread():
 def make_network():
     """Network of random weights: a seed, fields of the shape that differ, how much it adds."""
 
-    def make(seed=0, fusion=0.3, **sizes):
+    def make(seed=0, fusion=0.3, known=None, **sizes):
         shape = Shape(**{**SMALL.to_dict(), **sizes})
-        arrays = adding(random_arrays(shape, seed), fusion)
-        return GraphTransformer(shape, arrays, f"random {seed}")
+        arrays = adding(random_arrays(shape, seed, known), fusion)
+        return GraphTransformer(shape, arrays, f"random {seed}", known)
 
     return make
 

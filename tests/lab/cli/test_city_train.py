@@ -75,6 +75,18 @@ def test_train_writes_weights_a_table_and_curves(run, city, pools, tmp_path):
 
 
 @pytest.mark.usefixtures("needs_torch")
+def test_train_takes_word_vectors(run, city, pools, tmp_path):
+    out, work, words = (tmp_path / name for name in ("a.weights", "work", "words.txt"))
+    words.write_text("2 3\nmuseum 1 2 3\nhouse 3 2 1\n", "utf-8")
+    given = ("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY, "--quiet")
+    assert run(*given, "--word-vectors", tmp_path / "gone.txt").code != 0
+    assert run(*given, "--word-vectors", words).code == 0
+    assert set(read_weights(out).words.words) <= {"museum", "house"}
+    here = run("city", "locate", city, TEXT, "--weights", out, "--matcher", "transformer", "--json")
+    assert here.json["modes"]
+
+
+@pytest.mark.usefixtures("needs_torch")
 def test_ctrl_c_says_how_to_go_on(run, city, pools, tmp_path, monkeypatch):
     from placegraph_lab.cli.city_train_shown import Shown
 

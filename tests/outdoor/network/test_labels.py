@@ -1,11 +1,12 @@
 """Vectors of words: the same rows for ever, any letters, alike where spelled alike."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.map.objects import of_name
-from placegraph.outdoor.network.labels import Bags
+from placegraph.outdoor.network.labels import Bags, words_of
 from placegraph.outdoor.network.labels_kernels import BUCKETS
 
 # Weights that were shipped mean these rows: a change here makes all of them worthless.
@@ -45,6 +46,22 @@ def test_a_label_is_its_whole_its_key_and_the_letters_of_its_value():
     assert label[2:] == word[1:] == name[1:]
     assert len({label[0], word[0], name[0]}) == 3
     assert np.isclose((bags.weights[2 : 2 + letters] ** 2).sum(), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("label", "words"),
+    [
+        ("amenity=bicycle_parking", ("bicycle", "parking")),
+        ("building=yes", ("building",)),
+        ("man_made=*", ("man", "made")),
+        ("Coffee Shop", ("coffee", "shop")),
+        ("~Ripley's=Aquarium", ("ripley", "s", "aquarium")),
+        ("öl_", ("öl",)),
+        ("", ()),
+    ],
+)
+def test_words_of_a_label_are_those_of_its_value(label, words):
+    assert words_of(label) == words
 
 
 def test_the_length_of_subwords_is_an_option():

@@ -8,9 +8,14 @@ import pytest
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.batches import fits_of, word_fits
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.tables.kitti.places import places_of_graphs
 
+WORD_VECTORS = WordVectors(
+    ("bakery", "bench", "museum", "tree"),
+    np.random.default_rng(5).normal(size=(4, 300)).astype(np.float32),
+)
 BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountain", "natural=tree"
 
 
@@ -172,7 +177,8 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
     from placegraph_lab.train.city.torch_batches import forward
     from placegraph_lab.train.city.torch_network import Network
 
-    module = Network(numpy_network.shape)
+    known = numpy_network.known
+    module = Network(numpy_network.shape, known.vectors.shape[1] if known else 0)
     module.load_state_dict({n: torch.from_numpy(a) for n, a in numpy_network.arrays.items()})
     with torch.no_grad():
         scores = forward(module.eval().to(device), lessons, batch, device)
@@ -180,12 +186,13 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
 
 
 @pytest.mark.parametrize(
-    "sizes", [{}, {"layers": 0}, {"crossings": 0}, {"heads": 1, "subwords": 2.0}]
+    "sizes",
+    [{}, {"layers": 0}, {"crossings": 0}, {"heads": 1, "subwords": 2.0}, {"known": WORD_VECTORS}],
 )
 def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
     ours = make_network(**sizes)
     lessons, rows, made = batch
-    lessons = replace(lessons, subwords=ours.shape.subwords)
+    lessons = replace(lessons, subwords=ours.shape.subwords, known=ours.known)
     logit, cosine, embedding, residual = torch_scores(ours, lessons, made)
     texts = lessons.pool.texts
     places = PlaceGraphs.of_views(harbour, lessons.pool.views[lessons.pool.views >= 0])
@@ -202,6 +209,17 @@ def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
         assert ours.embed_places(places) @ of_texts.T == pytest.approx(
             embedding[:, mine].T, rel=1e-4, abs=1e-5
         )
+
+
+def test_word_vectors_stand_for_the_words_they_know(make_network):
+    plain, ours = make_network(), make_network(known=WORD_VECTORS)
+    said = (TREE, "tree", "shop=tree_bench", FOUNTAIN, "~Rex")
+    vectors, before = ours.word_vectors(said), plain.word_vectors(said)
+    assert np.allclose(vectors[0], vectors[1])  # one word, one vector, whatever its key
+    rows = WORD_VECTORS.vectors @ ours.arrays["meaning.weight"].T
+    assert vectors[0] == pytest.approx(rows[3], rel=1e-5)
+    assert vectors[2] == pytest.approx((rows[3] + rows[1]) / 2, rel=1e-4, abs=1e-4)
+    assert np.array_equal(vectors[3:], before[3:])  # hashed, as without
 
 
 def test_weights_have_the_names_and_shapes_of_torch(make_network):

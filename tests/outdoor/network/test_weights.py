@@ -8,9 +8,10 @@ import pytest
 
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.outdoor.network import weights as module
+from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape, read_weights, shipped, trained, write_weights
-from placegraph.store import read_map, write_map
+from placegraph.store import pack_strings, read_map, write_map
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +50,45 @@ def test_weights_come_back_as_they_were_written(file, made):
     assert found.fingerprint == made.fingerprint
     network = GraphTransformer.open(file)
     assert network.fingerprint == made.fingerprint
+
+
+def test_word_vectors_come_along(tmp_path, make_network):
+    known = WordVectors(("cafe", "öl"), np.float32([[1, 2, 3], [4, 5, 6]]))
+    network = make_network(width=4, dimension=4, evidence=4, known=known)
+    made = trained(network.shape, network.arrays, {}, known)
+    write_weights(tmp_path / "known.weights", made)
+    found = GraphTransformer.open(tmp_path / "known.weights")
+    assert found.known.words == known.words
+    assert np.array_equal(found.known.vectors, known.vectors)
+    assert found.fingerprint == made.fingerprint
+    for other in (None, WordVectors(("cafe", "oil"), known.vectors)):
+        assert replace(made, words=other).fingerprint != made.fingerprint
+    said = ("amenity=cafe", "~Öl", "shop=bakery")
+    assert np.array_equal(
+        found.word_vectors(said),
+        replace(network, arrays=made.arrays).word_vectors(said),
+    )
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"words": None}, "other labels"),
+        ({"words": pack_strings(("cafe",))}, "other labels"),
+        ({"words": pack_strings(("cafe", "cafe", "öl"))}, "other labels"),
+        ({"word_vectors": None}, "word_vectors"),
+        ({"word_vectors": np.zeros((3, 3), np.float16)}, "2 words with 3 vectors"),
+        ({"word_vectors": np.zeros((2, 5), np.float16)}, r"meaning\.weight has shape"),
+        ({"meaning.weight": None}, r"meaning\.weight"),
+    ],
+)
+def test_word_vectors_that_do_not_fit_are_refused(tmp_path, make_network, arrays, says):
+    known = WordVectors(("cafe", "öl"), np.float32([[1, 2, 3], [4, 5, 6]]))
+    network = make_network(width=4, dimension=4, evidence=4, known=known)
+    path = tmp_path / "known.weights"
+    write_weights(path, trained(network.shape, network.arrays, {}, known))
+    with pytest.raises(MapError, match=says):
+        GraphTransformer.open(rewritten(path, arrays=arrays))
 
 
 def test_weights_are_small(file, made):

@@ -40,6 +40,9 @@ def train(
     pools: Annotated[
         Path | None, Option(help="Folder of descriptions that several trainings share.")
     ] = None,
+    word_vectors: Annotated[
+        Path | None, Option(help="File of word2vec, text or binary, whose vectors stand for words.")
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -65,6 +68,7 @@ def train(
         check=check,
         rate=rate,
         seed=seed,
+        word_vectors=None if word_vectors is None else str(word_vectors),
     )
     names = _names(maps)
     with writing(out):

@@ -22,7 +22,7 @@ from placegraph.outdoor.network.batches import (
     text_batch,
 )
 from placegraph.outdoor.network.labels import Bags
-from placegraph.outdoor.network.weights import read_weights, shipped
+from placegraph.outdoor.network.weights import MEANING, read_weights, shipped, sizes
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.network.batches import Floats, Rows
     from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+    from placegraph.outdoor.network.labels import WordVectors
     from placegraph.outdoor.network.weights import Shape
 
 BLOCK = 1024
@@ -129,6 +130,8 @@ class GraphTransformer:
     """Weights by PyTorch's names."""
     fingerprint: str
     """Of the weights: embeddings of two models must not be compared."""
+    known: WordVectors | None = None
+    """Word vectors it was trained with."""
 
     @staticmethod
     @lru_cache(maxsize=1)
@@ -141,7 +144,7 @@ class GraphTransformer:
         """Open a weights file; raises `InputError` or `MapError` where it does not fit this version."""
         weights = read_weights(path)
         try:
-            network = cls(weights.shape, weights.arrays, weights.fingerprint)
+            network = cls(weights.shape, weights.arrays, weights.fingerprint, weights.words)
             network.check()
         except (KeyError, ValueError) as error:
             raise MapError(
@@ -151,7 +154,7 @@ class GraphTransformer:
 
     def check(self) -> None:
         """Raise `KeyError` or `ValueError` where a weight is missing or of another shape."""
-        for name, wanted in self.shape.arrays().items():
+        for name, wanted in sizes(self.shape, self.known).items():
             if self.arrays[name].shape != wanted:
                 raise ValueError(f"{name} has shape {self.arrays[name].shape} instead of {wanted}")
 
@@ -159,7 +162,11 @@ class GraphTransformer:
         """Vectors (W, d) of labels, names (`of_name`) and any other words."""
         if not words:
             return np.zeros((0, self.shape.width), np.float32)
-        return Bags.of(words, self.shape.subwords).vectors(self.arrays["table"])
+        return self.bags(words).vectors(self.arrays["table"], self.arrays.get(MEANING))
+
+    def bags(self, words: tuple[str, ...]) -> Bags:
+        """Parts of labels, names and any other words that their vectors are made of."""
+        return Bags.of(words, self.shape.subwords, self.known)
 
     def embed_texts(self, texts: TextGraphs) -> Floats:
         """Embeddings (Q, D) of text graphs (Eq. 9), of unit length."""

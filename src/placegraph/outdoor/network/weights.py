@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, MapError
 from placegraph.outdoor.network.graphs_kernels import CHANNELS, MOST_THINGS, REACH
+from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.labels_kernels import BUCKETS, LONGEST, SHORTEST
 from placegraph.outdoor.network.network_kernels import LITERAL
-from placegraph.store import read_header, read_map, write_map
+from placegraph.store import pack_strings, read_header, read_map, write_map
 from placegraph.weights import arrays_of, digest, halves, rounded
 
 if TYPE_CHECKING:
@@ -119,6 +120,8 @@ LABELS = {"buckets": BUCKETS, "subwords": [SHORTEST, LONGEST]}
 """How words become rows of the table; weights made otherwise mean something else."""
 GRAPHS = {"channels": list(CHANNELS), "reach": REACH, "things": MOST_THINGS}
 """What graphs are made of."""
+WORDS, VECTORS, MEANING = "words", "word_vectors", "meaning.weight"
+"""Columns of a network with word vectors: the words, their vectors, and the map (d, n) of these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,22 +132,41 @@ class Weights:
     arrays: dict[str, NDArray[np.float32]]
     training: dict[str, Any]
     """How it was trained: cities, examples, seed, curves' last points."""
+    words: WordVectors | None = None
+    """Word vectors it was trained with."""
 
     @property
     def fingerprint(self) -> str:
-        """Of shape and weights: sixteen hexadecimal digits."""
-        return digest(self.shape, self.arrays)[:16]
+        """Of shape, weights and word vectors: sixteen hexadecimal digits."""
+        if self.words is None:
+            return digest(self.shape, self.arrays)[:16]
+        arrays = self.arrays | {VECTORS: self.words.vectors}
+        return digest((self.shape, self.words.words), arrays)[:16]
+
+
+def sizes(shape: Shape, words: WordVectors | None) -> dict[str, tuple[int, ...]]:
+    """Shape of every weight that is learned."""
+    of_words = {} if words is None else {MEANING: (shape.width, words.vectors.shape[1])}
+    return shape.arrays() | of_words
+
+
+def _labels(words: int) -> dict[str, Any]:
+    return LABELS | {"word_vectors": words} if words else LABELS
 
 
 def write_weights(path: str | PathLike[str], weights: Weights) -> None:
     """Write a weights file, atomically; raises `MapError` where it cannot be written."""
     meta = {
         "shape": weights.shape.to_dict(),
-        "labels": LABELS,
+        "labels": _labels(0 if weights.words is None else len(weights.words.words)),
         "graphs": GRAPHS,
         "training": weights.training,
     }
-    write_map(path, KIND, VERSION, meta, halves(weights.arrays))
+    arrays: dict[str, NDArray[Any]] = {**halves(weights.arrays)}
+    if weights.words is not None:
+        arrays |= halves({VECTORS: weights.words.vectors})
+        arrays[WORDS] = pack_strings(weights.words.words)
+    write_map(path, KIND, VERSION, meta, arrays)
 
 
 def read_weights(path: str | PathLike[str]) -> Weights:
@@ -159,7 +181,8 @@ def read_weights(path: str | PathLike[str]) -> Weights:
 
     """
     file = _open(path)
-    for part, here in (("labels", LABELS), ("graphs", GRAPHS)):
+    known = file.strings(WORDS) if WORDS in file.arrays else ()
+    for part, here in (("labels", _labels(len(known))), ("graphs", GRAPHS)):
         if file.meta.get(part) != here:
             raise MapError(
                 f"{path}: the network was trained with other {part} ({file.meta.get(part)}) than "
@@ -167,8 +190,9 @@ def read_weights(path: str | PathLike[str]) -> Weights:
             )
     try:
         shape = Shape.from_dict(file.meta["shape"])
-        arrays = arrays_of(file, shape.arrays())
-        return Weights(shape, arrays, dict(file.meta["training"]))
+        words = _word_vectors(file, known) if known else None
+        arrays = arrays_of(file, sizes(shape, words))
+        return Weights(shape, arrays, dict(file.meta["training"]), words)
     except MapError as error:
         why = str(error).removeprefix(f"{path}: ").partition("; ")[0]
         raise MapError(f"{path}: {why}; train or install the weights again.") from error
@@ -176,6 +200,13 @@ def read_weights(path: str | PathLike[str]) -> Weights:
         raise MapError(
             f"{path}: its weights do not fit together ({error}). Train or install them again."
         ) from error
+
+
+def _word_vectors(file: MapFile, known: tuple[str, ...]) -> WordVectors:
+    vectors = arrays_of(file, {VECTORS: (0, 0)})[VECTORS]
+    if len(vectors) != len(known):
+        raise ValueError(f"{len(known)} words with {len(vectors)} vectors")
+    return WordVectors(known, vectors)
 
 
 def _open(path: str | PathLike[str]) -> MapFile:
@@ -208,6 +239,11 @@ def shipped() -> Path:
         return Path(path)
 
 
-def trained(shape: Shape, state: Mapping[str, NDArray[Any]], training: dict[str, Any]) -> Weights:
+def trained(
+    shape: Shape,
+    state: Mapping[str, NDArray[Any]],
+    training: dict[str, Any],
+    words: WordVectors | None = None,
+) -> Weights:
     """Weights as they will be read again: rounded to 16 bits."""
-    return Weights(shape, rounded(shape.arrays(), state), training)
+    return Weights(shape, rounded(sizes(shape, words), state), training, words)

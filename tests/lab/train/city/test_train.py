@@ -20,6 +20,8 @@ OPTIONS = TrainOptions(
 )  # fmt: skip
 
 
+WORDS = (b"museum", b"Bench", b"zwirbelei")
+
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
@@ -128,6 +130,34 @@ def test_the_loss_falls(learn, tmp_path):
     told = [sum(losses.values()) for *_, losses in notes.steps]  # means of the epoch so far
     last = (40 * told[39] - 30 * told[29]) / 10
     assert last < 0.9 * told[4]
+
+
+def test_word_vectors_of_a_file_are_trained_with(learn, tmp_path, harbour):
+    """Those of the map's words are kept: nothing else is needed to read the weights."""
+    rng, file = np.random.default_rng(2), tmp_path / "words.bin"
+
+    def write():
+        blocks = [w + b" " + rng.normal(size=300).astype("<f4").tobytes() for w in WORDS]
+        file.write_bytes(b"%d 300\n" % len(WORDS) + b"".join(blocks))
+
+    write()
+    options = replace(OPTIONS, epochs=1, word_vectors=str(file))
+    notes = Notes()
+    weights = learn(tmp_path / "b", options, progress=notes)
+    assert weights.words.words == ("bench", "museum")
+    assert weights.arrays["meaning.weight"].shape == (8, 300)
+    assert all(np.isfinite(loss) for *_, losses in notes.steps for loss in losses.values())
+    network = GraphTransformer.open(tmp_path / "b" / "a.weights")
+    assert network.fingerprint == weights.fingerprint
+    assert "tourism=museum" in harbour.words
+    bags = network.bags(harbour.words)
+    assert bags.means[harbour.words.index("tourism=museum")].any()
+    write()  # other numbers under the same name
+    with pytest.raises(OptionError, match="other maps or options"):
+        learn(tmp_path / "b", options)
+    file.unlink()
+    with pytest.raises(InputError, match="name a word2vec file"):
+        learn(tmp_path / "b", options)
 
 
 def test_a_folder_of_another_training_is_refused(learn, trained, tmp_path):

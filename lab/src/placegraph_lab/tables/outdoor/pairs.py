@@ -156,18 +156,16 @@ class Pairs:
         import torch
 
         from placegraph.outdoor.network.batches import place_batch, text_batch
-        from placegraph.outdoor.network.labels import Bags
         from placegraph_lab.train.city.pairs import pair_batch
         from placegraph_lab.train.city.torch_batches import Batch, forward
         from placegraph_lab.train.city.torch_network import Network
 
         texts, places, words = self._graphs()
-        module = Network(network.shape)
+        module = Network(network.shape, network.known.vectors.shape[1] if network.known else 0)
         module.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in network.arrays.items()})
         module.to(device).eval()
         bags = SimpleNamespace(
-            text_bags=Bags.of(texts.vocabulary, network.shape.subwords),
-            place_bags=Bags.of(places.vocabulary, network.shape.subwords),
+            text_bags=network.bags(texts.vocabulary), place_bags=network.bags(places.vocabulary)
         )
 
         def work() -> int:

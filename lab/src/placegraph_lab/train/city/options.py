@@ -35,6 +35,8 @@ class TrainOptions:
     check: int = 500
     """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
     shape: Shape = field(default_factory=Shape)
+    word_vectors: str | None = None
+    """File of word2vec, text or binary: its vectors stand for the words it knows, as in the paper."""
 
 
 @dataclass

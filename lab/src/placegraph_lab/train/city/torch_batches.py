@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.batches import Rows
+    from placegraph.outdoor.network.labels import WordVectors
     from placegraph_lab.train.city.torch_network import Network
 
 
@@ -44,16 +45,18 @@ class Lessons:
     pool: Pool
     subwords: float = 1.0
     """As the network's `Shape` has it."""
+    known: WordVectors | None = None
+    """Word vectors that stand for the words they know."""
 
     @cached_property
     def text_bags(self) -> Bags:
         """Parts of the words of the texts."""
-        return Bags.of(self.pool.texts.vocabulary, self.subwords)
+        return Bags.of(self.pool.texts.vocabulary, self.subwords, self.known)
 
     @cached_property
     def place_bags(self) -> Bags:
         """Parts of the words of the map."""
-        return Bags.of(self.city.words, self.subwords)
+        return Bags.of(self.city.words, self.subwords, self.known)
 
     @cached_property
     def right(self) -> NDArray[np.int8]:
@@ -147,7 +150,10 @@ def _words(network: Network, words: NodeWords, bags: Bags, mask: Tensor) -> Tens
         return torch.from_numpy(np.ascontiguousarray(array)).to(device)
 
     vectors = network.words(
-        tensor(bags.buckets[part]), tensor(np.cumsum(counts) - counts), tensor(bags.weights[part])
+        tensor(bags.buckets[part]),
+        tensor(np.cumsum(counts) - counts),
+        tensor(bags.weights[part]),
+        None if bags.means is None else tensor(bags.means[used]),
     )
     nodes = F.embedding_bag(
         tensor(row), vectors, tensor(words.starts), mode="sum",

@@ -232,11 +232,16 @@ class Cross(nn.Module):
 
 
 class Network(nn.Module):
-    """Graph encoders of both sides, and the joint model (Eq. 9-19)."""
+    """Graph encoders of both sides, and the joint model (Eq. 9-19).
 
-    def __init__(self, shape: Shape) -> None:
+    `known` is the length of the word vectors that stand for words; 0 where there are none.
+    """
+
+    def __init__(self, shape: Shape, known: int = 0) -> None:
         super().__init__()
         self.shape = shape
+        if known:
+            self.meaning = nn.Linear(known, shape.width, bias=False)
         self.table = nn.Parameter(torch.randn(BUCKETS, shape.width) * shape.width**-0.5)
         self.text, self.place = Side(2, shape), Side(7, shape)
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))
@@ -252,9 +257,12 @@ class Network(nn.Module):
         # training begins with what the statements say literally, and with relational matching alone
         self.prior = nn.Parameter(torch.ones(3))
 
-    def words(self, buckets: Tensor, starts: Tensor, weights: Tensor) -> Tensor:
+    def words(
+        self, buckets: Tensor, starts: Tensor, weights: Tensor, means: Tensor | None = None
+    ) -> Tensor:
         """Vectors (W, d) of words, from their parts (`labels.Bags`)."""
-        return F.embedding_bag(buckets, self.table, starts, mode="sum", per_sample_weights=weights)
+        sums = F.embedding_bag(buckets, self.table, starts, mode="sum", per_sample_weights=weights)
+        return sums if means is None else sums + self.meaning(means)
 
     def match(
         self, texts: tuple[Tensor, Tensor], places: tuple[Tensor, Tensor], pairs: Pairs

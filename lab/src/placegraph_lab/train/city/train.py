@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.outdoor.network.labels import words_of
 from placegraph.outdoor.network.weights import Weights, trained, write_weights
+from placegraph.weights import digest
+from placegraph_lab.datasets.word2vec import read_word2vec
 from placegraph_lab.train.city.options import Progress, TrainOptions, check
 from placegraph_lab.train.city.pool import fill
 from placegraph_lab.train.city.sample import Speaker
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.vocabulary import Vocabulary
+    from placegraph.outdoor.network.labels import WordVectors
     from placegraph_lab.train.city.checkpoint import PoolFolder
     from placegraph_lab.train.city.torch_batches import Lessons
 
@@ -61,6 +65,8 @@ def train(
         PyTorch is not installed.
     OptionError
         An option is out of range, or the folder holds another training.
+    InputError
+        The file of word vectors cannot be read, or knows no word of the maps.
 
     """
     options, progress = options or TrainOptions(), progress or Progress()
@@ -72,11 +78,16 @@ def train(
     from placegraph_lab.train.city.trainer import Trainer
 
     device = device_named(device, cuda=torch.cuda.is_available())
-    kept = Folder(folder, plan_of({n: len(c.objects) for n, c in cities.items()}, options))
-    trainer = Trainer(options, device, progress)
+    vocabulary = vocabulary or Shipped.default()
+    known = _known(options, cities, vocabulary)
+    plan = plan_of({n: len(c.objects) for n, c in cities.items()}, options)
+    if known is not None:  # another file of the same name is another training
+        plan["words"] = digest(known.words, {"vectors": known.vectors})[:16]
+    kept = Folder(folder, plan)
+    trainer = Trainer(options, device, progress, known.vectors.shape[1] if known else 0)
     begun = kept.read_state(trainer.module, trainer.optimizer)
     store = PoolFolder(pools or kept.path / "pools")
-    school = School(cities, vocabulary or Shipped.default(), options, progress, store)
+    school = School(cities, vocabulary, options, progress, store, known)
     held = school.held_out()
     past = [lessons for epoch in range(begun) for lessons in school.lessons(epoch)]
     for epoch in range(begun, options.epochs):
@@ -93,9 +104,19 @@ def train(
     fitted = best_prior([judge(trainer.network, lessons, device) for lessons in held], scale)
     state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": kept.plan, "curves": rows_of(kept.path)}
-    weights = trained(options.shape, state, training)
+    weights = trained(options.shape, state, training, known)
     write_weights(out, weights)
     return weights
+
+
+def _known(
+    options: TrainOptions, cities: Mapping[str, CityMap], vocabulary: Vocabulary
+) -> WordVectors | None:
+    """Word vectors of the words in tags and in the names of these maps, where a file is named."""
+    if options.word_vectors is None:
+        return None
+    labels = {*vocabulary.english, *(word for city in cities.values() for word in city.words)}
+    return read_word2vec(options.word_vectors, {w for label in labels for w in words_of(label)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +128,7 @@ class School:
     options: TrainOptions
     progress: Progress
     store: PoolFolder
+    known: WordVectors | None = None
 
     def lessons(self, epoch: int) -> list[Lessons]:
         """Examples of an epoch, one pool a city."""
@@ -139,4 +161,4 @@ class School:
 
             pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
             self.store.write(file, pool)
-        return Lessons(city, pool, self.options.shape.subwords)
+        return Lessons(city, pool, self.options.shape.subwords, self.known)

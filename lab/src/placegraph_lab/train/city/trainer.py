@@ -34,11 +34,13 @@ class _Module(torch.nn.Module):
 class Trainer:
     """A network in training."""
 
-    def __init__(self, options: TrainOptions, device: str, progress: Progress) -> None:
+    def __init__(
+        self, options: TrainOptions, device: str, progress: Progress, known: int = 0
+    ) -> None:
         self.options, self.device, self.progress = options, device, progress
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
-            self.network = Network(options.shape)
+            self.network = Network(options.shape, known)
         self.network.eval()
         self.module = _Module(self.network).to(device)
         self.optimizer = torch.optim.AdamW(
