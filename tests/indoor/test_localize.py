@@ -510,12 +510,11 @@ def test_devices_that_are_none(device, room, walk):
 @pytest.mark.parametrize(
     "options",
     [
-        FilterOptions.coarse(),
         FilterOptions(kld=False),
         FilterOptions(start="uniform", spacing=0.3),
-        FilterOptions(polish=False),
+        FilterOptions(answer="mle"),
     ],
-    ids=["coarse", "without KLD", "uniform start", "without polish"],
+    ids=["without KLD", "uniform start", "without polish"],
 )
 def test_variants(options, room, walk, truth):
     estimate = room.localize(walk, frames=FIVE, options=options)

@@ -1,6 +1,7 @@
 """Options: what is refused, and what the named recipes are."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,8 @@ from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise, Pa
         (lambda: FilterOptions(kld_confidence=1.0), "kld_confidence"),
         (lambda: FilterOptions(injection=1.0), "injection"),
         (lambda: FilterOptions(injection=-0.1), "injection"),
+        (lambda: FilterOptions(fewest=0), "fewest"),
+        (lambda: FilterOptions(answer="best"), "answer"),
         (lambda: FilterOptions(every=-1.0), "every"),
         (lambda: FilterOptions(every_metre=math.nan), "every_metre"),
         (lambda: Likelihood(kind="laplace"), "kind"),
@@ -78,13 +81,34 @@ def test_the_papers_numbers():
     assert [p.stride for p in paper.passes] == [20, 8, 4]
     assert paper.likelihood.kind == "gaussian"
     assert paper.likelihood.sigma == 0.2
+    assert paper.likelihood.depth_clip == 0
+    assert [p.box for p in paper.passes] == [0, 1.6, 0.8]
+    assert [p.particles for p in paper.passes[1:]] == [2500, 2500]
+    assert paper.fewest == 2500
+    assert (paper.modes, paper.injection, paper.answer) == (1, 0, "mle")
     assert paper.motion == MotionNoise(0.05, 0.0, 0.05, 0.0)
     assert paper.kld
-    assert not paper.polish
 
 
-def test_the_coarse_variant_is_one_pass():
+def test_the_coarse_variant_is_the_first_pass_alone():
+    """App. E."""
     coarse = FilterOptions.coarse()
-    assert len(coarse.passes) == 1
-    assert coarse.passes[0].stride == 20
-    assert not coarse.polish
+    assert [p.stride for p in coarse.passes] == [20]
+    assert replace(coarse, passes=FilterOptions.paper().passes) == FilterOptions.paper()
+
+
+def test_what_the_published_code_does_otherwise():
+    published = FilterOptions.published()
+    assert published.likelihood == Likelihood(kind="gaussian", sigma=0.6, depth_clip=0.5)
+    assert [p.stride for p in published.passes] == [20, 12, 20]
+    assert (published.spacing, published.per_cell) == (0.1, 4)
+    assert (published.modes, published.pooled) == (8, True)
+    assert (published.inject_every, published.unscored) == (5, 1)
+
+
+def test_presets_by_name():
+    assert FilterOptions.preset("default") == FilterOptions()
+    for name in ("paper", "published", "coarse"):
+        assert FilterOptions.preset(name) == getattr(FilterOptions, name)()
+    with pytest.raises(OptionError, match="default, paper, published, coarse"):
+        FilterOptions.preset("papers")

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.pose.passes import run_passes
-from placegraph.indoor.pose.polish import polished
+from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.tracker import Tracker
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.matching import Matcher
 
 WINDOW = 30
-"""Frames that are searched and fitted together; a longer capture is tracked."""
+"""Frames that are searched and fitted together; a longer capture is tracked, where it can be."""
 
 
 def localized(
@@ -53,7 +53,7 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     The same query on the same machine gives the same answer. `refining` says how the best mode is
     fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
     """
-    if len(query.frames) > WINDOW:
+    if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
         estimate = tracker.follow(query.frames)
         return refined(_tail(query, tracker), estimate, refining) if refining else estimate
@@ -61,7 +61,10 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     window = observe(query)
     seeds = search(window, rng)
     passes = run_passes(window, seeds, rng)
-    fits = polished(window, passes.modes, seeds, rng)
+    if query.options.answer == "mle":
+        fits = heaviest(passes.particles, query.options.modes)
+    else:
+        fits = polished(window, passes.modes, seeds, rng)
     estimate = verdict(window, fits)
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()

@@ -134,7 +134,7 @@ def test_a_capture_is_localized_recorded_and_viewed(run, study, served, tmp_path
     walk = stroll(study, rng, frames=3, through="123", height=1.6)
     write_walk(interior, walk, tmp_path / "walk", rng, camera=Camera(80, 45, 57, 57, 40, 22.5))
     recorded = tmp_path / "a.run"
-    options = ("--frames", "0:2", "--no-refine", "--coarse", "--record", recorded, "--quiet")
+    options = ("--frames", "0:2", "--no-refine", "--record", recorded, "--quiet")
     assert run("scene", "localize", room, tmp_path / "walk", *options).code == 0
     back = read_run(recorded)
     assert back.frames.tolist() == [0, 1]

@@ -18,6 +18,8 @@ from placegraph.formats.capture.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
+from placegraph.indoor.refine import RefineOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import write_plan
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
@@ -112,7 +114,7 @@ def test_some_frames_as_text(run, world):
 def test_options_reach_the_filter(run, world):
     at, _ = split_pose(world.truth[0])
     told = run(
-        "scene", "localize", world.map, world.walk, "--frames", ":5", "--json", "--coarse",
+        "scene", "localize", world.map, world.walk, "--frames", ":5", "--json", "--no-refine",
         "--near", f"{at[0]:.1f},{at[1]:.1f},{at[2]:.1f}", "--radius", "0.5", "--yaw-deg",
         f"{np.degrees(at[3]):.0f}", "--height", "1.6", "--every", "0.3", "--no-colour",
         "--device", "cpu", "--seed", "7",
@@ -122,6 +124,30 @@ def test_options_reach_the_filter(run, world):
     assert told["modes"][0]["x"] == pytest.approx(pose[0], abs=0.3)
     assert not any(e["statement"] == "colour" for e in told["modes"][0]["evidence"])
     assert len(told["stats"]["particles"]) == 1, "one pass"
+
+
+def test_presets_reach_the_filter_and_the_refinement(run, world, monkeypatch):
+    """The paper's recipe is refined as in the paper; other options of the command override it."""
+    asked = []
+
+    def localize(*_, options, refine, **__):
+        asked.append((options, refine))
+        raise OptionError("enough")
+
+    monkeypatch.setattr(SceneMap, "localize", localize)
+    for more in (
+        ["--preset", "paper", "--height", "1.4", "--no-depth"],
+        ["--preset", "published", "--no-refine"],
+        [],
+        ["--preset", "papers"],
+    ):
+        assert run("scene", "localize", world.map, world.walk, *more).code != 0
+    paper = replace(FilterOptions.paper(), heights=(1.4,), depth=False)
+    assert asked == [
+        (paper, RefineOptions.paper()),
+        (FilterOptions.published(), False),
+        (FilterOptions(), True),
+    ]
 
 
 # --- the refinement ---

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.indoor.likelihood.visibility import floor_under
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.passes import everywhere, near_prior
 from placegraph.indoor.pose.prior import Prior
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.window import Window
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
@@ -46,12 +48,16 @@ def test_priors_that_are_none(change):
 # ---------------------------------------------------------------------------- everywhere
 
 
+def window_of(room, options):
+    query = PoseQuery(scene=room, options=options)
+    return Window(query, Scorer(room, options.likelihood), [])
+
+
 def test_the_papers_start(room, rng):
     """Sec. 3.1: so many yaws a free cell and height, all over the free floor."""
     options = FilterOptions(start="uniform", spacing=0.4, per_cell=3, heights=(1.5, 1.7))
     table = room.visibility(options)
-    floors = floor_under(room, table.positions[:, :2])
-    got = everywhere(table, floors, options, rng)
+    got = everywhere(window_of(room, options), rng)
     assert len(got) == len(table) * 2 * 3
     for low, high in zip(got.min(axis=0)[:2], got.max(axis=0)[:2], strict=True):
         assert low < high
@@ -67,6 +73,5 @@ def test_layers_do_not_multiply_cells(room, rng):
     options = FilterOptions(start="uniform", spacing=0.5, per_cell=1, heights=(0.8, 1.6))
     table = room.visibility(options)
     assert table.index.shape[0] > 1
-    floors = floor_under(room, table.positions[:, :2])
     cells = len(np.unique(table.positions[:, :2], axis=0))
-    assert len(everywhere(table, floors, options, rng)) == 2 * cells
+    assert len(everywhere(window_of(room, options), rng)) == 2 * cells

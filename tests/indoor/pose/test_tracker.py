@@ -1,5 +1,6 @@
 """One frame at a time: found, followed, lost, and found again, at a bounded cost a frame."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from placegraph.estimate import Status
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, pose_matrix, split_pose
 from placegraph.indoor.localize import WINDOW
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.tracker import KEPT
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -170,10 +171,21 @@ def test_forgetting(room, film):
 
 
 def test_the_papers_likelihood_is_tracked_too(room, film):
-    """Its start, particles everywhere, is no tracker's: the table says where to look first."""
-    tracker = room.tracker(film.camera, options=FilterOptions.paper(), seed=0)
+    options = FilterOptions(likelihood=Likelihood(kind="gaussian"))
+    tracker = room.tracker(film.camera, options=options, seed=0)
     for frame in film[:3]:
         assert tracker.update(frame).modes
+
+
+@pytest.mark.parametrize(
+    "options",
+    [FilterOptions.paper(), FilterOptions(start="uniform"), FilterOptions(answer="mle")],
+    ids=["paper", "uniform", "mle"],
+)
+def test_what_no_tracker_can_follow(options, room, film):
+    """Particles everywhere, and their heaviest: it says so instead of doing something else."""
+    with pytest.raises(OptionError, match="tracker starts from the table"):
+        room.tracker(film.camera, options=options)
 
 
 def test_frames_of_another_camera(room, film):
@@ -223,3 +235,32 @@ def test_long_captures_are_tracked(room, film, truth):
     assert np.median(errors) < 0.08
     assert errors.max() < 0.5
     assert off(estimate, true[-1])[0] < 0.15
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        replace(FilterOptions.coarse(), fewest=200),
+        FilterOptions(start="uniform", spacing=0.4),
+        FilterOptions(answer="mle"),
+    ],
+    ids=["coarse", "uniform", "mle"],
+)
+def test_long_captures_that_cannot_be_tracked_are_filtered_whole(options, room, film, truth):
+    """Tables 1, 2 and 6: a recipe of the paper runs in passes over 50 and 100 frames."""
+    assert len(film) > WINDOW
+    estimate = room.localize(film, options=options, refine=False, seed=0)
+    assert estimate.frames.tolist() == list(range(len(film)))
+    assert [len(counts) for counts in estimate.stats["particles"]] == [len(film)]
+    distance, turn = off(estimate, truth(film)[-1])
+    assert distance < 0.4
+    assert turn < 8
+
+
+def test_of_many_frames_the_newest_are_refined(room, film, truth):
+    """What is fitted together are the newest 30, however long the capture that was filtered."""
+    estimate = room.localize(film, options=FilterOptions(answer="mle"), seed=0)
+    assert estimate.refinement is not None
+    assert estimate.refinement.accepted, estimate.refinement.reason
+    assert len(estimate.trajectory) == len(film)
+    assert off(estimate, truth(film)[-1])[0] < 0.05

@@ -80,10 +80,16 @@ def localize(
     ] = True,
     depth: UseDepth = True,
     colour: UseColour = True,
-    coarse: Annotated[
-        bool,
-        Option("--coarse", help="No polish: the filter alone, faster, less exact.", panel=REFINED),
-    ] = False,
+    preset: Annotated[
+        str,
+        Option(
+            help="Recipe of the filter: default (a table of what is visible from where, few "
+            "particles, a fit of all frames), paper (SG2Loc as printed: particles everywhere, three "
+            "passes, one MLE, then its own refinement), published (what its code does otherwise), "
+            "coarse (its first pass alone). The paper's take many times as long.",
+            panel=USED,
+        ),
+    ] = "default",
     refine: Annotated[
         bool,
         Option("--refine/--no-refine", help="Fit the pose to depth and images.", panel=REFINED),
@@ -121,10 +127,11 @@ def localize(
     Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
     """
     from placegraph.formats.capture.capture import open_capture
+    from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.scene_map import SceneMap
 
     options = _options(
-        coarse=coarse, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
+        preset, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
         record=any(file is not None for file in (png, gif, record)),
     )  # fmt: skip
     prior = _prior(near, radius, yaw_deg)
@@ -135,7 +142,8 @@ def localize(
     with progress_of(hidden=quiet or as_json) as tell:
         estimate = scene.localize(
             chosen, prior=prior, description=description, encoder=encoder, options=options,
-            refine=refine, matcher=matching, seed=seed, device=device, progress=tell,
+            refine=RefineOptions.paper() if refine and preset == "paper" else refine,
+            matcher=matching, seed=seed, device=device, progress=tell,
         )  # fmt: skip
         tell("drawing", 0, 1)
         Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
@@ -146,8 +154,8 @@ def localize(
 
 
 def _options(
+    preset: str,
     *,
-    coarse: bool,
     semantic: bool,
     depth: bool,
     colour: bool,
@@ -157,7 +165,7 @@ def _options(
 ) -> FilterOptions:
     from placegraph.indoor.options import FilterOptions
 
-    options = FilterOptions.coarse() if coarse else FilterOptions()
+    options = FilterOptions.preset(preset)
     if height:
         options = replace(options, heights=tuple(height))
     return replace(

@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 
 
 class Paper:
-    """Scores of semantics, depth and colour in [0, 2], and a Gaussian of what is missing to 2."""
+    """Scores of semantics, depth and colour up to 2, and a Gaussian of what is missing.
+
+    Eq. 2 centres the sum of s, lambda_1 s_d and lambda_2 s_i at 6, although Sec. 3.4 prints s_d and
+    s_i up to 1. 6 is the sum of three maxima of 2 with both lambdas 1, as printed: so s_d and s_i are
+    doubled, and the target is 2 (1 + lambda_1 + lambda_2), of those terms that there are.
+    """
 
     def __init__(self, options: Likelihood) -> None:
         self.options = options

@@ -70,7 +70,9 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 if view.terms[DEPTH] and view.depth[r] > 0:
                     readings += 1
                     if triangle >= 0 or noise.gaussian:
-                        far += _depth(packet[FAR, lane], view.depth[r], noise)
+                        # what the map does not show is 0 in its depth image
+                        expected = packet[FAR, lane] if triangle >= 0 else np.float32(0.0)
+                        far += _depth(expected, view.depth[r], noise)
                         far -= view.usual_depth[r]
             if view.terms[COLOUR]:
                 hits, likeness = _colour(tile, packet, ints, surface, view, moments)
@@ -127,10 +129,12 @@ def _semantic(seen, count, weight, gaussian):
 
 @kernel(inline="always", fastmath=True)
 def _depth(expected, measured, noise):
-    """One reading: the paper's clipped error (Sec. 3.4), or a log-likelihood with Cauchy's tails."""
+    """One reading: the paper's error (Sec. 3.4), or a log-likelihood with Cauchy's tails."""
     if noise.gaussian:
-        error = abs(expected - measured) / np.float32(noise.depth_clip)
-        return min(error, np.float32(1.0))
+        error = abs(expected - measured)
+        if noise.depth_clip > 0:
+            error = min(error / np.float32(noise.depth_clip), np.float32(1.0))
+        return error
     error = (expected - measured) / (
         np.float32(noise.depth_floor) + np.float32(noise.depth_slope) * measured
     )

@@ -80,7 +80,7 @@ class Noise(NamedTuple):
     colour_weight: float
     """Independent samples that a full image of colour is worth."""
     depth_clip: float
-    """Eq. of Sec. 3.4: depth errors are clipped here [m]."""
+    """Eq. of Sec. 3.4: depth errors are clipped here [m], and count as shares of it; 0: nowhere."""
 
     @classmethod
     def of(cls, options: Likelihood, *, gaussian: bool) -> Self:

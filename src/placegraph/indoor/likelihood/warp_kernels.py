@@ -62,7 +62,10 @@ class View:
 def depth_term(expected: float, measured: float, noise: Noise) -> float:
     """`score_kernels._depth`."""
     if noise.gaussian != 0:
-        return wp.min(wp.abs(expected - measured) / noise.depth_clip, 1.0)
+        off = wp.abs(expected - measured)
+        if noise.depth_clip > 0.0:
+            off = wp.min(off / noise.depth_clip, 1.0)
+        return off
     error = (expected - measured) / (noise.depth_floor + noise.depth_slope * measured)
     cost = noise.far_cost
     if error > 0.0:
@@ -129,7 +132,7 @@ def shade(
     along = wp.vec3(c * d[0] - s * d[1], s * d[0] + c * d[1], d[2])
     hit = wp.mesh_query_ray(mesh, positions[n], along, FARTHEST)
     thing = view.semantic.shape[1] - 1
-    far = float(FARTHEST)
+    far = float(0.0)
     if hit.result:
         thing = surface.object_of[hit.face]
         far = hit.t

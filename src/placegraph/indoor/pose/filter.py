@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import compose
 from placegraph.indoor.pose.motion import propagate
-from placegraph.indoor.pose.particles import Particles, distinct, kld_count, log_sum, resample
+from placegraph.indoor.pose.particles import (
+    Particles,
+    distinct,
+    kld_count,
+    log_sum,
+    masses,
+    resample,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,8 +28,6 @@ if TYPE_CHECKING:
     from placegraph.indoor.likelihood.view import View
     from placegraph.indoor.options import FilterOptions
 
-FEWEST = 24
-"""Particles below which no resampling goes."""
 _ALIVE = 0.1  # share of particles that must stay effective when an observation is weighed
 _DROP = 25.0  # fall of the mean log-likelihood of a frame below its running mean: kidnapped [nat]
 _MEMORY = 0.2  # of the running mean
@@ -83,8 +89,8 @@ class ParticleFilter:
         """Adaptive resampling (Sec. 3.5) by KLD, or to as many as before."""
         count = len(self.particles)
         if self.options.kld:
-            count = kld_count(self.particles, self.options)
-        self.particles = resample(self.particles, int(np.clip(count, FEWEST, self.most)), self.rng)
+            count = max(kld_count(self.particles, self.options), self.options.fewest)
+        self.particles = resample(self.particles, min(count, self.most), self.rng)
 
     def inject(self, poses: NDArray[np.float64]) -> None:
         """Poses from elsewhere take the place of others, at most half of them, evenly from all.
@@ -108,7 +114,9 @@ class Run:
     """What one pass over a sequence left."""
 
     modes: NDArray[np.float64]
-    """(K, 4) poses of the last frame, heaviest first."""
+    """(K, 4) poses of the last frame, heaviest first, of the last frame or of all (`pooled`)."""
+    masses: NDArray[np.float64]
+    """(K,) weight of the particles of each."""
     particles: Particles
     """Of the last frame, weighed."""
     record: tuple[tuple[int, NDArray[np.float64], NDArray[np.float64]], ...]
@@ -130,20 +138,42 @@ def run_pass(
     `steps`: (T, 4), step t leads from frame t - 1 to frame t; `elsewhere(t, n)` draws n poses of
     frame t from the whole map, for a camera that was carried away.
     """
+    options = filter_.options
+    first = min(options.unscored, len(views) - 1)
     record = []
     counts = []
+    pool = np.zeros((0, 5))  # modes and their masses, carried along
     for t, view in enumerate(views):
-        if t:
+        if t > first:  # resampling follows an update
             filter_.renew()
-            if elsewhere is not None and filter_.dropped and filter_.options.injection:
-                share = int(filter_.options.injection * filter_.most) + 1
-                filter_.inject(elsewhere(t - 1, share))
+        if t:
+            count = _injected(filter_, t) if elsewhere is not None else 0
+            if elsewhere is not None and count:
+                filter_.inject(elsewhere(t - 1, count))
             filter_.move(steps[t])
-        filter_.weigh(view)
+            pool[:, :4] = compose(pool[:, :4], steps[t])
+        if t >= first:
+            filter_.weigh(view)
+        if (options.pooled and t >= first) or t == len(views) - 1:
+            modes = filter_.modes()
+            pool = np.vstack([pool, np.column_stack([modes, masses(filter_.particles, modes)])])
         counts.append(len(filter_.particles))
-        if filter_.options.record:
+        if options.record:
             weighed = filter_.particles
             record.append((int(frames[t]), weighed.poses.copy(), weighed.weights))
         if tick:
             tick()
-    return Run(filter_.modes(), filter_.particles, tuple(record), tuple(counts))
+    if options.pooled:
+        pool = pool[distinct(pool[:, :4], pool[:, 4], options.modes)]
+    return Run(pool[:, :4], pool[:, 4], filter_.particles, tuple(record), tuple(counts))
+
+
+def _injected(filter_: ParticleFilter, t: int) -> int:
+    """How many poses from elsewhere are asked for before frame t."""
+    options = filter_.options
+    if options.inject_every:
+        due = t % options.inject_every == 0
+        return int(options.injection * len(filter_.particles)) if due else 0
+    # KLD has left few: what is lost is looked for with a share of all that there may be
+    lost = filter_.dropped and options.injection > 0
+    return int(options.injection * filter_.most) + 1 if lost else 0

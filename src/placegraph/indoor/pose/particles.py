@@ -109,11 +109,31 @@ def distinct(
     while len(left) and len(kept) < most:
         best = left[0]
         kept.append(int(best))
-        away = np.linalg.norm(poses[left, :3] - poses[best, :3], axis=1) > apart
-        away |= np.abs(wrap(poses[left, 3] - poses[best, 3])) > turned
-        away[0] = False
-        left = left[away]
+        close = near(poses[left], poses[best], apart, turned)
+        close[0] = True
+        left = left[~close]
     return np.array(kept, np.int64)
+
+
+def near(
+    poses: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    apart: float = APART,
+    turned: float = TURNED,
+) -> NDArray[np.bool_]:
+    """Which of poses (N, 4) belong to the mode at a pose (4,)."""
+    close = np.linalg.norm(poses[:, :3] - pose[:3], axis=1) <= apart
+    return np.asarray(close & (np.abs(wrap(poses[:, 3] - pose[3])) <= turned))
+
+
+def masses(particles: Particles, modes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weight (K,) of the particles that belong to each of modes (K, 4), or to none before it."""
+    left, out = particles.weights, np.zeros(len(modes))
+    for k, mode in enumerate(modes):
+        own = near(particles.poses, mode)
+        out[k] = left[own].sum()
+        left = np.where(own, 0.0, left)
+    return out
 
 
 def moments(

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.options import FilterOptions, Pass
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.pose.window import Window
@@ -32,6 +31,8 @@ class Passes:
 
     modes: Floats
     """(K, 4) poses of the last frame, heaviest first."""
+    particles: Particles
+    """Of the last frame, weighed."""
     history: tuple[PassRecord, ...]
     """All particles; empty unless recorded."""
     counts: list[list[int]]
@@ -41,7 +42,7 @@ class Passes:
 def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
     """Filter the window, from seeds (K, 4) of the last frame, in passes coarse to fine (Sec. 3.5)."""
     options, query, poses = window.options, window.query, window.poses
-    modes, history, counts = seeds, [], []
+    modes, masses, history, counts = seeds, np.ones(len(seeds)), [], []
     steps = np.zeros((len(window), 4))
     steps[1:] = between(poses[:-1], poses[1:])
     total, done = len(options.passes) * len(window), 0
@@ -54,13 +55,17 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
 
     def elsewhere(t: int, count: int) -> Floats:
         """Poses (count, 4) of frame t where that frame alone fits best: a kidnapped camera."""
+        if options.start == "uniform":
+            drawn = everywhere(window, rng)
+            return drawn[rng.choice(len(drawn), count)]
         view, noise = window.views(COARSE)[t], window.scorer.model.noise
         return table_seeds(window.table, [view], poses[[t]], noise, 0, count)[0]
 
     with timed(window.seconds, "filter"):
         for number, spec in enumerate(options.passes):
             # back to the first frame, from where the pass starts
-            start = _start(window, number, spec, compose(modes, between(poses[-1], poses[0])), rng)
+            first = compose(modes, between(poses[-1], poses[0]))
+            start = _later(spec, first, masses, rng) if number else _start(window, spec, first, rng)
             particles = Particles.even(start)
             if window.leaning is not None and not number:
                 ends = compose(start, between(poses[0], poses[-1]))
@@ -68,41 +73,49 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
             filter_ = ParticleFilter(window.scorer, options, rng, particles, spec.particles)
             frames = [s.frame.index for s in window.sightings]
             run = run_pass(filter_, window.views(spec.stride), steps, frames, elsewhere, tick)
-            modes = run.modes
+            modes, masses = run.modes, run.masses
             counts.append(list(run.counts))
             if options.record:
                 history.append(PassRecord(spec.stride, run.record))
-    return Passes(modes, tuple(history), counts)
+    return Passes(modes, run.particles, tuple(history), counts)
 
 
-def _start(window: Window, number: int, spec: Pass, modes: Floats, rng: Generator) -> Floats:
-    """First particles of a pass, as poses (N, 4) of the first frame."""
+def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
+    """First particles of a later pass: in a box around each mode (K, 4), by their masses (K,).
+
+    However light a mode is, it gets a quarter of what an even split would give it.
+    """
+    share = 0.25 / len(modes) + 0.75 * masses / masses.sum()
+    count = np.maximum(1, (spec.particles * share).astype(np.int64))
+    return around(modes, count, spec.box, spec.turn, rng)
+
+
+def _start(window: Window, spec: Pass, modes: Floats, rng: Generator) -> Floats:
+    """First particles of the first pass, as poses (N, 4) of the first frame."""
     options, prior = window.options, window.query.prior
-    if number:
-        kept = modes[: max(1, options.modes)]
-        return around(kept, max(1, spec.particles // len(kept)), spec.box, spec.turn, rng)
     if prior is not None:
         floor = float(floor_under(window.scene, np.array([[prior.x, prior.y]]))[0])
         return near_prior(prior, floor, spec.particles, options, rng)
     if options.start == "uniform":
-        floors = floor_under(window.scene, window.table.positions[:, :2])
-        return everywhere(window.table, floors, options, rng)
+        return everywhere(window, rng)
     return around(modes, max(1, spec.particles // len(modes)), 0.3, 0.1, rng)
 
 
-def everywhere(
-    table: VisibilityTable, floors: Floats, options: FilterOptions, rng: Generator
-) -> Floats:
+def everywhere(window: Window, rng: Generator) -> Floats:
     """The paper's start (Sec. 3.1): `per_cell` poses a free cell and height, yaws at random.
 
-    `table`: of the same spacing; `floors`: (K,) floor under its positions.
+    Which cells are free, the panoramas of the table say; it ranks nothing here. Where a large map
+    makes its grid wider than asked, a cell gets as many more poses.
     """
+    table, options = window.table, window.options
+    floors = floor_under(window.scene, table.positions[:, :2])
     cells = np.unique(np.column_stack([table.positions[:, :2], floors]), axis=0)
-    count = len(options.heights) * options.per_cell
+    each = round(options.per_cell * (table.spacing / options.spacing) ** 2)
+    count = len(options.heights) * each
     out = np.empty((len(cells) * count, 4))
     out[:, :2] = np.repeat(cells[:, :2], count, axis=0)
     out[:, :2] += rng.uniform(-0.5, 0.5, (len(out), 2)) * table.spacing
-    heights = np.tile(np.repeat(options.heights, options.per_cell), len(cells))
+    heights = np.tile(np.repeat(options.heights, each), len(cells))
     out[:, 2] = np.repeat(cells[:, 2], count) + heights
     out[:, 3] = rng.uniform(-np.pi, np.pi, len(out))
     return out

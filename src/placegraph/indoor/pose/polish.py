@@ -13,9 +13,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import between
+from placegraph.geometry import between, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE, spread
-from placegraph.indoor.pose.particles import APART, TURNED, distinct, log_sum, moments
+from placegraph.indoor.pose.particles import (
+    APART,
+    TURNED,
+    distinct,
+    log_sum,
+    masses,
+    moments,
+    near,
+)
 from placegraph.indoor.pose.search import SCREENED
 from placegraph.indoor.pose.window import timed
 
@@ -27,12 +35,19 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.likelihood.view import View
+    from placegraph.indoor.pose.particles import Particles
     from placegraph.indoor.pose.window import Window
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
+WIDENED = 3.0
+"""Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
 _SAMPLES = 56
+_SOFT = 6.0  # nats that count as one among the samples of a fit
+_FINEST = np.diag(NARROWEST**2)
+_KNOWN = WIDENED * _FINEST
+"""Covariance of a fit before the first round."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +57,11 @@ class Fit:
     pose: Floats
     """(4,)"""
     log_likelihood: float
-    """Of the whole window [nat]."""
+    """Of the whole window [nat]; of a mode of particles the log of their weight."""
     spread: Floats
     """(4,) standard deviations from which the next samples would be drawn."""
-    samples: Floats
-    """(N, 4) poses of the last rounds."""
-    values: Floats
-    """(N,) their log-likelihoods."""
+    covariance: Floats
+    """(4, 4)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +87,12 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
     """
     level = levels[0]
     values = scorer.together(starts, level.views, level.steps)
-    fits = [
-        Fit(pose, value, SPREAD, pose[None], np.array([value]))
-        for pose, value in zip(starts, values, strict=True)
-    ]
+    fits = [Fit(pose, value, SPREAD, _KNOWN) for pose, value in zip(starts, values, strict=True)]
     left: list[tuple[Fit, float]] = []  # and how far behind
     for number, level in enumerate(levels):
         # starts within reach of one peak would climb it together: let others have a turn
-        near = _NEAR if number or len(levels) == 1 else {"apart": APART, "turned": TURNED}
-        fits, fallen = _survivors(fits, level, near)
+        reach = _NEAR if number or len(levels) == 1 else {"apart": APART, "turned": TURNED}
+        fits, fallen = _survivors(fits, level, reach)
         top = fits[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
         fits = [_fit(scorer, fit, level, rng) for fit in fits]
@@ -99,19 +109,19 @@ _NEAR = {"apart": 0.3, "turned": 0.2}
 
 
 def _survivors(
-    fits: list[Fit], level: Round, near: Mapping[str, float]
+    fits: list[Fit], level: Round, reach: Mapping[str, float]
 ) -> tuple[list[Fit], list[Fit]]:
     """Distinct fits within the gap, best first, and the other distinct ones."""
     poses = np.array([f.pose for f in fits])
     values = np.array([f.log_likelihood for f in fits])
-    kept = [fits[i] for i in distinct(poses, values, len(fits), **near)]
+    kept = [fits[i] for i in distinct(poses, values, len(fits), **reach)]
     able = [f for f in kept[: level.most] if f.log_likelihood > values.max() - level.gap]
     return able, kept[len(able) :]
 
 
 def refine(scorer: Scorer, pose: Floats, spread: Floats, level: Round, rng: Generator) -> Fit:
     """Fit of one pose (4,), known to about `spread` (4,), to all frames."""
-    return _fit(scorer, Fit(pose, 0.0, spread, pose[None], np.zeros(1)), level, rng)
+    return _fit(scorer, Fit(pose, 0.0, spread, _KNOWN), level, rng)
 
 
 def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
@@ -134,14 +144,32 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     best = int(scores.argmax())
     # the mean of many good samples is smoother than the luckiest of them
     pose = mean if scores[best] - at_mean[0] < 1.0 else drawn[best]
-    return Fit(pose, float(scores[best]), spread, drawn, scores)
+    _, covariance = moments(drawn, np.exp((scores - scores.max()) / _SOFT))
+    return Fit(pose, float(scores[best]), spread, WIDENED * (covariance + _FINEST))
+
+
+def heaviest(particles: Particles, most: int) -> list[Fit]:
+    """At most so many modes of particles as they are, heaviest particle first (Sec. 3.5).
+
+    The first is the maximum likelihood estimate. A mode weighs what the particles within `APART` and
+    `TURNED` of it weigh, and errs as these do.
+    """
+    poses, weights = particles.poses, particles.weights
+    modes = poses[distinct(poses, weights, most)]
+    fits = []
+    for mode, mass in zip(modes, masses(particles, modes), strict=True):
+        own = near(poses, mode)
+        errors = poses[own] - mode
+        errors[:, 3] = wrap(errors[:, 3])
+        covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)
+        spread = np.sqrt(np.diag(covariance))
+        fits.append(Fit(mode, float(np.log(mass)), spread, covariance + _FINEST))
+    return fits
 
 
 def polished(window: Window, modes: Floats, seeds: Floats, rng: Generator) -> list[Fit]:
     """Fits of the last frame's pose to all frames of a window, best first."""
     with timed(window.seconds, "polish"):
-        if not (window.options.polish and window.options.likelihood.tempered):
-            return polish(window.scorer, modes, [round_of(window, FINE, rounds=0, most=8)], rng)
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
             round_of(window, COARSE, rounds=2, most=8, frames=5),
@@ -177,19 +205,14 @@ def probabilities(values: Floats, temperature: float) -> Floats:
     return np.asarray(np.exp(logs - log_sum(logs)))
 
 
-_SOFT = 6.0  # nats that count as one among the samples of a fit
-
-
 TILT = 0.006
 """Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
 
 
 def covariance_of(fit: Fit) -> Floats:
-    """Covariance (6, 6) of a fit from its samples: x, y, z, and a turn about the map's axes."""
-    logs = (fit.values - fit.values.max()) / _SOFT
-    _, covariance = moments(fit.samples, np.exp(logs))
-    whole = np.diag([0.0, 0.0, 0.0, TILT**2, TILT**2, 0.0])
-    whole[np.ix_(_FITTED, _FITTED)] = covariance + np.diag(NARROWEST**2)
+    """Covariance (6, 6) of a fit: x, y, z, and a turn about the map's axes."""
+    whole = np.diag([0.0, 0.0, 0.0, WIDENED * TILT**2, WIDENED * TILT**2, 0.0])
+    whole[np.ix_(_FITTED, _FITTED)] = fit.covariance
     return whole
 
 

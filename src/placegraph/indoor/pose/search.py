@@ -114,9 +114,12 @@ def _best(
     return found[kept], flat[pool][kept].astype(np.float64)
 
 
-def around(seeds: Floats, each: int, box: float, turn: float, rng: Generator) -> Floats:
-    """`each` poses (K * each, 4) spread evenly in a box around each seed; the first is the seed."""
+def around(
+    seeds: Floats, each: int | NDArray[np.int64], box: float, turn: float, rng: Generator
+) -> Floats:
+    """`each` (or each (K,)) poses spread evenly in a box around each seed; the first is the seed."""
     out = np.repeat(seeds, each, axis=0)
     offset = rng.uniform(-1.0, 1.0, out.shape) * np.array([box / 2, box / 2, box / 2, turn])
-    offset[::each] = 0.0
+    count = np.broadcast_to(each, len(seeds))
+    offset[np.cumsum(count) - count] = 0.0
     return out + offset

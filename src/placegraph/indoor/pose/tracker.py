@@ -57,11 +57,20 @@ class Tracker:
     camera
         Camera of the frames; frames of another are refused.
 
+    Raises
+    ------
+    OptionError
+        The options are of a recipe that cannot be followed frame by frame (`FilterOptions.tracked`).
+
     """
 
     def __init__(self, query: PoseQuery, camera: Camera | None = None) -> None:
-        # until the pose is known there are no particles: the table is where a tracker starts
-        self.query = replace(query, options=replace(query.options, start="table"))
+        if not query.options.tracked:
+            raise OptionError(
+                "options: a tracker starts from the table and fits; give start='table' and "
+                "answer='fit', or localize the whole capture."
+            )
+        self.query = query
         self.camera = camera
         self.rng = np.random.default_rng(query.seed)
         self.scorer = Scorer(query.scene, query.options.likelihood, query.device)

@@ -29,8 +29,6 @@ SURE = 0.9
 """Probability of the best mode from which on the answer is `OK`."""
 SURER = 0.999
 """The same where depth alone speaks and the map ends in much of what is seen."""
-WIDENED = 3.0
-"""Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
 LOOSE = 0.35
 """A pose whose position is not known better than this [m] is not `OK`."""
 
@@ -48,11 +46,11 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
     """Estimate of the last frame from fits, best first."""
     with timed(window.seconds, "verdict"):
         steps = between(window.poses[-1], window.poses)
-        views, looked = window.views(FINE), window.newest
-        told_apart = [views[i] for i in looked]
+        judging, looked = window.judging, window.newest
+        told_apart = [judging.views(FINE)[i] for i in looked]
 
         def agreed_at(fit: Fit) -> Agreement:
-            return agreement(window.scorer, fit.pose, told_apart, steps[looked])
+            return agreement(judging.scorer, fit.pose, told_apart, steps[looked])
 
         depth = not np.isnan(agreed_at(fits[0]).depth)
         fits, shares = _shared(window, fits, window.scorer.model.heat(len(looked), depth=depth))
@@ -61,8 +59,8 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             _mode(window, fit, share, agreed[i] if i < len(agreed) else None)
             for i, (fit, share) in enumerate(zip(fits, shares.tolist(), strict=True))
         )
-        told = float(fits[0].log_likelihood) / len(looked)
-        status, reason = _status(window, modes, agreed[0], told)
+        told = judging.scorer.together(fits[0].pose[None], told_apart, steps[looked])[0]
+        status, reason = _status(judging, modes, agreed[0], float(told) / len(looked))
         return PoseEstimate(
             status=status,
             modes=modes,
@@ -76,8 +74,12 @@ def _shared(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Fl
     """Fits, likeliest first, and their probabilities.
 
     What somebody said of the place is no image: it is a witness of its own, and counts in full.
+    Particles have heard it already, and their weights are probabilities.
     """
-    shares = probabilities(np.array([f.log_likelihood for f in fits]), heat)
+    logs = np.array([f.log_likelihood for f in fits])
+    if window.options.answer == "mle":
+        return fits, np.exp(logs)
+    shares = probabilities(logs, heat)
     if window.leaning is None:
         return fits, shares
     shares *= np.exp(window.leaning.at(np.stack([f.pose for f in fits])))
@@ -91,7 +93,7 @@ def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> P
     return PoseMode(
         map_from_camera=matrix,
         pose=fit.pose,
-        covariance=WIDENED * covariance_of(fit),
+        covariance=covariance_of(fit),
         probability=share,
         scene=scene.scenes[row],
         scene_from_camera=scene.scene_from_map[row] @ matrix,
@@ -110,8 +112,8 @@ def _explained(
 
 def evidence_at(window: Window, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
     """Finds what the newest frames say of a pose (4,) of the last one; the frames are let go."""
-    newest = round_of(window, FINE, rounds=0)
-    agreed = agreement(window.scorer, pose, newest.views, newest.steps)
+    newest = round_of(window.judging, FINE, rounds=0)
+    agreed = agreement(window.judging.scorer, pose, newest.views, newest.steps)
     return partial(_explained, window.leaning, window.scene, agreed, pose)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -94,6 +94,19 @@ class Window:
     def leaning(self) -> Leaning | None:
         """What is known beforehand of the last frame's pose."""
         return Leaning.of(self.scene, self.table, self.query.description, self.query.shares)
+
+    @cached_property
+    def judging(self) -> Window:
+        """The same frames by the calibrated likelihood: scores of Eq. 2 are no ratios to judge by."""
+        likelihood = self.options.likelihood
+        if likelihood.kind == "calibrated":
+            return self
+        scorer = Scorer(self.scene, replace(likelihood, kind="calibrated"))
+        return Window(self.query, scorer, self.sightings, self.seconds)
+
+    def last(self, count: int) -> Window:
+        """The newest frames alone, so many at most."""
+        return Window(self.query, self.scorer, self.sightings[-count:])
 
     @cached_property
     def newest(self) -> NDArray[np.int64]:

@@ -52,7 +52,7 @@ def _status(window: Window, told: PoseEstimate) -> tuple[Status, str]:
     pose = told.best.pose
     level = polish.round_of(window, FINE, rounds=0)
     values = window.scorer.together(pose[None], level.views, level.steps)
-    fit = polish.Fit(pose, float(values[0]), polish.NARROWEST, pose[None], values)
+    fit = polish.Fit(pose, float(values[0]), polish.NARROWEST, np.diag(polish.NARROWEST**2))
     alone = verdict(window, [fit])
     if alone.status is Status.OK and not told.refinement.accepted:
         return Status.AMBIGUOUS, told.refinement.reason

@@ -62,8 +62,8 @@ def refined(
     Parameters
     ----------
     window
-        The newest frames of the estimate, `MOST` at most. Senses that were switched off for the filter
-        are off here too.
+        The newest frames of the estimate; of more than `MOST` the newest are refined, except where
+        each is by itself, as in the paper. Senses that were switched off for the filter are off here.
     estimate
         One that is `LOST` is returned as it is.
     refining
@@ -74,6 +74,8 @@ def refined(
     """
     if estimate.best is None or estimate.status is Status.LOST:
         return estimate
+    if refining.options.joint:
+        window = window.last(MOST)
     refiner = Refiner.of(window, refining.options, refining.matcher)
     start = estimate.trajectory[-len(window) :]
     return tried(window, estimate, refiner, start, explained=explained)

@@ -49,9 +49,9 @@ METHODS = {
     "semantic + depth": FilterOptions().only(semantic=True, depth=True),
     "semantic": FilterOptions().only(semantic=True),
     "depth + colour": FilterOptions().only(depth=True, colour=True),
-    "all terms, coarse only": FilterOptions.coarse(),
-    "all terms, without polish": replace(FilterOptions(), polish=False),
+    "all terms, without polish": replace(FilterOptions(), answer="mle"),
     "all terms, paper's recipe": FilterOptions.paper(),
+    "all terms, paper's recipe, coarse": FilterOptions.coarse(),
 }
 
 
@@ -104,7 +104,7 @@ def methods(
     rows = []
     for map_name, path in maps.items():
         for name, options in METHODS.items():
-            if map_name != "house" and name not in {"all terms", "all terms, coarse only"}:
+            if map_name != "house" and name not in {"all terms", "all terms, without polish"}:
                 continue
             for device in ("cpu",) if reason else ("cpu", "cuda"):
                 say(f"{name}, {map_name}, {device}")
