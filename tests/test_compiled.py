@@ -2,8 +2,10 @@
 
 import importlib.util
 import os
+import resource
 import subprocess
 import sys
+import warnings
 from collections import namedtuple
 
 import numpy as np
@@ -146,6 +148,49 @@ def test_a_folder_that_can_no_longer_be_written(total, tmp_path):
     (tmp_path / "kept").touch()
     with pytest.warns(UserWarning, match="cannot be kept in"):
         assert total(np.arange(4.0)) == (18.0, BOTH)
+
+
+def _no_temporary():
+    raise FileNotFoundError("No usable temporary directory found")
+
+
+def _full(*_):
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        ("tempfile.gettempdir", _no_temporary),
+        ("placegraph.kept._write", _full),
+        ("placegraph.kept._writable", lambda _: False),
+    ],
+)
+def test_where_nothing_can_be_written_code_is_compiled_all_the_same(
+    total, monkeypatch, tmp_path, missing
+):
+    (tmp_path / "file").touch()
+    kept.use_folder(tmp_path / "file" / "below")
+    monkeypatch.setattr(*missing)
+    with warnings.catch_warnings(record=True, action="always") as said:
+        assert total(np.arange(4.0)) == (18.0, BOTH)
+        assert total(np.arange(4.0)) == (18.0, BOTH)
+        assert kept.kept("grammar", lambda: b"made", bytes.decode) == "made"
+    told = [str(each.message) for each in said]
+    assert "so that each process compiles anew. Choose a folder" in told[-1]
+    assert len(told) == (2 if missing[1] is _full else 1)  # it fills up while it is written to
+    assert not list(tmp_path.glob("**/*.nbc"))
+
+
+def test_a_full_disk_is_told_from_one_that_takes_files_of_nothing(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    assert kept._writable(tmp_path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        (tmp_path / "empty").touch()
+        assert not kept._writable(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_code_is_never_run_from_a_folder_that_others_can_write(total, tmp_path):

@@ -9,6 +9,7 @@ from numba.core import types
 
 from placegraph import cli, kept, warm
 from placegraph.cli.compiling import Compiling
+from placegraph.errors import OptionError
 
 CALLS = list(dict.fromkeys(call for calls in warm.commands().values() for call in calls))
 SMALL = next(call for call in CALLS if "mesh_order_kernels.code(" in call)
@@ -92,6 +93,19 @@ def test_a_kernel_not_found_has_all_of_its_command_compiled(monkeypatch):
     assert asked == []
     listener(_name(build[0]), done=False)
     assert asked == [build]
+
+
+def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, capsys):
+    monkeypatch.setattr(kept, "_writable", lambda _: False)
+    monkeypatch.setattr(warm, "warm", None)
+    build = warm.commands()["scene build"]
+    with pytest.warns(UserWarning, match="each process compiles anew"):
+        Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
+    monkeypatch.setattr("sys.argv", ["placegraph", "warm"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == OptionError.exit_code
+    assert "--compiled: name a folder that can be written" in capsys.readouterr().err
 
 
 @pytest.mark.all

@@ -186,7 +186,7 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
 
     def _take_lock(self) -> None:
         """Wait for another process that compiles this kernel; a kernel that calls itself has it."""
-        if self._lock is not None:
+        if self._lock is not None or kept.FOLDERS.write is None:
             return
         with suppress(OSError):  # a file system without locks: twice the work, the same code
             folder = kept.FOLDERS.write / self._folder

@@ -4,7 +4,8 @@
 Folders are looked through in this order, and what is new goes to the first that can be written:
 the one that was chosen (`use_folder`, or numba's own setting, ``NUMBA_CACHE_DIR``), and only where
 none was chosen the package's own (``__pycache__/kernels``), then the user's cache. Where none can
-be written, it is kept in a private temporary one, with one warning.
+be written, it is kept in a private temporary one, and where that cannot be either, nothing is
+kept; either with one warning.
 """
 
 from __future__ import annotations
@@ -77,6 +78,7 @@ class _Folders:
 
     def choose(self, folder: Path | None) -> None:
         self.chosen = folder
+        self._private = None
         self.__dict__.pop("write", None)
 
     @property
@@ -85,23 +87,22 @@ class _Folders:
         return self._wanted + private
 
     @cached_property
-    def write(self) -> Path:
-        for folder in self._wanted:
-            if _writable(folder):
-                return folder
-        return self._fallback()
+    def write(self) -> Path | None:
+        """Where what is new goes; None: nowhere."""
+        return next(filter(_writable, self._wanted), None) or self._fallback()
 
     def fell_back(self) -> bool:
         """Whether the private folder is used, which is known once something must be written."""
-        return self.write == self._private
+        return self.write is not None and self.write == self._private
 
     def keep(self, name: str, code: bytes) -> None:
         """Write whole or not at all, so that no reader sees half of it."""
-        try:
-            _write(self.write / name, code)
-        except OSError:  # full by now, or gone
-            self.write = self._fallback()
-            _write(self.write / name, code)
+        while self.write is not None:
+            try:
+                return _write(self.write / name, code)
+            except OSError:  # full by now, or gone
+                self.write = self._fallback()
+        return None
 
     @property
     def _wanted(self) -> list[Path]:
@@ -115,41 +116,58 @@ class _Folders:
         user = AppDirs(appname="placegraph", appauthor=False).user_cache_dir
         return [Path(__file__).parent / "__pycache__" / "kernels", Path(user) / "kernels"]
 
-    def _fallback(self) -> Path:
-        if self._private is None:
-            self._private = _private_folder()
-            wanted = " nor ".join(str(folder) for folder in self._wanted)
-            warnings.warn(
-                f"Compiled code cannot be kept in {wanted}; it is kept in {self._private} for now. "
-                "Choose a folder that can be written, and the next start will be quick.",
-                stacklevel=2,
-            )
-        return self._private
+    def _fallback(self) -> Path | None:
+        """The private folder; None where it cannot be written, or was tried."""
+        tried = self._private is not None
+        self._private = self._private or _private_folder()
+        private = None if tried else self._private
+        wanted = " nor ".join(str(folder) for folder in self._wanted)
+        instead = (
+            f"; it is kept in {private} for now"
+            if private
+            else " nor in a temporary one, so that each process compiles anew"
+        )
+        warnings.warn(
+            f"Compiled code cannot be kept in {wanted}{instead}. Choose a folder that can be "
+            "written (`placegraph --compiled FOLDER`), and the next start will be quick.",
+            stacklevel=2,
+        )
+        return private
 
 
 FOLDERS = _Folders()
 _LISTENERS: list[Callable[[str, bool], None]] = []
+_PROBE = 1 << 16
+"""Bytes that a folder must take to be written to: a full disk still makes empty files."""
 
 
 def _writable(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_PROBE))
     except OSError:
         return False
     return True
 
 
-def _private_folder() -> Path:
-    """One folder for each user, and nobody else's: code is run from it."""
-    folder = Path(tempfile.gettempdir()) / f"placegraph-{os.getuid()}"
+def _private_folder() -> Path | None:
+    """One folder for each user, and nobody else's: code is run from it; None: none can be written."""
     with suppress(OSError):
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
-        if ours and not found.st_mode & 0o077:
+        folder = Path(tempfile.gettempdir()) / f"placegraph-{os.getuid()}"
+        with suppress(OSError):
+            folder.mkdir(mode=0o700)
+        if not _is_ours(folder):
+            folder = Path(tempfile.mkdtemp(prefix="placegraph-"))
+        if _writable(folder):
             return folder
-    return Path(tempfile.mkdtemp(prefix="placegraph-"))
+    return None
+
+
+def _is_ours(folder: Path) -> bool:
+    found = folder.lstat()
+    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+    return ours and not found.st_mode & 0o077
 
 
 def _write(path: Path, code: bytes) -> None:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from placegraph import kept
 from placegraph.cli.common import Quiet, progress_of
+from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +28,7 @@ class Compiling:
 
     def __call__(self, name: str, done: bool) -> None:
         """Take part: `kept.listening`."""
-        if done or self._busy:
+        if done or self._busy or kept.FOLDERS.write is None:  # what others compile would be lost
             return
         from placegraph.warm import calls_with, missing
 
@@ -62,9 +64,10 @@ def warm_up(quiet: Quiet = False) -> None:
     Code is kept beside the package or in your cache folder, or in `placegraph --compiled FOLDER`,
     and is valid for this processor, this Python and this version of numba.
     """
-    from placegraph.kept import FOLDERS
     from placegraph.warm import commands, missing
 
+    if kept.FOLDERS.write is None:
+        raise OptionError("--compiled: name a folder that can be written; nothing is kept else.")
     start = perf_counter()
     calls = list(dict.fromkeys(call for its in commands().values() for call in its))
     lacking = missing(calls)
@@ -75,7 +78,7 @@ def warm_up(quiet: Quiet = False) -> None:
         seconds = perf_counter() - start
         click.echo(
             f"{len(lacking) - len(failed)} of {len(calls)} functions compiled in {seconds:.0f} s; "
-            f"all are kept in {FOLDERS.write}."
+            f"all are kept in {kept.FOLDERS.write}."
         )
     if failed:
         sys.exit(1)
