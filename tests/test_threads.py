@@ -1,5 +1,6 @@
 """Ranges shared among threads: every row once, from as many threads at once as one likes."""
 
+import os
 import threading
 
 import numpy as np
@@ -38,6 +39,29 @@ def test_many_ask_at_once():
     for thread in asked:
         thread.join()
     assert all((out == i).all() for i, out in enumerate(outs))
+
+
+def _sees_every_row():
+    out = np.zeros(1000, np.int64)
+    share(_count, 1000, 3, out)
+    return (out == 3).all()
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.skipif(processors() < 2, reason="one processor has no helpers")
+def test_helpers_are_kept_and_a_fork_has_its_own():
+    def helpers():
+        return {t.ident for t in threading.enumerate() if t.name.startswith("placegraph")}
+
+    assert _sees_every_row()
+    before = helpers()
+    assert 0 < len(before) < processors()
+    assert _sees_every_row()
+    assert before <= helpers()
+    child = os.fork()
+    if not child:
+        os._exit(0 if _sees_every_row() else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_one_thread_is_the_caller():

@@ -10,6 +10,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -57,8 +58,15 @@ def share(work: Callable[..., None], count: int, *inputs: object) -> None:
         for first, last in rest:
             work(*inputs, first, last)
 
-    with ThreadPoolExecutor(threads - 1) as pool:
-        helpers = [pool.submit(take_parts) for _ in range(threads - 1)]
-        take_parts()
-        for helper in helpers:
+    pool = _helpers(os.getpid())
+    helpers = [pool.submit(take_parts) for _ in range(threads - 1)]
+    take_parts()
+    for helper in helpers:
+        if not helper.cancel():  # one that has not begun would find nothing left
             helper.result()
+
+
+@cache
+def _helpers(_process: int) -> ThreadPoolExecutor:
+    """Threads of this process, kept: starting one takes as long as a small loop."""
+    return ThreadPoolExecutor(max(processors() - 1, 1), thread_name_prefix="placegraph")
