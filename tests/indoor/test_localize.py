@@ -261,6 +261,11 @@ def test_the_odometrys_frame_does_not_matter(room, walk, truth):
     right(room.localize(frames), truth(walk)[4], 0.1, 2.0)
 
 
+def test_labels_are_asked_for_where_there_are_instances(room, walk):
+    with pytest.raises(pg.errors.OptionError, match="ids of objects without names"):
+        room.localize(walk, frames=TWO, encoder="labels")
+
+
 def test_the_map_is_only_read(room_world, walk):
     path = room_world.folder / "flat.scene"
     before = hashlib.sha256(path.read_bytes()).digest()

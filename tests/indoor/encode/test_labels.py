@@ -96,8 +96,21 @@ def test_frames_without_labels():
     bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA)
     assert LabelsEncoder().patches(bare) is None
     assert LabelsEncoder().camera(bare) == CAMERA
-    nameless = frame({}, [0, 1, 2, 3, 4, 5, 6, 7], "instances")
-    assert not LabelsEncoder().patches(nameless).any()
+
+
+def test_ids_of_instances_are_labels_where_they_have_names(scene):
+    image = frame({}, [0, 1, 2, 3, 4, 5, 6, 7], "instances")
+    assert LabelsEncoder().patches(image) is None
+    with pytest.raises(OptionError, match="ids of objects without names"):
+        bound(LabelsEncoder(), scene).encode(image)
+    named = frame({3: "chair"}, [3] * 8, "instances")
+    assert (LabelsEncoder().patches(named) @ LabelsEncoder().vector("chair") > 0.99).all()
+
+
+def test_labels_that_say_nothing_are_none(scene):
+    image = frame({0: "unknown"}, [0] * 8)
+    assert not LabelsEncoder().patches(image).any()
+    assert bound(LabelsEncoder(), scene).encode(image) is None
 
 
 def test_a_merged_map_has_the_labels_of_all_its_scenes(scene):

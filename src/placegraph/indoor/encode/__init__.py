@@ -153,9 +153,19 @@ class BoundEncoder:
     """(N, d) of the objects."""
 
     def encode(self, frame: Frame) -> Patches | None:
-        """Cosines of a frame's patches with all objects; None where it has nothing to encode."""
+        """Cosines of a frame's patches with all objects; None where it has nothing to encode.
+
+        Raises `OptionError` where names are to be read, and the frame has ids of instances alone.
+        """
+        named = self.encoder.name == "labels"
         image = patches_of(self.encoder, frame)
-        if image is None:
+        if named and image is None and frame.label_kind == "instances":
+            raise OptionError(
+                "encoder 'labels': the frames' label images hold ids of objects without names. "
+                "Leave encoder out to compare ids, or open the labels, where there are some: "
+                'open_capture(path, labels="labels").'
+            )
+        if image is None or not image.any():
             return None
         flat = image.reshape(-1, image.shape[2])
         telling = flat.any(axis=1)
@@ -169,7 +179,7 @@ class BoundEncoder:
             rows=rows,
             table=said @ self.vectors.T,
             temperature=self.encoder.temperature,
-            named=self.encoder.name == "labels",
+            named=named,
         )
 
 

@@ -87,11 +87,12 @@ class LabelsEncoder:
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         """Vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
 
-        None where there is neither a segmenter nor a label image. Raises `OptionError` where a
-        segmenter's answer is not what it should be, `InputError` where an image is broken.
+        None where there is neither a segmenter nor a label image whose ids have names. Raises
+        `OptionError` where a segmenter's answer is not what it should be, `InputError` where an
+        image is broken.
         """
         if self.segmenter is None:
-            ids = image.labels()
+            ids = image.labels() if image.label_names else None
             return None if ids is None else self._of_ids(ids, image.label_names)
         if isinstance(self.segmenter, Segmenter):
             return self._of_ids(_ids(self.segmenter.labels(image.rgb())), self.segmenter.names)
