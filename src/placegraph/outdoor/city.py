@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,7 +80,8 @@ class CityMap(City):
         answers
             Answers to earlier questions of `CityEstimate.next_question`.
         matching
-            `matcher`, `by`, `candidates`, `store`, `region`, `encoded`: see `Matching`.
+            `preset` (`Matching.preset`), and what overrides it: `matcher`, `score`, `by`,
+            `candidates`, `store`, `region`, `encoded`; see `Matching`.
 
         Returns
         -------
@@ -100,7 +102,8 @@ class CityMap(City):
         from placegraph.outdoor.search.request import Matching
 
         hints = Hints(near, radius, heading, listener, answers)
-        by = Matching(**matching, shipped=lambda: self.encoded)
+        chosen = Matching.preset(matching.pop("preset", "default"), **matching)
+        by = replace(chosen, shipped=lambda: self.encoded)
         return locate(self, text, top=top, hints=hints, matching=by)
 
     def track(

@@ -115,6 +115,30 @@ def test_defaults_are_those_of_the_library():
         assert options[name].default == getattr(TrainOptions(), name), name
 
 
+def test_sizes_and_losses_are_those_of_the_library():
+    options = inspect.signature(city_train.train).parameters
+    for name in ("layers", "crossings", "heads", "statements"):
+        assert options[name].default == getattr(TrainOptions().shape, name), name
+    assert tuple(options["losses"].default.split(",")) == TrainOptions().losses
+
+
+@pytest.mark.usefixtures("needs_torch")
+def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
+    out = tmp_path / "paper.weights"
+    made = run(
+        "city", "train", city, "-o", out, "--work", tmp_path / "work", "--pools", pools, *TINY,
+        "--losses", "eq17,eq18", "--no-statements", "--layers", 1, "--crossings", 1, "--heads", 2,
+    )  # fmt: skip
+    assert (made.code, made.err) == (0, "")
+    assert made.out.split()[:3] == ["epoch", "eq17", "eq18"]
+    shape = read_weights(out).shape
+    assert (shape.layers, shape.crossings, shape.heads, shape.statements) == (1, 1, 2, False)
+    found = run("city", "locate", city, TEXT, "--preset", "paper", "--weights", out, "--json")
+    assert found.json["modes"]
+    odd = run("city", "train", city, "-o", out, "--work", tmp_path / "odd", *TINY, "--heads", 5)
+    assert (odd.code, "width 48 for 5 heads" in odd.err) == (7, True)
+
+
 def test_what_cannot_be_trained_is_refused_at_once(run, city, tmp_path, monkeypatch):
     out, work = tmp_path / "a.weights", tmp_path / "work"
     train = ("city", "train", city)
@@ -158,6 +182,24 @@ def test_locate_by_other_weights_and_matchers(run, city, weights):
             )  # fmt: skip
             assert found.code == 0
             assert found.json["modes"]
+
+
+def test_presets_and_what_overrides_them(run, city, weights):
+    def modes(*options):
+        found = run("city", "locate", city, TEXT, "--json", "--weights", weights, *options)
+        assert found.code == 0, found.err
+        return found.json["modes"]
+
+    paper = modes("--preset", "paper")
+    spelled = ("--matcher", "transformer", "--score", "cosine", "--candidates-by", "dense")
+    assert modes(*spelled, "--candidates", 10) == paper
+    assert modes("--preset", "paper", "--score", "logit") != paper
+    few = modes("--preset", "paper", "--candidates", 2)
+    assert len(few) == 2
+    edits = modes("--preset", "paper", "--matcher", "edit-distance-plain", "--candidates", 2)
+    assert len(edits) == 2
+    lost = run("city", "locate", city, TEXT, "--score", "cosine")
+    assert (lost.code, "the transformer alone has one" in lost.err) == (7, True)
 
 
 def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):

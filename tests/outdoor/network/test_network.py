@@ -140,6 +140,23 @@ def test_cross_attention_sees_the_partner(network, make_network, texts, places, 
     assert np.abs(of_text - of_text[0]).max() < 1e-6
 
 
+def test_without_statements_only_the_embeddings_are_judged(
+    make_network, texts, places, words, some
+):
+    """The paper's joint model: what a text says word for word, and how its ends fare, is not told."""
+    paper = make_network(statements=False)
+    assert not any("verdict" in name or "evidence" in name for name in paper.arrays)
+    loud = replace(paper, arrays=paper.arrays | {"prior": 9.0 * paper.arrays["prior"]})
+    once, again = (n.match(texts, 0, places, some, words) for n in (paper, loud))
+    assert once.logit.tolist() == again.logit.tolist()
+    assert not once.residual.any()
+    # cross attention is there all the same
+    blind = make_network(statements=False, crossings=0)
+    assert np.ptp(once.cosine) > 0.0
+    alone = blind.match(texts, 0, places, some, words)
+    assert once.cosine != pytest.approx(alone.cosine, abs=1e-3)
+
+
 def test_a_place_without_things_is_a_place(network, texts, harbour, words):
     from placegraph.graph import SceneGraph
 
@@ -187,7 +204,15 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
 
 @pytest.mark.parametrize(
     "sizes",
-    [{}, {"layers": 0}, {"crossings": 0}, {"heads": 1, "subwords": 2.0}, {"known": WORD_VECTORS}],
+    [
+        {},
+        {"layers": 0},
+        {"crossings": 0},
+        {"heads": 1, "subwords": 2.0},
+        {"known": WORD_VECTORS},
+        {"statements": False},
+        {"statements": False, "crossings": 0},
+    ],
 )
 def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
     ours = make_network(**sizes)
@@ -226,7 +251,7 @@ def test_weights_have_the_names_and_shapes_of_torch(make_network):
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
     from placegraph_lab.train.city.torch_network import Network
 
-    for sizes in ({}, {"layers": 3, "crossings": 1}, {"crossings": 0}):
+    for sizes in ({}, {"layers": 3, "crossings": 1}, {"crossings": 0}, {"statements": False}):
         shape = make_network(**sizes).shape
         state = Network(shape).state_dict()
         assert {n: tuple(p.shape) for n, p in state.items()} == shape.arrays()

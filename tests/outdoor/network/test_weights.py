@@ -105,6 +105,13 @@ def test_fingerprints_tell_networks_apart(made):
     assert replace(made, training={}).fingerprint == made.fingerprint
 
 
+def test_weights_of_before_are_those_with_statements(file, made):
+    plain = {k: v for k, v in made.shape.to_dict().items() if k != "statements"}
+    found = read_weights(rewritten(file, meta={"shape": plain}))
+    assert found.shape == made.shape
+    assert found.fingerprint == made.fingerprint
+
+
 def test_the_shipped_network_is_sound():
     if not shipped().exists():
         pytest.skip("no weights are shipped yet")
@@ -112,6 +119,7 @@ def test_the_shipped_network_is_sound():
     network = GraphTransformer.default()
     assert network is GraphTransformer.default()
     assert network.shape.dimension == 64
+    assert network.fingerprint == "b912c5c859e73f93"  # vectors that were kept are told by it
 
 
 @pytest.mark.parametrize(

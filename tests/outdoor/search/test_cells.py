@@ -17,6 +17,7 @@ from placegraph.outdoor.search.candidates import (
     views_by,
     views_in,
 )
+from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.request import MATCHERS, WAYS, Matching, Request, within
 from placegraph.outdoor.search.viewpoints import closer, score
 from placegraph.vectors import Neighbours, Origin, Region
@@ -55,7 +56,7 @@ def whole(city):
 @pytest.mark.parametrize("matcher", MATCHERS)
 @pytest.mark.parametrize("by", WAYS)
 def test_every_matcher_ranks_the_cells_of_every_way(matcher, by, harbour, encoded, text):
-    if (matcher, by) == ("edit-distance", "all"):
+    if matcher.startswith("edit-distance") and by == "all":
         pytest.skip("edit distance of all cells takes seconds")
     found = retrieve(
         harbour, text, matcher=matcher, by=by, candidates=6, top=4, encoded=encoded, timeout=0.01
@@ -190,6 +191,8 @@ def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
         ({"matcher": "luck"}, r"matcher 'luck'.*relational"),
         ({"by": "magic"}, r"by 'magic'.*sparse"),
         ({"candidates": 0}, r"candidates is 0"),
+        ({"matcher": "transformer", "score": "luck"}, r"score is 'luck'.*logit, cosine"),
+        ({"matcher": "relational", "score": "logit"}, r"'relational'; the transformer alone"),
         ({"top": 0}, r"top is 0"),
     ],
 )
@@ -216,7 +219,7 @@ def test_the_encoded_city_is_read_once(harbour, encoded):
 def test_locating_by_any_matcher_and_way(harbour, encoded, text):
     for matcher in MATCHERS:
         for by in ("auto", *WAYS):
-            if matcher == "edit-distance" and by in ("all", "both", "auto"):
+            if matcher.startswith("edit-distance") and by in ("all", "both", "auto"):
                 continue
             found = harbour.locate(text, matcher=matcher, by=by, candidates=8, encoded=encoded)
             total = sum(mode.probability for mode in found.modes)
@@ -394,6 +397,57 @@ def test_embeddings_alone_are_never_sure(harbour, encoded, text):
     assert sure.status is Status.OK
     assert found.status is not Status.OK
     assert sum(mode.probability for mode in found.modes) <= 0.4 + 1e-9
+
+
+def test_the_transformer_ranks_by_either_score(harbour, encoded, text, query):
+    for by, field in (("cosine", "cosine"), ("logit", "logit"), (None, "logit")):
+        found = retrieve(
+            harbour, text, matcher="transformer", score=by, by="all", top=9, encoded=encoded
+        )
+        rows = np.arange(len(harbour.cells))
+        match = encoded.match(encoded.text(query), encoded.cells, rows)
+        best = np.sort(getattr(match, field))[::-1][:9]
+        assert found.scores == pytest.approx(best, rel=1e-4, abs=1e-4)
+        assert found.scores == pytest.approx(getattr(match, field)[found.rows], rel=1e-4, abs=1e-4)
+
+
+def test_plain_edit_distance_is_the_textbooks(harbour, encoded, text):
+    found = retrieve(
+        harbour, text, matcher="edit-distance-plain", by="sparse", candidates=3, encoded=encoded
+    )
+    graphs = [harbour.graph(cell) for cell in found.cells]
+    ranked = rank(text, graphs, timeout=0.1, plain=True)
+    assert -found.scores == pytest.approx(ranked.costs)
+    assert (found.scores < 0.0).all()  # a cell holds more than a text tells: that costs
+
+
+def test_presets_give_way_to_what_is_said():
+    paper = Matching.preset("paper")
+    assert (paper.matcher, paper.score, paper.by, paper.candidates) == (
+        "transformer", "cosine", "dense", 10,
+    )  # fmt: skip
+    assert vars(Matching.preset("default")) == vars(Matching())
+    assert Matching.preset("published").matcher == "embedding"
+    assert Matching.preset("paper", score="logit").score == "logit"
+    rules = Matching.preset("paper", matcher="edit-distance-plain", candidates=5)
+    assert (rules.score, rules.by, rules.candidates) == (None, "dense", 5)
+    with pytest.raises(OptionError, match=r"preset is 'mine'.*paper"):
+        Matching.preset("mine")
+    with pytest.raises(OptionError, match="the transformer alone"):
+        Matching.preset("paper", matcher="relational", score="cosine")
+
+
+def test_locating_as_the_paper_does(harbour, encoded, text):
+    paper = harbour.locate(text, preset="paper", encoded=encoded)
+    spelled = harbour.locate(
+        text, matcher="transformer", score="cosine", by="dense", candidates=10, encoded=encoded
+    )
+    assert [m.cell for m in paper.modes] == [m.cell for m in spelled.modes]
+    assert paper.best.probability == pytest.approx(spelled.best.probability)
+    sharp = harbour.locate(text, preset="paper", score="logit", encoded=encoded)
+    assert [m.probability for m in sharp.modes] != pytest.approx(
+        [m.probability for m in paper.modes], abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("matcher", ["transformer", "embedding", "edit-distance"])

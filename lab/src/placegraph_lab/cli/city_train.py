@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.network.weights import Weights
 
+NETWORK = "The network and its losses"
+
 
 def train(
     maps: Annotated[list[Path], Argument(help="City maps (.city) to train on, one or several.")],
@@ -33,6 +35,27 @@ def train(
         int, Option(least=1, help="Descriptions of a city, never learned, for the curves.")
     ] = 500,
     rate: Annotated[float, Option(help="Largest learning rate.")] = 2e-3,
+    losses: Annotated[
+        str,
+        Option(
+            help="With commas: match, similarity, embedding, fusion; eq17, eq18 are the paper's "
+            "as printed.",
+            panel=NETWORK,
+        ),
+    ] = "match,similarity,embedding,fusion",
+    layers: Annotated[int, Option(least=0, help="GPS layers of a side.", panel=NETWORK)] = 2,
+    crossings: Annotated[
+        int, Option(least=0, help="Layers of cross attention; 0 for none.", panel=NETWORK)
+    ] = 2,
+    heads: Annotated[int, Option(least=1, help="Of attention.", panel=NETWORK)] = 4,
+    statements: Annotated[
+        bool,
+        Option(
+            "--statements/--no-statements",
+            help="Judge every statement by what its ends find; without, the paper's joint model.",
+            panel=NETWORK,
+        ),
+    ] = True,
     seed: Annotated[
         int, Option(least=0, help="The same seed, the same descriptions and weights.")
     ] = 0,
@@ -55,6 +78,7 @@ def train(
     from time import perf_counter
 
     from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.network.weights import Shape
     from placegraph.store import writing
     from placegraph_lab.cli.city_train_shown import Shown, draw
     from placegraph_lab.train.city.options import TrainOptions
@@ -67,7 +91,9 @@ def train(
         batch=batch,
         check=check,
         rate=rate,
+        losses=tuple(name.strip() for name in losses.split(",")),
         seed=seed,
+        shape=Shape(layers=layers, crossings=crossings, heads=heads, statements=statements),
         word_vectors=None if word_vectors is None else str(word_vectors),
     )
     names = _names(maps)

@@ -12,11 +12,14 @@ import click
 from placegraph.cli.city.options import (
     KNOWN,
     WRITTEN,
+    Candidates,
     CandidatesBy,
     MapFile,
     Matcher,
     Near,
+    Preset,
     Radius,
+    Score,
     Store,
     Top,
     Weights,
@@ -49,8 +52,11 @@ def locate(
     listener: Annotated[
         str | None, Option(help="LON,LAT of 'you' in the text, where that is known.", panel=KNOWN)
     ] = None,
-    matcher: Matcher = "relational",
-    candidates_by: CandidatesBy = "auto",
+    preset: Preset = "default",
+    matcher: Matcher = None,
+    score: Score = None,
+    candidates_by: CandidatesBy = None,
+    candidates: Candidates = None,
     store: Store = None,
     weights: Weights = None,
     ask: Annotated[bool, Option("--ask", help="Ask back until the place is clear.")] = False,
@@ -71,7 +77,9 @@ def locate(
     city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
-    with matching(city, matcher, candidates_by, store, weights) as how:
+    how_judged = {"preset": preset, "matcher": matcher, "score": score}
+    how_found = {"by": candidates_by, "candidates": candidates}
+    with matching(city, store, weights, **how_judged, **how_found) as how:
 
         def estimated() -> CityEstimate:
             return city.locate(

@@ -27,21 +27,41 @@ Near = Annotated[
 Radius = Annotated[
     float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
 ]
-Matcher = Annotated[
+Preset = Annotated[
     str,
     Option(
-        help="What judges places: fused (relations and network), or one alone: relational, "
-        "transformer, embedding, edit-distance.",
+        help="default; paper: transformer by cosine on the 10 best by embedding; published: "
+        "embedding alone, as the paper's code works. The options below override it.",
+        panel=JUDGED,
+    ),
+]
+Matcher = Annotated[
+    str | None,
+    Option(
+        help="What judges places: relational (if nothing is said), fused (relations and network), "
+        "transformer, embedding, edit-distance, edit-distance-plain (the paper's costs).",
+        panel=JUDGED,
+    ),
+]
+Score = Annotated[
+    str | None,
+    Option(
+        help="What the transformer ranks by: logit (matching log odds, if nothing is said) or "
+        "cosine (of the joint embeddings, as in the paper).",
         panel=JUDGED,
     ),
 ]
 CandidatesBy = Annotated[
-    str,
+    str | None,
     Option(
         help="Where places to judge come from: sparse (inverted index), dense (embeddings), both, "
-        "all, or auto: both with --store, dense in very large maps, else sparse.",
+        "all, or auto (if nothing is said): both with --store, else sparse.",
         panel=JUDGED,
     ),
+]
+Candidates = Annotated[
+    int | None,
+    Option(help="How many cells are judged; 50 if nothing is said.", panel=JUDGED),
 ]
 Store = Annotated[
     str | None,
@@ -59,13 +79,13 @@ Weights = Annotated[
 
 @contextmanager
 def matching(
-    city: CityMap, matcher: str, by: str, store: str | None, weights: Path | None
+    city: CityMap, store: str | None, weights: Path | None, **chosen: str | int | None
 ) -> Iterator[dict[str, Any]]:
-    """Arguments of `CityMap.locate`; a store is closed at the end.
+    """Arguments of `CityMap.locate`, those `chosen` that are not None; a store is closed at the end.
 
     Raises `StoreError` where the store is of another map or of other weights.
     """
-    arguments: dict[str, Any] = {"matcher": matcher, "by": by}
+    arguments: dict[str, Any] = {k: v for k, v in chosen.items() if v is not None}
     encoded = _encoded(city, weights)
     if encoded is not None:
         arguments["encoded"] = encoded

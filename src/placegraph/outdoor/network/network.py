@@ -219,23 +219,33 @@ class GraphTransformer:
             total += verdict
         e_t = self._pool("pool_text", t, pairs.t_starts)
         e_m = self._pool("pool_place", m, pairs.m_starts)
-        hidden = self._linear("judge.0", np.column_stack([e_t, e_m, e_t * e_m]))
-        judged = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0]
+        both = [e_t, e_m, e_t * e_m] if self.shape.statements else [e_t, e_m]
+        hidden = self._linear("judge.0", np.column_stack(both))
+        logit = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0]
         lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
         cosine = (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5)
-        logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0] + judged
+        if self.shape.statements:
+            logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0] + logit
         return Matches(logit, cosine, stands.embeddings @ said.embeddings[0], total[:, 1])
 
     def _cross(
         self, name: str, t: Floats, m: Floats, pairs: _Pairs
-    ) -> tuple[Floats, Floats, Floats]:
-        """Cross attention both ways, and what the statements say (K,) of what they attend to."""
+    ) -> tuple[Floats, Floats, Floats | float]:
+        """Cross attention both ways, and what the statements say (K, 2) of what they attend to."""
         seen, meant, weights = kernels.cross_attention(
             (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
             (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
             pairs.t_starts, pairs.m_starts, pairs.agreement,
             self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], self.shape.heads,
         )  # fmt: skip
+        told, verdict = self._heard(name, weights, pairs) if self.shape.statements else (0.0, 0.0)
+        t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told)
+        m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
+        t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
+        return t, m, verdict
+
+    def _heard(self, name: str, weights: Floats, pairs: _Pairs) -> tuple[Floats, Floats]:
+        """What statements tell their ends (N, d), and what they say in all (K, 2)."""
         features = kernels.heard(
             weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
             pairs.ends, pairs.known, pairs.bounds,
@@ -246,10 +256,7 @@ class GraphTransformer:
         told = kernels.add_to_ends(
             self._linear(f"{name}.said", evidence), pairs.ends, pairs.bounds, pairs.t_starts
         )
-        t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told)
-        m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
-        t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
-        return t, m, verdict.sum(axis=1)
+        return told, verdict.sum(axis=1)
 
     def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> States:
         """GPS layers: messages along labelled edges plus attention to the whole graph."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,6 +42,10 @@ class Shape:
     """Numbers by which a statement is judged."""
     subwords: float = 1.0
     """Length of what a word's subwords add together, against 1 of the whole word (`labels`)."""
+    statements: bool = field(default=True, repr=False)  # the weights' names tell it in the print
+    """Whether statements are judged by what their ends have found, beginning with what they say
+    literally. Without, the joint model is the paper's: cross attention, and a perceptron on the two
+    joint embeddings (Eq. 14-17)."""
 
     def arrays(self) -> dict[str, tuple[int, ...]]:  # noqa: C901  # one line a weight
         """Shape of every weight, by PyTorch's names."""
@@ -86,12 +90,13 @@ class Shape:
                 norm(f"{layer}.norm_{side}")
                 feed(f"{layer}.feed_{side}")
             found[f"{layer}.nothing"] = found[f"{layer}.word"] = (2, heads)
-            linear(f"{layer}.evidence", e, 3 * heads + LITERAL + len(CHANNELS) + 3)
-            linear(f"{layer}.said", 2 * d, e, bias=False)
-            linear(f"{layer}.verdict", 2, e, bias=False)
+            if self.statements:
+                linear(f"{layer}.evidence", e, 3 * heads + LITERAL + len(CHANNELS) + 3)
+                linear(f"{layer}.said", 2 * d, e, bias=False)
+                linear(f"{layer}.verdict", 2, e, bias=False)
         pool("pool_text")
         pool("pool_place")
-        linear("judge.0", out, 3 * out)
+        linear("judge.0", out, (3 if self.statements else 2) * out)
         linear("judge.2", 1, out)
         found["prior"] = (3,)
         return found
@@ -103,9 +108,10 @@ class Shape:
     @classmethod
     def from_dict(cls, plain: dict[str, float]) -> Shape:
         """Undo `to_dict`; raises `TypeError` or `ValueError` where it is no shape."""
-        sizes = {k: float(v) if k == "subwords" else int(v) for k, v in dict(plain).items()}
-        shape = cls(**sizes)  # type: ignore[arg-type]
+        kinds = {"subwords": float, "statements": bool}
+        shape = cls(**{k: kinds.get(k, int)(v) for k, v in dict(plain).items()})  # type: ignore[arg-type]
         numbers = asdict(shape)
+        del numbers["statements"]
         least = {"layers": 0, "crossings": 0, "subwords": 0.0}
         if any(not least.get(k, 1) <= v <= 4096 for k, v in numbers.items()):
             raise ValueError(f"sizes {numbers}")

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.map.city import City
 
-SHARPNESS = {"transformer": 1.0, "edit-distance": 1.0, "embedding": 20.0}
-"""What a matcher's score is multiplied by to be a log-likelihood."""
+SHARPNESS = 20.0
+"""What a cosine is multiplied by to be a log-likelihood, as log odds and minus edits are."""
 TIMEOUT = 0.1
 """Of one edit distance [s]."""
 
@@ -84,7 +84,8 @@ def search_cells(asked: Request) -> Posterior:
         return Posterior(np.zeros((0, 2)), np.zeros(0), 1.0)
     centers, known = asked.city.cells.centers(rows), asked.known
     log_prior = known.log(centers) if known.informative else np.full(len(rows), -np.log(len(rows)))
-    log_odds = SHARPNESS[asked.matching.matcher] * (scores - scores.max())
+    cosines = asked.matching.score == "cosine" or asked.matching.matcher == "embedding"
+    log_odds = (SHARPNESS if cosines else 1.0) * (scores - scores.max())
     return posterior(centers, log_odds + np.log(len(rows)), log_prior, -np.inf)
 
 
@@ -97,12 +98,13 @@ def rank_cells(
         return rows, np.zeros(0)
     match asked.matching.matcher:
         case "transformer":
-            logit = asked.encoded.match(asked.text, asked.encoded.cells, rows).logit
-            return rows, logit.astype(np.float64)
+            match = asked.encoded.match(asked.text, asked.encoded.cells, rows)
+            scores = match.cosine if asked.matching.score == "cosine" else match.logit
+            return rows, scores.astype(np.float64)
         case "embedding":
             cosine = asked.encoded.embeddings[rows] @ asked.embedding[0]
             return rows, cosine.astype(np.float64)
-        case "edit-distance":
+        case "edit-distance" | "edit-distance-plain":
             return rows, _by_edits(asked, rows, timeout)
         case _:
             return rows, _relational(asked, rows)
@@ -114,7 +116,10 @@ def _by_edits(asked: Request, rows: NDArray[np.int64], timeout: float) -> NDArra
 
     cells = asked.city.cells
     graphs = [asked.city.graph(cells.id_of(row)) for row in rows]
-    ranked = rank(asked.query.description, graphs, centers=cells.centers(rows), timeout=timeout)
+    ranked = rank(
+        asked.query.description, graphs, centers=cells.centers(rows), timeout=timeout,
+        plain=asked.matching.matcher == "edit-distance-plain",
+    )  # fmt: skip
     scores = np.empty(len(rows))
     scores[ranked.rows] = -ranked.costs
     return scores

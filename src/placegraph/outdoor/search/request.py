@@ -13,6 +13,7 @@ from placegraph.outdoor.search.whereabouts import Whereabouts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any, Unpack
 
     from numpy.typing import NDArray
 
@@ -21,24 +22,43 @@ if TYPE_CHECKING:
     from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
     from placegraph.vectors import Region, VectorStore
 
-Matcher = Literal["fused", "relational", "transformer", "edit-distance", "embedding"]
+Matcher = Literal[
+    "fused", "relational", "transformer", "edit-distance", "edit-distance-plain", "embedding"
+]
 """fused: relational matching, shifted by the network; relational; the network alone (Eq. 14-17);
-graph edit distance; the cosine of the graph embeddings alone (Eq. 11)."""
+graph edit distance at our costs, or at the paper's; the cosine of the graph embeddings alone
+(Eq. 11)."""
+Score = Literal["logit", "cosine"]
+"""What the transformer ranks by: log odds of the matching probability (Eq. 17), which rest on what
+the statements say literally, or the cosine of the joint embeddings (Eq. 15-16)."""
+Preset = Literal["default", "paper", "published"]
 By = Literal["sparse", "dense", "both", "all"]
 """Candidates by the inverted index of viewpoints, by embeddings, by both in turn, or all cells."""
 MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
+SCORES: tuple[Score, ...] = get_args(Score)
 WAYS: tuple[By, ...] = get_args(By)
 
 
 class MatchingOptions(TypedDict, total=False):
-    """Fields of `Matching`, as a user names them in `CityMap.locate`."""
+    """`preset` and fields of `Matching`, as a user names them in `CityMap.locate`."""
 
+    preset: Preset
     matcher: Matcher
+    score: Score | None
     by: By | Literal["auto"]
     candidates: int
     store: VectorStore | None
     region: Region | None
     encoded: EncodedCity | None
+
+
+PRESETS: dict[Preset, MatchingOptions] = {
+    "default": {},
+    "paper": {"matcher": "transformer", "score": "cosine", "by": "dense", "candidates": 10},
+    "published": {"matcher": "embedding", "by": "dense", "candidates": 10},
+}
+"""The paper's pipeline (Eq. 9-16), and what its published code does: cross attention there leaves
+every graph as it is, so that what ranks is a cosine of embeddings made without the partner."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +67,10 @@ class Matching:
 
     matcher: Matcher = "relational"
     """``relational`` measures best at the price; ``fused`` lets the network judge its best places
-    as well. ``transformer`` (Eq. 14-17), ``edit-distance`` or ``embedding`` (Eq. 11) alone, on
-    cells."""
+    as well. ``transformer`` (Eq. 14-17), ``edit-distance``, ``edit-distance-plain`` (every edit
+    costs 1, as in the paper) or ``embedding`` (Eq. 11) alone, on cells."""
+    score: Score | None = None
+    """What the transformer ranks by; ``logit`` where not given. Of the transformer alone."""
     by: By | Literal["auto"] = "auto"
     """Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or ``all``
     places; ``auto`` takes both where a store is given, else the inverted index. Embeddings alone
@@ -70,8 +92,23 @@ class Matching:
                 f"matcher {self.matcher!r}, candidates by {self.by!r}: choose among "
                 f"{', '.join(MATCHERS)} and auto, {', '.join(WAYS)}."
             )
+        if self.score is not None and (self.score not in SCORES or self.matcher != "transformer"):
+            raise OptionError(
+                f"score is {self.score!r} of matcher {self.matcher!r}; the transformer alone has "
+                f"one: {', '.join(SCORES)}."
+            )
         if not is_count(self.candidates):
             raise OptionError(f"candidates is {self.candidates!r}; choose at least 1.")
+
+    @classmethod
+    def preset(cls, name: Preset, **options: Unpack[MatchingOptions]) -> Matching:
+        """Options of a preset (`PRESETS`), but for those given; raises as `Matching` does."""
+        if name not in PRESETS:
+            raise OptionError(f"preset is {name!r}; choose among {', '.join(PRESETS)}.")
+        chosen: dict[str, Any] = {**PRESETS[name], **options}
+        if chosen.get("matcher") != "transformer" and "score" not in options:
+            chosen.pop("score", None)  # a preset's score goes with its matcher
+        return cls(**chosen)
 
     @property
     def way(self) -> By:

@@ -1,5 +1,7 @@
 """The pipeline takes its stages in turn, and what it ranks is what it was given."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,8 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
-from placegraph_lab.tables.outdoor.ablation import CANDIDATES, GIVEN, Task, evaluate, mean_of
+from placegraph_lab.tables.named.outdoor_ablation import OURS, printed
+from placegraph_lab.tables.outdoor.ablation import GIVEN, Task, evaluate, literal_alone, recall
 from placegraph_lab.tables.outdoor.pairs import Pairs
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
@@ -75,15 +78,35 @@ def test_slopes_are_those_of_lines():
 
 def test_a_network_is_evaluated_on_given_cells_and_its_own(city, network, town, asked):
     task = Task.of(city, load(town), asked)
-    assert all(len(given) == GIVEN for given in task.given)
+    for truth, others, query in zip(task.truth, task.others, task.queries, strict=True):
+        assert city.cells.id_of(truth) == city.cells.at(query.longitude, query.latitude)
+        assert truth not in others
+        assert len(set(others.tolist())) == len(others) >= max(GIVEN) - 1
     table = evaluate(task, network)
-    assert {f"{n} candidates" for n in CANDIDATES} < set(table)
-    for name, recall in table.items():
-        assert recall == sorted(recall)
-        assert all(0.0 <= r <= 1.0 for r in recall), name
-    assert table["dense"][2] <= table["dense, of 10"][0]
-    assert table["5 candidates"][2] == table["dense"][2]  # the same five, ranked anew
-    assert mean_of([table, table]) == table
+    assert {f"{n} given" for n in GIVEN} < set(table)
+    for name, hits in table.items():
+        assert hits.shape == (len(task.queries), 3), name
+        assert (np.diff(hits.astype(int), axis=1) >= 0).all(), name
+    assert table["5 given"][:, 2].all()  # of five cells the true one is among the best five
+    assert (table["5 given"][:, 0] >= table["50 given"][:, 0]).all()  # more to be confused with
+    for own in ("10 candidates", "10 candidates, cosine", "dense"):
+        assert (table[own][:, 2] <= table["among 10"][:, 0]).all()
+    twice = recall([table, table])
+    assert twice["dense"] == pytest.approx(table["dense"].mean(axis=0))
+    text = printed({OURS: [[table]], "other": [[table], [table]]}, 0)
+    assert "| other |     2 |" in text
+    assert "+0.000 to +0.000" in text
+
+
+def test_what_is_said_literally_needs_no_training(network, city, town, asked):
+    """Weights of the joint model do not matter, but for what the statements count."""
+    task = Task.of(city, load(town), asked)
+    other = {
+        n: 2.0 * a if n.startswith(("judge", "cross")) else a for n, a in network.arrays.items()
+    }
+    first, second = (literal_alone(n) for n in (network, replace(network, arrays=other)))
+    found, again = (evaluate(task, n) for n in (first, second))
+    assert all((found[name] == again[name]).all() for name in found if "cosine" not in name)
 
 
 def test_every_pair_is_judged_by_either_network(city, network, asked):

@@ -7,6 +7,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra lea
 
 from placegraph_lab.train.city.objective import (  # noqa: E402
     LOSSES,
+    PRINTED,
     Scores,
     Temperatures,
     Truth,
@@ -114,6 +115,15 @@ def test_each_loss_alone(name, two_texts):
     alone = losses(scores, truth, scales(), [name])
     assert list(alone) == [name]
     assert float(alone[name]) == pytest.approx(float(losses(scores, truth, scales())[name]))
+
+
+def test_losses_as_printed_by_hand(two_texts):
+    """Eq. 17: cross-entropy of the probability. Eq. 18: wrong cosines, and what right ones lack."""
+    found = losses(*two_texts, scales(), PRINTED)
+    assert list(found) == list(PRINTED)
+    p = 1.0 / (1.0 + np.exp([-2.0, 1.0, -0.5]))
+    assert float(found["eq17"]) == pytest.approx(-np.log([p[0], 1 - p[1], p[2]]).mean())
+    assert float(found["eq18"]) == pytest.approx(0.1 + ((1 - 0.9) + (1 - 0.3)) / 2)
 
 
 def test_what_relational_matching_never_scored_is_not_fused(two_texts):

@@ -116,11 +116,19 @@ def test_a_finished_training_is_only_written_again(learn, trained):
     assert not notes.filled  # examples are kept as well
 
 
-@pytest.mark.parametrize("losses", [("match",), ("embedding",)])
+@pytest.mark.parametrize("losses", [("match",), ("embedding",), ("eq17", "eq18")])
 def test_each_loss_alone_trains(learn, tmp_path, losses):
     notes = Notes()
     learn(tmp_path / "b", replace(OPTIONS, losses=losses, epochs=1), progress=notes)
     assert notes.steps[-1][3].keys() == set(losses)
+
+
+def test_several_seeds_share_descriptions(learn, trained, tmp_path):
+    notes = Notes()
+    other = replace(OPTIONS, seed=OPTIONS.seed + 1, descriptions=OPTIONS.seed)
+    weights = learn(tmp_path / "b", other, progress=notes)
+    assert not notes.filled
+    assert weights.fingerprint != trained[0].fingerprint
 
 
 def test_the_loss_falls(learn, tmp_path):
@@ -181,6 +189,7 @@ def test_a_folder_of_another_training_is_refused(learn, trained, tmp_path):
         ({"check": -1}, "check is -1"),
         ({"losses": ()}, "choose among match"),
         ({"losses": ("match", "luck")}, "choose among match"),
+        ({"shape": Shape(width=12, heads=5)}, "width 12 for 5 heads"),
     ],
 )
 def test_options_out_of_range_are_refused(learn, tmp_path, changes, says):

@@ -1,10 +1,11 @@
-"""What is each part of the network worth? Short trainings that differ in one thing.
+"""What is each part of the network worth? Trainings of full length that differ in one thing.
 
     placegraph-lab table outdoor_ablation
+    placegraph-lab table outdoor_ablation --only "ours,no cross attention" --seeds 0
     placegraph-lab table outdoor_ablation --quick
 
-All are trained alike, on the same descriptions, and evaluated on held-out tiles. Interrupted, the
-same command goes on. Prints Markdown, writes JSON.
+All are trained alike, on the same descriptions, and evaluated where nothing was trained on.
+Interrupted, the same command goes on. Prints Markdown, writes JSON.
 """
 
 from __future__ import annotations
@@ -12,43 +13,62 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph_lab.tables.outdoor.ablation import CANDIDATES, Task, evaluate, mean_of
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED, open_city, unseen_queries
+from placegraph_lab.tables.bootstrap import paired_interval
+from placegraph_lab.tables.outdoor.ablation import GIVEN, Task, evaluate, literal_alone, recall
+from placegraph_lab.tables.outdoor.extracts import (
+    EXTRACTS,
+    TRAINED,
+    names_of,
+    open_city,
+    unseen_queries,
+)
 from placegraph_lab.tables.outdoor.queries import load
-from placegraph_lab.tables.run import Device, Quick, Run, Seed, option, table
+from placegraph_lab.tables.run import Device, Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
 from placegraph_lab.train.city.options import TrainOptions
 from placegraph_lab.train.city.train import train
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.ablation import Hits
 
-SHIPPED = "shipped"
+OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
+PAPER = ("eq17", "eq18")
+COMPARED = ("20 given", "20 given, cosine", "10 candidates, cosine")
 
 
 def variants(base: TrainOptions) -> dict[str, TrainOptions]:
     """Trainings by name."""
-    every = base.losses
+
+    def of(**shape: Any) -> TrainOptions:  # noqa: ANN401
+        return replace(base, shape=replace(base.shape, **shape))
+
+    plain = of(statements=False)
     return {
-        "all": base,
-        "no cross attention": replace(base, shape=replace(base.shape, crossings=0)),
-        "one crossing": replace(base, shape=replace(base.shape, crossings=1)),
-        "no message passing": replace(base, shape=replace(base.shape, layers=0)),
-        "labels: whole words only": replace(base, shape=replace(base.shape, subwords=0.0)),
-        "labels: more of subwords": replace(base, shape=replace(base.shape, subwords=3.0)),
-        **{f"loss: {name} alone": replace(base, losses=(name,)) for name in every},
+        OURS: base,
+        "no cross attention": of(crossings=0),
+        "no statements": plain,
+        "neither": of(statements=False, crossings=0),
+        "paper's network and losses": replace(plain, losses=(*PAPER, "embedding")),
+        "the same without the embedding loss": replace(plain, losses=PAPER),
+        "one layer and two heads": of(layers=1, crossings=1, heads=2),
+        "no message passing": of(layers=0),
+        "labels: whole words only": of(subwords=0.0),
+        **{f"loss: {name} alone": replace(base, losses=(name,)) for name in base.losses},
     }
 
 
 def trained(
     name: str, options: TrainOptions, cities: Mapping[str, CityMap], work: Path, device: str
 ) -> GraphTransformer:
-    """Train one variant, on examples that all share, or go on with it."""
-    folder = work / name.replace(":", "").replace(" ", "_")
+    """Train one variant, on descriptions that all share, or go on with it."""
+    folder = work / f"{name}-{options.seed}".translate({ord(c): "_" for c in " :,'"})
     weights = folder / "weights"
     if not weights.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -56,66 +76,97 @@ def trained(
     return GraphTransformer.open(weights)
 
 
-def printed(rows: list[dict[str, Any]]) -> str:
-    """Markdown: recall@1/3/5 within 50 m, mean of the cities."""
-    own = [f"{n} candidates" for n in CANDIDATES]
-    header = ["", "weights", "20 given cells", "by cosine", "dense alone", "one of ten", *own]
-    lines = [
-        [
-            row["name"],
-            number(row["weights"]),
-            *(shares(row["recall"][n]) for n in ("given", "given, cosine", "dense")),
-            share(row["recall"]["dense, of 10"][0]),
-            *(shares(row["recall"][n]) for n in own),
-        ]
-        for row in rows
+def averaged(runs: Sequence[Sequence[Hits]], name: str) -> list[Any]:
+    """Share of the seeds that find a query's cell at once, (Q,) for each city."""
+    return [
+        np.mean([hits[name][:, 0] for hits in city], axis=0) for city in zip(*runs, strict=True)
     ]
-    return markdown(header, lines)
 
 
-@table()
+def printed(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
+    """Markdown: recall where cells are given and in the pipeline, then differences to ours."""
+    rows, leads = [], []
+    for name, runs in found.items():
+        each = [recall(run) for run in runs]
+        mean = {key: np.mean([r[key] for r in each], axis=0).tolist() for key in each[0]}
+        spread = [r["20 given"][0] for r in each]
+        rows.append(
+            [
+                name,
+                number(len(runs)),
+                shares(mean[f"{n} given"][0] for n in GIVEN),
+                f"{share(min(spread))}-{share(max(spread))}",
+                shares(mean[f"{n} given, cosine"][0] for n in GIVEN),
+                shares(mean["dense"]),
+                share(mean["among 10"][0]),
+                shares(mean["10 candidates, cosine"]),
+                shares(mean["10 candidates"]),
+            ]
+        )
+        if name != OURS and OURS in found:
+            line = [name]
+            for key in COMPARED:
+                pairs = list(zip(averaged(runs, key), averaged(found[OURS], key), strict=True))
+                lead = paired_interval(pairs, np.random.default_rng(seed))
+                line += [f"{lead.mean:+.3f}", f"{lead.low:+.3f} to {lead.high:+.3f}"]
+            leads.append(line)
+    header = ["", "seeds", "/".join(map(str, GIVEN)) + " given, logit @1", "seeds, 20 given"]
+    header += ["the same by cosine", "dense alone @1/3/5", "true one of ten"]
+    header += ["paper's pipeline: ten, cosine @1/3/5", "ten, logit @1/3/5"]
+    text = markdown(header, rows)
+    if leads:
+        columns = [part for key in COMPARED for part in (f"{key} @1", "95 % interval")]
+        text += "\n\nMinus ours:\n\n" + markdown(["", *columns], leads)
+    return text
+
+
+@table("GOTLoc, Sec. III-C")
 def outdoor_ablation(
     run: Run,
     queries: Annotated[int, option("Queries a city.")] = 200,
-    epochs: Annotated[int, option("Epochs of a training.")] = 2,
-    examples: Annotated[int, option("New descriptions a city and epoch.")] = 1200,
-    steps: Annotated[int, option("Batches an epoch.")] = 300,
-    only: Annotated[str, option("Names of variants with commas.")] = "",
+    epochs: Annotated[int, option("Epochs of a training.")] = 5,
+    only: Annotated[str, option("Names of variants with commas; all.")] = "",
+    seeds: Annotated[str, option("Seeds of the trainings, with commas.")] = "0,1",
     on: Annotated[str, option("Cities to measure on, with commas; all.")] = "",
     *,
     seed: Seed = 0,
     device: Device = "auto",
     quick: Quick = False,
 ) -> None:
-    """What is each part of the network worth? Short trainings that differ in one thing."""
+    """What is each part of the network worth? Trainings of full length that differ in one thing."""
     names, work = list(TRAINED), run.cache / "ablation"
-    base = TrainOptions(epochs=epochs, examples=examples, steps=steps, seed=seed)
+    base = TrainOptions(epochs=epochs, descriptions=seed)
+    measured = names_of(on)
     if quick:
-        names, queries, only = names[2:3], 20, only or "all,no cross attention"
-        base = TrainOptions(epochs=1, examples=32, steps=4, batch=8, check=16, seed=seed)
-        work /= "quick"
-    wanted = variants(base)
-    wanted = {n: o for n, o in wanted.items() if not only or n in only.split(",")}
-    cities = {name: open_city(name, run.osm, run.cache) for name in names}
-    measured = [n for n in names if not on or n in on.split(",")]
+        names, queries, only, seeds = names[2:3], 20, only or f"{OURS},no cross attention", "0"
+        base = replace(base, epochs=1, examples=32, steps=4, batch=8, check=16)
+        work, measured = work / "quick", names
+    wanted = {n: variants(base)[n] for n in known(parts(only), variants(base), "variant")}
+    cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
     tasks = []
     for name in measured:
         path = run.osm / EXTRACTS[name]
         told = unseen_queries(name, cities[name], path, n=queries, seed=seed)
         tasks.append(Task.of(cities[name], load(path), told))
-    rows: list[dict[str, Any]] = []
-    for name in (*wanted, SHIPPED):
-        run.say(name)
-        network = GraphTransformer.default()
-        if name in wanted:
-            network = trained(name, wanted[name], cities, work, device)
-        rows.append(
-            {
-                "name": name,
-                "weights": sum(a.size for a in network.arrays.values()),
-                "options": asdict(wanted[name]) if name in wanted else None,
-                "recall": mean_of([evaluate(task, network) for task in tasks]),
-            }
-        )
-    print(printed(rows))
-    run.save({"cities": measured, "rows": rows})
+    shipped = GraphTransformer.default()
+    found: dict[str, list[list[Hits]]] = {}
+    others = {LITERAL: literal_alone(shipped), SHIPPED: shipped}
+    for name, network in others.items():
+        found[name] = [[evaluate(task, network) for task in tasks]]
+    for name, options in wanted.items():
+        for number_of in parts(seeds):
+            run.say(f"{name}, seed {number_of}")
+            mine = replace(options, seed=int(number_of))
+            network = trained(name, mine, {n: cities[n] for n in names}, work, device)
+            found.setdefault(name, []).append([evaluate(task, network) for task in tasks])
+    print(printed(found, seed))
+    rows = [
+        {
+            "name": name,
+            "recall": [recall(r) for r in runs],
+            "options": asdict(wanted.get(name, base)),
+        }
+        for name, runs in found.items()
+    ]
+    asked = {task_name: len(task.queries) for task_name, task in zip(measured, tasks, strict=True)}
+    run.save({"asked": asked, "rows": rows}, whole=not only)

@@ -1,8 +1,8 @@
-"""What a trained network is worth by itself: on candidates of its own, and on given ones."""
+"""What a trained network is worth by itself: where candidates are given, and in the paper's pipeline."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +11,7 @@ from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.search.candidates import dense_cells
 from placegraph.outdoor.search.request import Matching, Request
-from placegraph_lab.tables.outdoor.matchers import BagMatcher, cell_centers
+from placegraph_lab.tables.outdoor.matchers import BagMatcher
 from placegraph_lab.tables.outdoor.metrics import RANKS
 from placegraph_lab.tables.outdoor.stages import matched
 
@@ -20,85 +20,99 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.network import GraphTransformer
     from placegraph_lab.tables.outdoor.nearby import Bins
     from placegraph_lab.tables.outdoor.queries import Query
 
-GIVEN = 20
-"""Cells of the tuned triple bag that every network ranks: the same for all."""
-CANDIDATES = (5, 10, 20, 50)
-"""Numbers of the network's own candidates."""
-HIT = 50.0
-"""A cell whose centre lies within this distance of the truth is right [m]."""
+    Hits = dict[str, NDArray[np.bool_]]
+    """By what was done (Q, 3): whether the true cell is the best, one of three, one of five."""
+
+GIVEN = (5, 10, 20, 50)
+"""Numbers of cells, the true one among them, that every network ranks."""
+CANDIDATES = 10
+"""The paper's n of Eq. 12."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """Queries of one city, and the cells that are given to every network."""
+    """Queries of one city, and the cells that are given to every network beside the true one."""
 
     city: CityMap
     queries: tuple[Query, ...]
-    given: tuple[NDArray[np.int64], ...]
-    """For each query (K,) rows of `city.cells.points`, best of the bag first."""
+    truth: NDArray[np.int64]
+    """(Q,) rows of `city.cells.points`: the cell that covers the viewpoint."""
+    others: tuple[NDArray[np.int64], ...]
+    """For each query (K,) rows of wrong cells, best of the bag first."""
 
     @classmethod
     def of(cls, city: CityMap, bins: Bins, queries: Sequence[Query]) -> Task:
-        """Let the tuned triple bag choose cells."""
+        """Let the tuned triple bag choose wrong cells; a viewpoint that no cell covers is left out."""
         bag = BagMatcher.of(city, bins, "triple bag, tuned", "none")
         row = {cell: i for i, cell in enumerate(city.cells)}
-        given = [np.array([row[c] for c in bag.rank(q, GIVEN).cells]) for q in queries]
-        return cls(city, tuple(queries), tuple(given))
+        kept, truth, others = [], [], []
+        for query in queries:
+            true = city.cells.at(query.longitude, query.latitude)
+            if true is None:
+                continue
+            found = dict.fromkeys(row[c] for c in bag.rank(query, 2 * max(GIVEN)).cells)
+            kept.append(query)
+            truth.append(row[true])
+            others.append(np.array([r for r in found if r != row[true]], np.int64))
+        return cls(city, tuple(kept), np.array(truth, np.int64), tuple(others))
 
-    def right(self, ranked: Sequence[NDArray[np.int64]], off: Sequence[Floats]) -> list[float]:
-        """Share of the queries with a right cell among the best 1, 3 and 5."""
-        hits = [d[rows] <= HIT for rows, d in zip(ranked, off, strict=True)]
-        return [float(np.mean([h[:k].any() for h in hits])) for k in RANKS]
 
+def evaluate(task: Task, network: GraphTransformer) -> Hits:
+    """What a network finds, query by query, by how cells are proposed and ranked.
 
-def evaluate(task: Task, network: GraphTransformer) -> dict[str, list[float]]:
-    """Recall@1/3/5 within 50 m of a network, by how its cells are found and ranked.
-
-    ``given``: the bag's cells by the matching logit (Eq. 17), ``given, cosine`` by Eq. 15;
-    ``dense``: all cells by embedding (Eq. 11-12), ``dense, of 10`` whether a right one is among
-    the best ten; ``N candidates``: the best N by embedding, ranked by the logit.
+    ``N given``: the true cell and the bag's N - 1 best others, by the matching logit (Eq. 17), and
+    ``N given, cosine`` by Eq. 15. ``dense``: all cells by their embeddings (Eq. 11-12), ``among
+    10`` whether the true one is among the best ten; ``10 candidates`` these ten by the logit, and
+    ``10 candidates, cosine`` the paper's pipeline (Eq. 9-16).
     """
     encoded = EncodedCity(task.city, network)
-    centers = cell_centers(task.city)
-    off: list[Floats] = []
-    found: dict[str, list[NDArray[np.int64]]] = {}
-    for query, given in zip(task.queries, task.given, strict=True):
-        truth = task.city.plane.to_plane((query.longitude, query.latitude))
-        off.append(np.hypot(*(centers - truth).T))
-        for name, rows in _ranked(encoded, query.text, given).items():
-            found.setdefault(name, []).append(rows)
-    table = {name: task.right(ranked, off) for name, ranked in found.items()}
-    ten = [
-        float(np.mean([(d[r[:10]] <= HIT).any() for r, d in zip(found["dense"], off, strict=True)]))
-    ]
-    return table | {"dense, of 10": ten}
+    found: dict[str, list[list[bool]]] = {}
+    for query, truth, others in zip(task.queries, task.truth, task.others, strict=True):
+        for name, hits in _hits(encoded, query.text, int(truth), others).items():
+            found.setdefault(name, []).append(hits)
+    return {name: np.array(hits) for name, hits in found.items()}
 
 
-def _ranked(
-    encoded: EncodedCity, text: str, given: NDArray[np.int64]
-) -> dict[str, NDArray[np.int64]]:
-    """Rankings of cells for one text."""
+def _hits(
+    encoded: EncodedCity, text: str, truth: int, others: NDArray[np.int64]
+) -> dict[str, list[bool]]:
     query = compile_query(read(encoded.city, text), encoded.city)
     asked = Request(encoded.city, query, matching=Matching(encoded=encoded))
-    said = asked.text
-    dense = dense_cells(asked, max(CANDIDATES))
-    first, own = matched(encoded, said, given), matched(encoded, said, dense)
-    table = {
-        "given": given[np.argsort(-first.logit, kind="stable")],
-        "given, cosine": given[np.argsort(-first.cosine, kind="stable")],
-        "dense": dense,
+    dense = dense_cells(asked, CANDIDATES)
+    given = np.append(others[: max(GIVEN) - 1], truth)  # last: where all are equal, it is not found
+    match, own = (matched(encoded, asked.text, rows) for rows in (given, dense))
+    logit, cosine = match.logit, match.cosine
+    table = {}
+    for n in GIVEN:
+        some = np.append(np.arange(min(n, len(given)) - 1), len(given) - 1)
+        table[f"{n} given"] = given[some][_best(logit[some])]
+        table[f"{n} given, cosine"] = given[some][_best(cosine[some])]
+    table["dense"] = dense
+    table[f"{CANDIDATES} candidates"] = dense[_best(own.logit)]
+    table[f"{CANDIDATES} candidates, cosine"] = dense[_best(own.cosine)]
+    hits = {name: [bool((rows[:k] == truth).any()) for k in RANKS] for name, rows in table.items()}
+    return hits | {f"among {CANDIDATES}": [bool((dense == truth).any())] * len(RANKS)}
+
+
+def _best(scores: NDArray[np.float32]) -> NDArray[np.int64]:
+    return np.argsort(-scores, kind="stable")
+
+
+def literal_alone(network: GraphTransformer) -> GraphTransformer:
+    """The same encoders, with a logit that is what the statements say literally: nothing learned."""
+    silent = {"judge.2.weight": np.zeros_like(network.arrays["judge.2.weight"])}
+    shape = replace(network.shape, crossings=0)
+    return replace(network, shape=shape, arrays=network.arrays | silent)
+
+
+def recall(tables: Sequence[Hits]) -> dict[str, list[float]]:
+    """Recall@1/3/5, mean of the cities."""
+    return {
+        name: np.mean([table[name].mean(axis=0) for table in tables], axis=0).tolist()
+        for name in tables[0]
     }
-    for n in CANDIDATES:
-        table[f"{n} candidates"] = dense[np.argsort(-own.logit[:n], kind="stable")]
-    return table
-
-
-def mean_of(tables: Sequence[dict[str, list[float]]]) -> dict[str, list[float]]:
-    """Mean of the tables of several cities."""
-    return {name: np.mean([table[name] for table in tables], axis=0).tolist() for name in tables[0]}

@@ -122,7 +122,7 @@ class RetrieveMatcher:
     def rank(self, query: Query, top: int) -> Places:
         """Candidates, ranked."""
         matching = Matching(
-            self.matcher, self.by, self.candidates, shipped=lambda: self.city.encoded
+            self.matcher, by=self.by, candidates=self.candidates, shipped=lambda: self.city.encoded
         )
         found = retrieve(self.city, read(self.city, query.text), matching, top=top)
         return places_of(self.city, found.cells)

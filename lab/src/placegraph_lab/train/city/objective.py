@@ -1,4 +1,4 @@
-"""The losses (Eq. 17-19), done so that they teach.
+"""The losses (Eq. 17-19): done so that they teach, and as printed.
 
 `match`: binary cross-entropy of the matching probability on hard pairs. `similarity`: the cosine of
 the joint embeddings, contrastive with a temperature over a text's own hard candidates, and the same
@@ -6,6 +6,11 @@ over matching logits, so that they rank. `embedding`: contrastive cosine of the 
 that candidates are found by, over all places of a batch. `fusion`, beyond the paper: what the
 network adds to relational matching is contrastive too, over the candidates that relational matching
 has scored. Places at or near the true one never count as wrong, whoever's candidates they are.
+
+As printed, with the signs that print leaves open: `eq17` is the cross-entropy of the matching
+probability that the perceptron gives, 1 where text and place belong together and 0 elsewhere;
+`eq18` is the sum of cosines, taken as S of wrong pairs and 1 - S of right ones, a mean of each, no
+temperature. They do not know of other candidates of the same text.
 """
 
 from __future__ import annotations
@@ -20,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
 LOSSES = ("match", "similarity", "embedding", "fusion")
+PRINTED = ("eq17", "eq18")
 NEVER = -1e9
 
 
@@ -74,11 +80,18 @@ def losses(
     q = len(scores.embedding)
     own = torch.arange(q)[:, None].to(truth.text) == truth.text[None]  # (Q, P)
     right = torch.where(own, truth.right[None], -1)
-    if "match" in wanted:
-        known = truth.right >= 0
-        found["match"] = F.binary_cross_entropy_with_logits(
-            scores.logit[known], (truth.right[known] == 1).float()
-        ) + contrastive(scores.logit[None].expand(q, -1), right)
+    known = truth.right >= 0
+    belong = (truth.right[known] == 1).float()
+    if "match" in wanted or "eq17" in wanted:
+        entropy = F.binary_cross_entropy_with_logits(scores.logit[known], belong)
+        if "eq17" in wanted:
+            found["eq17"] = entropy
+        if "match" in wanted:
+            found["match"] = entropy + contrastive(scores.logit[None].expand(q, -1), right)
+    if "eq18" in wanted:
+        cosine = scores.cosine[known]
+        wrong = (cosine * (1 - belong)).sum() / (1 - belong).sum().clamp(min=1)
+        found["eq18"] = wrong + ((1 - cosine) * belong).sum() / belong.sum().clamp(min=1)
     if "similarity" in wanted:
         cosine = scores.cosine * scales.similarity.exp()
         found["similarity"] = contrastive(cosine[None].expand(q, -1), right)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
@@ -31,7 +31,11 @@ class TrainOptions:
     """Largest learning rate; a cosine leads to nearly nothing."""
     decay: float = 1e-3
     losses: tuple[str, ...] = ("match", "similarity", "embedding", "fusion")
+    """Which are added up (`objective`); ``eq17`` and ``eq18`` are the paper's as printed."""
     seed: int = 0
+    descriptions: int | None = None
+    """Seed of the descriptions, so that trainings of several seeds may share them; `seed` where not
+    given."""
     check: int = 500
     """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
     shape: Shape = field(default_factory=Shape)
@@ -64,6 +68,10 @@ def check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
         raise OptionError(
             f"rate is {options.rate}, share {options.share}; choose above 0 and at most 1."
         )
-    known = ("match", "similarity", "embedding", "fusion")
+    known = ("match", "similarity", "embedding", "fusion", "eq17", "eq18")
     if not set(options.losses) <= set(known) or not options.losses:
         raise OptionError(f"losses are {options.losses}; choose among {', '.join(known)}.")
+    try:
+        Shape.from_dict(asdict(options.shape))
+    except ValueError as error:
+        raise OptionError(f"There is no network of these {error}.") from error

@@ -167,10 +167,12 @@ class Cross(nn.Module):
         self.out_text, self.out_place = nn.Linear(d, d), nn.Linear(d, d)
         self.nothing = nn.Parameter(torch.zeros(2, heads))
         self.word = nn.Parameter(torch.full((2, heads), 3.0))
-        self.evidence = nn.Linear(3 * heads + LITERAL + R + 3, shape.evidence)
-        self.said = nn.Linear(shape.evidence, 2 * d, bias=False)
-        self.verdict = nn.Linear(shape.evidence, 2, bias=False)
-        nn.init.zeros_(self.verdict.weight)
+        self.statements = shape.statements
+        if shape.statements:
+            self.evidence = nn.Linear(3 * heads + LITERAL + R + 3, shape.evidence)
+            self.said = nn.Linear(shape.evidence, 2 * d, bias=False)
+            self.verdict = nn.Linear(shape.evidence, 2, bias=False)
+            nn.init.zeros_(self.verdict.weight)
         self.norm_text, self.norm_place = nn.LayerNorm(d), nn.LayerNorm(d)
         self.feed_text, self.feed_place = Feed(d), Feed(d)
 
@@ -183,7 +185,7 @@ class Cross(nn.Module):
         masks: tuple[Tensor, Tensor],
         pairs: Pairs,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Node states of texts (N, d) and places (M, d), and the verdict on statements (P,)."""
+        """Node states of texts (N, d) and places (M, d), and the verdict on statements (P, 2)."""
         (p, n), d = t_packing.shape, t.shape[1]
         t_mask, m_mask = masks
         heads, size = self.heads, d // self.heads
@@ -195,12 +197,15 @@ class Cross(nn.Module):
         to_text = self._weights(
             (alike + self.word[1, :, None, None] * words).transpose(2, 3), t_mask, 1
         )
-        heard, verdict = self._heard(to_place, pairs)
         values = m_packing.pad(self.of_place(m)).reshape(p, -1, heads, size).transpose(1, 2)
         seen = t_packing.pack((to_place @ values).transpose(1, 2).reshape(p, n, d))
         values = t_packing.pad(self.of_text(t)).reshape(p, n, heads, size).transpose(1, 2)
         meant = m_packing.pack((to_text @ values).transpose(1, 2).reshape(p, -1, d))
-        t = self.norm_text(t + self.out_text(seen) + t_packing.pack(heard))
+        t, verdict = t + self.out_text(seen), t.new_zeros(p, 2)
+        if self.statements:
+            heard, verdict = self._heard(to_place, pairs)
+            t = t + t_packing.pack(heard)
+        t = self.norm_text(t)
         m = self.norm_place(m + self.out_place(meant))
         return self.feed_text(t), self.feed_place(m), verdict
 
@@ -250,10 +255,9 @@ class Network(nn.Module):
         self.forget = nn.Dropout(DROPOUT)
         verdict = nn.Linear(shape.dimension, 1)
         nn.init.zeros_(verdict.weight)
-        nn.init.constant_(verdict.bias, FEW)
-        self.judge = nn.Sequential(
-            nn.Linear(3 * shape.dimension, shape.dimension), nn.ReLU(), verdict
-        )
+        nn.init.constant_(verdict.bias, FEW if shape.statements else 0.0)
+        seen = (3 if shape.statements else 2) * shape.dimension
+        self.judge = nn.Sequential(nn.Linear(seen, shape.dimension), nn.ReLU(), verdict)
         # training begins with what the statements say literally, and with relational matching alone
         self.prior = nn.Parameter(torch.ones(3))
 
@@ -270,7 +274,8 @@ class Network(nn.Module):
         """Logit of the matching probability (Eq. 17), cosine (Eq. 15), and residual, (P,) each.
 
         `texts` and `places` are node states and masks. What the statements say literally is where
-        the logit starts from; the residual is what relational matching should have added.
+        the logit starts from; the residual is what relational matching should have added. Without
+        statements (`Shape`) the logit is the perceptron's alone, of (E^T || E^M).
         """
         masks = texts[1][pairs.text], places[1][pairs.place]
         t_packing, m_packing = Packing(masks[0]), Packing(masks[1])
@@ -282,6 +287,8 @@ class Network(nn.Module):
             total = total + verdict
         e_t, e_m = self.pool_text(t, t_packing, masks[0]), self.pool_place(m, m_packing, masks[1])
         cosine = F.cosine_similarity(e_t, e_m, dim=-1, eps=EPSILON)
+        if not self.shape.statements:
+            return self.judge(self.forget(torch.cat([e_t, e_m], -1)))[:, 0], cosine, total[:, 1]
         # a whole graph is soon known by heart, statements are not: only these speak of the residual
         judged = self.judge(self.forget(torch.cat([e_t, e_m, e_t * e_m], -1)))[:, 0]
         literally = (pairs.literal[..., -1] * pairs.spoken).sum(1)

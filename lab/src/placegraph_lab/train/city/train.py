@@ -147,7 +147,8 @@ class School:
     def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
         from placegraph_lab.train.city.torch_batches import Lessons
 
-        city, seed = self.cities[name], self.options.seed
+        city, seed = self.cities[name], self.options.descriptions
+        seed = self.options.seed if seed is None else seed
         file = f"{file}-{seed}-{n}-{city.fingerprint[:8]}"
         pool = self.store.read(file)
         if pool is None:
