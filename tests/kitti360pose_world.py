@@ -174,6 +174,42 @@ def drive_of(module, drive, rng, n_cells=8, n_poses=2):
     return cells, poses
 
 
+POINTS = {
+    "b": "amenity=bench", "w": "amenity=waste_basket", "l": "highway=street_lamp",
+    "p": "amenity=post_box", "h": "emergency=fire_hydrant", "t": "natural=tree",
+    "B": "shop=bakery name=Kern", "K": "amenity=kiosk name=Am Eck",
+}  # fmt: skip
+SQUARE_M = 5.0
+
+
+def karlsruhe(world, drives=DRIVES, seed=0):
+    """A town in ASCII where the drives are: a street each, with things on both sides.
+
+    `world` converts KITTI-360's frame; to be parsed by `Town.parse`.
+    """
+    rng = np.random.default_rng(seed)
+    low, high = (4000.0 + 200.0 * int(d) for d in (min(drives), max(drives)))
+    rows, columns = int((high - low) / SQUARE_M) + 9, 28
+    page = [[" "] * columns for _ in range(rows)]
+    for drive in drives:
+        middle = rows - 5 - int((200.0 * int(drive) - low + 4000.0) / SQUARE_M)
+        for row in range(middle - 3, middle + 4):
+            for column in range(columns):
+                if row == middle:
+                    page[row][column] = "-"
+                elif rng.random() < 0.5:
+                    page[row][column] = rng.choice(list(POINTS))
+        page[middle][10] = "1"
+    center = world.to_lonlat((1040.0, 0.5 * (low + high)))
+    drawing = "\n".join("".join(line).rstrip() or "." for line in page)
+    legend = "\n".join(f"{glyph}: {tags}" for glyph, tags in POINTS.items())
+    return (
+        f"[town]\nname = Karlsruhe\ncenter = {center[0]:.7f} {center[1]:.7f}\n"
+        f"metres = {SQUARE_M}\n[drawing]\n{drawing}\n[legend]\n{legend}\n"
+        "1 road: highway=residential name=Gartenweg\n"
+    )
+
+
 def write_set(folder, *, drives=DRIVES, protocol=4, seed=0, n_cells=8, edit=None):
     """Write a folder in the published layout; `edit(module, cells, poses)` may spoil a drive."""
     for kind in ("cells", "poses"):

@@ -7,7 +7,7 @@ the data's world frame, x east, y north, z up [m].
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -153,6 +153,8 @@ class Kitti360Pose:
     objects: Objects
     poses: Poses
     hints: Hints
+    tags: dict[str, str] = field(default_factory=dict)
+    """Tags of labels, where the objects are those of OpenStreetMap; not kept in a file."""
 
     def split(self, name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rows of the cells and of the poses of a split, or of a single drive.

@@ -411,6 +411,19 @@ def test_tables(data, fold, relational):
     assert "| ratio" in sizes[-1]
 
 
+def test_sizes_stand_beside_the_papers(kitti360pose_world, tmp_path):
+    folder = kitti360pose_world.write_set(tmp_path / "k360", drives=("0003",), n_cells=112)
+    convert_kitti360pose(folder, tmp_path / "a.k360")
+    found = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in size_table(Kitti360Pose.open(tmp_path / "a.k360")).splitlines()
+    ]
+    assert found[0] == ["MB of drive 0003", "110 cells"]
+    assert found[3] == ["point cloud (published)", "1,310.67"]
+    assert found[5] == ["scene graphs (published)", "0.13"]
+    assert 0.0 < float(found[4][1]) < float(found[2][1])
+
+
 def test_the_whole_benchmark(folder, tmp_path):
     command = [
         sys.executable,

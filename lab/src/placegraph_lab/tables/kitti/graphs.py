@@ -82,8 +82,10 @@ class Names:
         """Name of an object or of what a hint is about."""
         label = self.data.labels[table.labels[row]]
         if self.osm:
-            return OSM.get(label, label)
-        return f"{self.data.colours[table.colours[row]]} {label}" if self.coloured else label
+            return (self.data.tags or OSM).get(label, label)
+        return (
+            f"{self.data.colours[table.colours[row]]} {label}".strip() if self.coloured else label
+        )
 
 
 def scene_graph(
@@ -153,7 +155,7 @@ def parsed(data: Kitti360Pose, pose: int, *, names: Names | None = None) -> Desc
 
 def _thing(data: Kitti360Pose, hint: int) -> str:
     h = data.hints
-    return f"{data.colours[h.colours[hint]]} {data.labels[h.labels[hint]]}"
+    return f"{data.colours[h.colours[hint]]} {data.labels[h.labels[hint]]}".strip()
 
 
 def _from_speaker(data: Kitti360Pose, hint: int, node: int) -> Statement:
@@ -204,7 +206,7 @@ class _DataWords:
 
     def _called(self, label: str, colour: str) -> str:
         if self.names.osm:
-            return OSM.get(label, label)
+            return (self.names.data.tags or OSM).get(label, label)
         return f"{colour} {label}".strip() if self.names.coloured else label
 
     def longest_match(

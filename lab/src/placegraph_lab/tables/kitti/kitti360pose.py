@@ -62,6 +62,10 @@ PAPER = {
     "PARC-Loc": (None, (0.51, 0.76, 0.83)),
 }
 """Published recall@1/3/5 on validation and test: Table II of the paper, and later work."""
+POINT_CLOUD = {110: 1310.67, 220: 2618.63, 330: 3898.24, 447: 5546.19}
+"""Table V: MB of the point cloud of drive 0003 by cells ..."""
+SCENE_GRAPH = {110: 0.13, 220: 0.23, 330: 0.35, 447: 0.71}
+"""... and of the paper's scene graphs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +184,8 @@ class Result:
     """Median time for a query, all cells [s]."""
     off: dict[str, float] = field(default_factory=dict)
     """Median distance of the first place [m], by how it is placed."""
+    on_osm: bool = False
+    """Whether cells and texts were made from OpenStreetMap, not from the point cloud."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`; infinity becomes None."""
@@ -187,6 +193,7 @@ class Result:
             "split": self.split,
             "matcher": self.matcher,
             "reading": self.reading,
+            "map": "OSM" if self.on_osm else "point cloud",
             "queries": self.queries,
             "cells": self.cells,
             "retrieval": {str(k): round(v, 4) for k, v in self.retrieval.items()},
@@ -258,6 +265,7 @@ def evaluate(
             "centered": float(np.median([d[0] for d in centered])),
             "placed": float(np.median([d[0] for d in placed])),
         },
+        on_osm=bool(data.tags),
     )
 
 
@@ -293,14 +301,14 @@ def retrieval_table(results: Sequence[Result]) -> str:
                 "–",
             ]
         )
-    for (matcher, reading), found in _grouped(results).items():
+    for title, found in _grouped(results).items():
         cells = [
             share(found[split].retrieval[k]) if split in found else "–"
             for split in ("validation", "test")
             for k in RANKS
         ]
         some = next(iter(found.values()))
-        rows.append([_title(matcher, reading), *cells, number(1e3 * some.p50, 1, "ms")])
+        rows.append([title, *cells, number(1e3 * some.p50, 1, "ms")])
     return markdown(header, rows)
 
 
@@ -308,37 +316,39 @@ def localization_table(results: Sequence[Result], split: str) -> str:
     """Localization recall at 5/10/15 m of a split, from centres and from poses within cells."""
     header = ["", *(f"k = {k}, {how}" for how in ("centre", "pose") for k in TOPS), "queries"]
     rows = []
-    for (matcher, reading), found in _grouped(results).items():
+    for title, found in _grouped(results).items():
         if split in found:
             r = found[split]
             cells = [shares(table[k].values()) for table in (r.centered, r.placed) for k in TOPS]
-            rows.append([_title(matcher, reading), *cells, f"{r.queries:,}"])
+            rows.append([title, *cells, f"{r.queries:,}"])
     return markdown(header, rows)
 
 
 def size_table(data: Kitti360Pose, scene: str = "0003") -> str:
-    """Table V: MB of a drive's points, and of its graphs, against the number of cells."""
+    """Table V: MB of a drive's points, and of its graphs, against the number of cells.
+
+    As many cells as in the paper, with its figures; quarters of a drive that has fewer than 110.
+    """
     cells, _ = data.split(scene)
-    counts = [max(1, round(len(cells) * part / 4)) for part in range(1, 5)]
-    header = ["MB of drive " + scene, *(f"{n:,} cells" for n in counts)]
+    published = [n for n in POINT_CLOUD if n <= len(cells)]
+    counts = published or [max(1, round(len(cells) * part / 4)) for part in range(1, 5)]
     points = [data.cells.point_bytes[cells[:n]].sum() / 1e6 for n in counts]
     graphs = [data.graph_bytes(cells[:n]) / 1e6 for n in counts]
-    return markdown(
-        header,
-        [
-            ["points and colours", *(f"{mb:,.2f}" for mb in points)],
-            ["scene graphs", *(f"{mb:,.4f}" for mb in graphs)],
-            ["ratio", *(f"{p / g:,.0f}" for p, g in zip(points, graphs, strict=True))],
-        ],
-    )
+    rows = [
+        ["points and colours", *(number(mb, 2) for mb in points)],
+        ["point cloud (published)", *(number(POINT_CLOUD.get(n), 2) for n in counts)],
+        ["scene graphs", *(number(mb, 4) for mb in graphs)],
+        ["scene graphs (published)", *(number(SCENE_GRAPH.get(n), 2) for n in counts)],
+        ["ratio", *(number(p / g) for p, g in zip(points, graphs, strict=True))],
+    ]
+    return markdown(["MB of drive " + scene, *(f"{n:,} cells" for n in counts)], rows)
 
 
-def _title(matcher: str, reading: str) -> str:
-    return f"{matcher}, {'the text' if reading == 'honest' else 'positions known'}"
-
-
-def _grouped(results: Sequence[Result]) -> dict[tuple[str, str], dict[str, Result]]:
-    grouped: dict[tuple[str, str], dict[str, Result]] = {}
+def _grouped(results: Sequence[Result]) -> dict[str, dict[str, Result]]:
+    """Results by the title of their row, then by split."""
+    grouped: dict[str, dict[str, Result]] = {}
     for r in results:
-        grouped.setdefault((r.matcher, r.reading), {})[r.split] = r
+        reading = "the text" if r.reading == "honest" else "positions known"
+        title = f"{r.matcher}{' on OSM' if r.on_osm else ''}, {reading}"
+        grouped.setdefault(title, {})[r.split] = r
     return grouped

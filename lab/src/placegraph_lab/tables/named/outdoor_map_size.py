@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from placegraph_lab.tables.kitti.kitti360pose import POINT_CLOUD, SCENE_GRAPH
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop
 from placegraph_lab.tables.outdoor.extracts import names_of, open_city
 from placegraph_lab.tables.run import Quick, Run, option, table
@@ -20,10 +21,6 @@ from placegraph_lab.tables.tables import markdown, number
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
-POINT_CLOUD = {110: 1310.67, 220: 2618.63, 330: 3898.24, 447: 5546.19}
-"""Table V: MB of the point cloud by cells ..."""
-SCENE_GRAPH = {110: 0.13, 220: 0.23, 330: 0.35, 447: 0.71}
-"""... and of the paper's scene graphs."""
 MEGA = 1e-6
 
 

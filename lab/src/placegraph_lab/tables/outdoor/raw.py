@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Ints = NDArray[np.int64]
 
+Bounds = tuple[float, float, float, float]
+"""West, south, east, north [deg]."""
+
 POINT, LINE, AREA = 0, 1, 2
 
 KEYS = (
@@ -126,7 +129,8 @@ def is_area(tags: Mapping[str, str]) -> bool:
 class _Columns:
     """Grows the columns of a `RawCity`."""
 
-    def __init__(self) -> None:
+    def __init__(self, bounds: Bounds | None) -> None:
+        self.bounds = bounds
         self.osm: list[str] = []
         self.kind: list[int] = []
         self.key: list[int] = []
@@ -136,7 +140,7 @@ class _Columns:
 
     def add(self, osm: str, kind: int, tags: Mapping[str, str], parts: list[Floats]) -> None:
         found = tag_label(tags)
-        if found is None or not parts:
+        if found is None or not parts or not self.within(parts):
             return
         key, label = found
         name = " ".join(tags.get("name", "").split()).replace(" ", "_")
@@ -147,9 +151,19 @@ class _Columns:
         self.named.append(name or label)
         self.parts.append(parts)
 
+    def within(self, parts: list[Floats]) -> bool:
+        """Whether the box of an element touches the bounds."""
+        if self.bounds is None:
+            return True
+        west, south, east, north = self.bounds
+        low = np.min([p.min(axis=0) for p in parts], axis=0)
+        high = np.max([p.max(axis=0) for p in parts], axis=0)
+        return bool((low <= (east, north)).all() and (high >= (west, south)).all())
+
     def to_city(self, origin: str) -> RawCity:
         if not self.osm:
-            raise InputError(f"{origin} holds no tagged object; give an extract with some.")
+            where = " there" if self.bounds else ""
+            raise InputError(f"{origin} holds no tagged object{where}; give an extract with some.")
         points = np.concatenate([p for parts in self.parts for p in parts])
         low, high = points.min(0), points.max(0)
         plane = LocalPlane(*(0.5 * (low + high)).tolist())
@@ -209,8 +223,8 @@ def _lonlat(nodes: Iterable[Any]) -> Floats:
     return np.array(found, np.float64).reshape(-1, 2)
 
 
-def read_raw(path: str | Path) -> RawCity:
-    """Read the tagged objects of an OpenStreetMap extract.
+def read_raw(path: str | Path, bounds: Bounds | None = None) -> RawCity:
+    """Read the tagged objects of an OpenStreetMap extract, whole or as far as they touch `bounds`.
 
     Closed ways become areas by `is_area`, multipolygon relations by osmium's assembler; nodes
     that a clipped extract lacks are left out of their lines.
@@ -222,7 +236,7 @@ def read_raw(path: str | Path) -> RawCity:
     """
     import osmium
 
-    columns = _Columns()
+    columns = _Columns(bounds)
     objects = osmium.FileProcessor(str(path)).with_locations().with_areas()
     objects = objects.with_filter(osmium.filter.KeyFilter(*KEYS))
     try:

@@ -1,0 +1,169 @@
+"""The OSM half of KITTI360Pose, on a drawn Karlsruhe where the tiny world's drives are."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError, OptionError
+from placegraph.outdoor.map.cells import compass
+from placegraph_lab.datasets.kitti360 import WORLD
+from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose
+from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.tables.kitti.graphs import Names, description_of, scene_graph, text_of
+from placegraph_lab.tables.kitti.kitti360pose import Split, evaluate
+from placegraph_lab.tables.kitti.osm import TOLD, Crop, on_osm
+from placegraph_lab.worlds.town.town import Town
+
+DRIVES = ("0003", "0010")
+
+
+@pytest.fixture(scope="module")
+def folder(kitti360pose_world, tmp_path_factory):
+    return kitti360pose_world.write_set(tmp_path_factory.mktemp("k360") / "k360", drives=DRIVES)
+
+
+@pytest.fixture(scope="module")
+def data(folder):
+    convert_kitti360pose(folder, folder / "tiny.k360")
+    return Kitti360Pose.open(folder / "tiny.k360")
+
+
+@pytest.fixture(scope="module")
+def extract(kitti360pose_world, folder):
+    town = Town.parse(kitti360pose_world.karlsruhe(WORLD, DRIVES))
+    return town.write_osm(folder / "karlsruhe.osm")
+
+
+@pytest.fixture(scope="module")
+def osm(data, extract):
+    return on_osm(data, extract)
+
+
+@pytest.fixture(scope="module")
+def nodes(extract):
+    """Nodes (n, 2) of the extract that are things, in KITTI-360's frame, and their tags."""
+    found, tags = [], []
+    for node, inner in re.findall(
+        r"<node ([^>]*[^/])>(.*?)</node>", extract.read_text(), re.DOTALL
+    ):
+        lon, lat = (float(re.search(rf'{k}="([^"]*)"', node)[1]) for k in ("lon", "lat"))
+        found.append((lon, lat))
+        tags.append(dict(re.findall(r'k="([^"]*)" v="([^"]*)"', inner)))
+    return WORLD.to_plane(found), tags
+
+
+def test_cells_hold_what_is_near_their_centre(data, osm, nodes):
+    """Read from the file by another way: every node within 15 m, and no other."""
+    at, tags = nodes
+    assert (osm.cells.ids, len(osm.cells.boxes)) == (data.cells.ids, 16)
+    for cell, center in enumerate(data.cells.centers):
+        span = osm.cells.objects(cell)
+        near = np.hypot(*(at - center).T) <= 15.0
+        called = sorted(t.get("name", next(iter(t.values()))).replace(" ", "_")
+                        for t, n in zip(tags, near, strict=True) if n)  # fmt: skip
+        labels = [osm.labels[i] for i in osm.objects.labels[span]]
+        assert sorted(x for x in labels if x != "Gartenweg") == [*called]
+        assert labels.count("Gartenweg") == 1  # the street is one thing, at its middle
+        points = osm.objects.centers[span, :2]
+        for point in at[near]:
+            assert np.hypot(*(points - point).T).min() < 0.02
+        for row in range(span.start, span.stop):
+            ground = osm.objects.footprint(row)
+            assert np.abs(ground - center).max() <= 15.0
+    assert osm.tags["Kern"] == "~kern"
+    assert osm.tags["bench"] == "amenity=bench"
+    assert osm.tags["street_lamp"] == "highway=street_lamp"
+
+
+def test_texts_speak_of_the_nearest_things(osm, nodes):
+    at, _ = nodes
+    assert len(osm.poses.cells) > 20
+    for pose, position in enumerate(osm.poses.positions[:, :2]):
+        rows = range(*osm.poses.hints(pose).indices(10_000))
+        assert len(rows) == TOLD
+        off = np.hypot(*osm.hints.closest[rows].T)
+        assert (np.diff(off) >= 0).all()
+        assert off.max() <= 15.0
+        street = [osm.labels[osm.hints.labels[i]] == "Gartenweg" for i in rows]
+        nearest = np.sort(np.hypot(*(at - position).T))[: TOLD - sum(street)]
+        assert off[~np.array(street)] == pytest.approx(nearest, abs=0.02)
+        for i in rows:
+            if DIRECTIONS[osm.hints.directions[i]] != "on-top":
+                assert DIRECTIONS[osm.hints.directions[i]] == compass(osm.hints.closest[i])
+    assert re.match(r"The pose is (north|south|east|west|on-top) of a \w+\. ", text_of(osm, 0))
+
+
+def test_both_sides_are_of_equation_6(osm):
+    """The paper's reading: things of a text stand to each other as in the cell that holds them."""
+    compared = 0
+    for pose in range(len(osm.poses.cells)):
+        cell = int(osm.poses.cells[pose])
+        triples = set(scene_graph(osm, cell).triples())
+        rows = range(*osm.poses.hints(pose).indices(10_000))
+        inside = {n for n, i in enumerate(rows, 2) if osm.hints.objects[i] >= 0}
+        labels = {n: osm.labels[osm.hints.labels[i]] for n, i in enumerate(rows, 2)}
+        for s in description_of(osm, pose, reading="paper").statements:
+            if {s.source, s.target} <= inside:
+                wind = re.search("on the (\\w+) of", s.text)[1]
+                assert (labels[s.source], wind, labels[s.target]) in triples
+                compared += 1
+    assert compared > 50
+
+
+def test_words_of_the_network_are_tags_and_names(osm):
+    names = Names(osm, osm=True)
+    words = {names.of(osm.objects, row) for row in range(len(osm.objects.ids))}
+    assert {"~kern", "~gartenweg", "natural=tree", "amenity=bench"} <= words
+    assert Names(osm, coloured=True).of(osm.objects, 0) == Names(osm).of(osm.objects, 0)
+
+
+def test_names_may_be_left_out(data, extract):
+    plain = on_osm(data, extract, Crop(names=False))
+    said = {plain.labels[i] for i in plain.hints.labels}
+    assert {"bakery", "kiosk", "residential"} <= said
+    assert not {"Kern", "Gartenweg"} & said
+
+
+@pytest.mark.parametrize(("name", "least"), [("triple bag", 0.5), ("relational", 0.7)])
+def test_matchers_find_most(osm, name, least):
+    split = Split.of(osm, "test")
+    matcher, names = split.matcher(name, np.random.default_rng(0))
+    found = evaluate(split, name, matcher, names)
+    assert found.on_osm
+    assert found.retrieval[5] >= least
+
+
+def test_what_cannot_be_is_said(data, extract, write_world):
+    with pytest.raises(InputError, match=r"no tagged object there.*8\.44.*E, 49\.0"):
+        on_osm(data, write_world([(0.0, 0.0, {"shop": "bakery"})]))  # elsewhere
+    with pytest.raises(InputError, match=r"no pose has 6 things within 1 m"):
+        on_osm(data, extract, Crop(sight=1.0))
+    with pytest.raises(OptionError, match=r"above 0"):
+        on_osm(data, extract, Crop(reach=0.0))
+    moved = replace(data.poses, positions=data.poses.positions + np.array([3000.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match="no pose has"):
+        on_osm(replace(data, poses=moved), extract)
+
+
+def test_the_table_has_rows_on_osm(folder, extract, tmp_path):
+    command = [
+        *(sys.executable, "-m", "placegraph_lab", "table", "outdoor_kitti360pose", folder),
+        *("--osm", extract, "--out", tmp_path / "a.json", "--cache", tmp_path, "--slow", "2"),
+        *("--queries", "6", "--readings", "paper", "--matchers", "triple bag,edit distance,transformer"),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    assert "GOTLoc on OSM, transformer (published)" in done.stdout
+    for row in ("triple bag", "edit distance", "transformer"):
+        assert f"| {row} on OSM, positions known |" in done.stdout.replace("  ", "")
+        assert f"| {row}, positions known |" in done.stdout.replace("  ", "")
+    assert re.search(r"On OSM, \d+ of 32 poses have 6 things within 15 m", done.stderr)
+    told = json.loads((tmp_path / "a.json").read_text())
+    assert told["data"].endswith("karlsruhe.osm")
+    assert {r["map"] for r in told["results"]} == {"OSM", "point cloud"}
+    assert len(told["results"]) == 12
