@@ -168,9 +168,8 @@ def _ground(city: RawCity, row: int, nearest: Floats, center: Floats, half: floa
         steps = max(2, int(np.hypot(*(q - p))) + 1)
         points.append(p + np.linspace(0.0, 1.0, steps)[:, None] * (q - p))
     found = np.concatenate(points)
-    inside = (np.abs(found - center) <= half).all(axis=1)
-    inside[0] = True
-    return footprint(found[inside])
+    inside = np.abs(found - center).max(axis=1) <= half
+    return footprint(found[inside | (np.arange(len(found)) == 0)])
 
 
 def _hints(
