@@ -10,11 +10,12 @@ from placegraph.store import read_map, write_map, writing
 from placegraph_lab.datasets.kitti360pose import DIRECTIONS, GRAIN, KIND, Kitti360Pose
 from placegraph_lab.datasets.kitti360pose_convert import (
     COLOURS,
+    RELEASE,
     convert_kitti360pose,
     footprint,
     nearest_colour,
 )
-from placegraph_lab.datasets.kitti360pose_pickle import finished, read_pickle
+from placegraph_lab.datasets.pickles import finished, read_pickle
 
 SYNC = "2013_05_28_drive_{}_sync.pkl"
 
@@ -51,7 +52,7 @@ def test_summary(folder, tmp_path):
 def test_every_field_is_that_of_the_pickles(folder, data):
     """Compared with what Python's own unpickler reads of drive 0003, to the grain."""
     first = data.scenes.index("0003") * 8
-    cells = read_pickle(folder / "cells" / SYNC.format("0003"))
+    cells = read_pickle(folder / "cells" / SYNC.format("0003"), RELEASE)
     c, o = data.cells, data.objects
     for k, record in enumerate(cells):
         cell = record.fields
@@ -84,7 +85,7 @@ def test_every_field_is_that_of_the_pickles(folder, data):
 
 
 def test_poses_and_what_was_said(folder, data):
-    poses = read_pickle(folder / "poses" / SYNC.format("0010"))
+    poses = read_pickle(folder / "poses" / SYNC.format("0010"), RELEASE)
     first = data.scenes.index("0010") * 16
     p, h = data.poses, data.hints
     for k, record in enumerate(poses):

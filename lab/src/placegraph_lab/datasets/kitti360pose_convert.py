@@ -20,8 +20,8 @@ from placegraph_lab.datasets.kitti360pose import (
     Objects,
     Poses,
 )
-from placegraph_lab.datasets.kitti360pose_names import Record
-from placegraph_lab.datasets.kitti360pose_pickle import finished, read_pickle
+from placegraph_lab.datasets.pickle_names import Record, Release
+from placegraph_lab.datasets.pickles import finished, read_pickle
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,6 +31,12 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
 
+RELEASE = Release(
+    "KITTI360Pose",
+    "datapreparation.kitti360pose.imports",
+    ("Cell", "Object3d", "Pose", "DescriptionBestCell", "DescriptionPoseCell"),
+)
+"""The published classes."""
 COLOURS = {
     "dark-green": [(47, 50, 42)],
     "gray": [(136, 137, 126), (110, 113, 104)],
@@ -372,7 +378,7 @@ class _Gather:
 
 
 def _listed(path: Path) -> list[Any]:
-    value = read_pickle(path)
+    value = read_pickle(path, RELEASE)
     if type(value) is not list:
         raise InputError(f"{path} holds no list; download it again.")
     return value

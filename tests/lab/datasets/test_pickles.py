@@ -16,8 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph_lab.datasets.kitti360pose_names import MODULE, Record
-from placegraph_lab.datasets.kitti360pose_pickle import finished, read_pickle
+from placegraph_lab.datasets.kitti360pose_convert import RELEASE
+from placegraph_lab.datasets.pickle_names import Record
+from placegraph_lab.datasets.pickles import finished
+from placegraph_lab.datasets.pickles import read_pickle as read
+
+MODULE = RELEASE.module
+
 
 PROTOCOLS = (2, 3, 4, 5)
 ARRAYS = [
@@ -30,6 +35,10 @@ ARRAYS = [
     np.array(2.5),
     np.arange(3, dtype=np.uint8),
 ]
+
+
+def read_pickle(path, release=RELEASE):
+    return read(path, release)
 
 
 class Anything:
@@ -117,7 +126,8 @@ def test_a_single_array(tmp_path, protocol):
 plain = st.recursive(
     st.none() | st.booleans() | st.integers(-(1 << 90), 1 << 90) | st.floats(allow_nan=False)
     | st.text(st.characters(codec="utf-8")),
-    lambda inner: st.lists(inner, max_size=20) | st.dictionaries(st.text(max_size=5), inner)
+    lambda inner: st.lists(inner, max_size=20)
+    | st.dictionaries(st.text(max_size=5) | st.integers(-(1 << 90), 1 << 90), inner)
     | st.tuples(inner) | st.tuples(inner, inner, inner, inner),
     max_leaves=30,
 )  # fmt: skip
@@ -190,8 +200,9 @@ BY_HAND = {
     "a function set": (ENCODE + b"}X\x0c\x00\x00\x00__defaults__Nsb", "state"),
     "a class set": (CELL + b"}X\x02\x00\x00\x00idNsb", "state"),
     "slots": (CELL + b")\x81N}\x86b", "is no dict"),
+    "a field without a name": (CELL + b")\x81}K\x01K\x02sb", "no dict of fields"),
     "a string set": (b"X\x01\x00\x00\x00x}b", "state"),
-    "keys that are no text": (b"}K\x01K\x02s", "keys"),
+    "keys that are no text": (b"}NK\x02s", "keys"),
     "another codec": (ENCODE + b"X\x01\x00\x00\x00xX\x05\x00\x00\x00utf-7\x86R", "codec"),
     "a codec of a number": (ENCODE + b"K\x05X\x06\x00\x00\x00latin1\x86R", "codec"),
     "no latin-1": (

@@ -1,4 +1,4 @@
-"""What a pickle of KITTI360Pose may name: five classes, and what numpy arrays are made with.
+"""What a published pickle may name: its data set's own classes, and what numpy arrays are made with.
 
 A name means what stands here; nothing is imported, and nothing of Python's or numpy's own is handed
 out to be called.
@@ -7,6 +7,7 @@ out to be called.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,13 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MODULE = "datapreparation.kitti360pose.imports"
-CLASSES = ("Cell", "Object3d", "Pose", "DescriptionBestCell", "DescriptionPoseCell")
-"""The published classes: their instances become `Record`s."""
-
 _ARRAYS = [f"numpy.{core}" for core in ("core", "_core")]  # numpy 1, numpy 2
-NAMES: Mapping[tuple[str, str], str] = {
-    **{(MODULE, name): name for name in CLASSES},
+_NUMPY: Mapping[tuple[str, str], str] = {
     **{(f"{core}.multiarray", "_reconstruct"): "reconstruct" for core in _ARRAYS},
     **{(f"{core}.multiarray", "scalar"): "scalar" for core in _ARRAYS},
     **{(f"{core}.numeric", "_frombuffer"): "frombuffer" for core in _ARRAYS},
@@ -31,10 +27,25 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("_codecs", "encode"): "encode",  # protocol 2 writes bytes as text
     ("__builtin__", "bytes"): "bytes",  # and no bytes as this
 }
-"""Every name that a file may say, and what it means here."""
+"""Names that arrays and numbers are made with, and what they mean here."""
 
 _DTYPES = frozenset(["f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "b1"])
 _MOST_DIMENSIONS = 4
+
+
+@dataclass(frozen=True)
+class Release:
+    """A published data set, as its pickles name it."""
+
+    name: str
+    module: str
+    classes: tuple[str, ...]
+    """Their instances become `Record`s."""
+
+    @cached_property
+    def names(self) -> Mapping[tuple[str, str], str]:
+        """Every name that a file may say, and what it means here."""
+        return {**_NUMPY, **{(self.module, name): name for name in self.classes}}
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""The pickles of KITTI360Pose, read by a machine that can make plain data and nothing else.
+"""Pickles of published data sets, read by a machine that can make plain data and nothing else.
 
 Python's own unpickler calls what a file names and writes attributes that a file names. Here nothing
 of the file is ever called, imported or asked for an attribute: of the opcodes of protocols 2 to 5
@@ -16,10 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
-from placegraph_lab.datasets.kitti360pose_names import (
+from placegraph_lab.datasets.pickle_names import (
     CALLS,
-    CLASSES,
-    NAMES,
     Array,
     DType,
     Name,
@@ -32,11 +30,13 @@ from placegraph_lab.datasets.kitti360pose_names import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from placegraph_lab.datasets.pickle_names import Release
+
 _MOST_STEPS = 1 << 25
 """Opcodes of the largest scene, several times over: every one may cost a hundred bytes."""
 
 
-def read_pickle(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # checked by the caller
+def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa: ANN401  # checked by the caller
     """Plain data of one pickle: lists, tuples, dicts, strings, numbers, `Record`s and arrays.
 
     Arrays are read-only and refer to the file, which must not change while they are in use. Bytes
@@ -46,16 +46,16 @@ def read_pickle(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # checked
     ------
     InputError
         The file is missing, empty, cut short, or no pickle of protocol 2 to 5; or it asks for
-        anything else than the published classes and numpy arrays. Nothing of it was run.
+        anything else than the release's classes and numpy arrays. Nothing of it was run.
 
     """
     data = _mapped(Path(path))
-    machine = _Machine(data)
+    machine = _Machine(data, release)
     try:
         return finished(machine.run())
     except RefusedError as error:
         raise InputError(
-            f"{path}, byte {machine.opcode_at:,}: {error}. It is no file of KITTI360Pose, or it is "
+            f"{path}, byte {machine.opcode_at:,}: {error}. It is no file of {release.name}, or it is "
             "damaged; nothing of it was run. Download it again from where you trust it."
         ) from None
 
@@ -85,8 +85,8 @@ def _mapped(path: Path) -> memoryview:
 class _Machine:
     """Carries out the opcodes of one pickle."""
 
-    def __init__(self, data: memoryview) -> None:
-        self.data = data
+    def __init__(self, data: memoryview, release: Release) -> None:
+        self.data, self.release = data, release
         self.at = 0
         self.opcode_at = 0
         self.stack: list[Any] = []
@@ -192,15 +192,17 @@ class _Machine:
     def put_items(self, items: list[Any]) -> None:
         """Key, value, key, value ... into the topmost dict."""
         target = self.top(dict)
-        if len(items) % 2 or not all(type(key) is str for key in items[::2]):
-            raise RefusedError("a dict has keys that are not text")
+        if len(items) % 2 or not all(type(key) in (str, int) for key in items[::2]):
+            raise RefusedError("a dict has keys that are neither text nor whole numbers")
         target.update(zip(items[::2], items[1::2], strict=True))
 
     # --- names, calls, states ---
 
     def name(self, module: object, name: object) -> None:
         """Push what a name means here."""
-        meaning = NAMES.get((module, name)) if type(module) is type(name) is str else None
+        meaning = (
+            self.release.names.get((module, name)) if type(module) is type(name) is str else None
+        )
         if meaning is None:
             raise RefusedError(f"it asks for {str(module)[:80]}.{str(name)[:80]}")
         self.stack.append(Name(meaning))
@@ -208,7 +210,7 @@ class _Machine:
     def new(self) -> None:
         """Make an instance of a published class."""
         cls, arguments = self.pop_tuple(2)
-        if not (isinstance(cls, Name) and cls.meaning in CLASSES and arguments == ()):
+        if not (isinstance(cls, Name) and cls.meaning in self.release.classes and arguments == ()):
             raise RefusedError("it makes an object of no published class")
         self.stack.append(Record(cls.meaning))
 
@@ -224,8 +226,8 @@ class _Machine:
         """Give a record its fields, an array its numbers, a dtype its byte order."""
         target, state = self.pop_tuple(2)
         if isinstance(target, Record):
-            if type(state) is not dict:
-                raise RefusedError(f"the state of a {target.kind} is no dict")
+            if type(state) is not dict or not all(type(key) is str for key in state):
+                raise RefusedError(f"the state of a {target.kind} is no dict of fields")
             target.fields.update(state)
         elif isinstance(target, Array) and target.value is None:
             if type(state) is not tuple or len(state) != 5:
