@@ -79,6 +79,13 @@ def test_another_place_is_no_refinement(refiner, exact, kit, shift, turn, says):
     assert judged(refiner(check=False), near, fitted(exact.poses)).accepted
 
 
+def test_where_a_frame_decides_it_may_be_anywhere(refiner, exact, kit):
+    """Sec. 3.6: the pose with most inliers is the answer."""
+    start = kit.moved(exact.poses, (2.0, 0, 0), (0, 0, 90.0))
+    paper = refiner(depth=False, images=True, joint=False, check=False)
+    assert judged(paper, start, fitted(exact.poses, 40)).accepted
+
+
 @pytest.mark.parametrize("axis", ["shift", "turn"])
 def test_images_alone_do_not_carry_as_far(refiner, exact, kit, axis):
     """0.6 m or 0.4 rad are another place without depth; with it they are not."""

@@ -52,9 +52,10 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
         "shift_m": round(shift, 4),
         "turn_deg": round(float(np.degrees(turn)), 3),
     }
-    against = _unfounded(refiner, fitted, inliers)
-    doubt = "" if against else _elsewhere(refiner, shift, turn)
-    against = against or doubt or _bent(refiner, fitted.poses, stats)
+    against, doubt = _unfounded(refiner, fitted, inliers), ""
+    if not against and refiner.options.joint:
+        doubt = _elsewhere(refiner, shift, turn)
+        against = doubt or _bent(refiner, fitted.poses, stats)
     if against:
         # what depth backs, images alone do not shake
         return Judgement(

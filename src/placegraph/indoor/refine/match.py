@@ -15,6 +15,7 @@ from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.matching.guided import resized
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from placegraph.formats.capture.frame import Frame
@@ -83,13 +84,10 @@ class Sights:
         return np.where(ahead, off, np.inf)
 
 
-def turned(map_from_camera: Floats, options: RefineOptions) -> list[Floats]:
-    """The pose and others turned about the vertical within +-spread, evenly: `views` in all (Sec. 3.6)."""
-    if options.views == 1:
-        return [map_from_camera]
-    turns = np.linspace(-options.spread, options.spread, options.views - 1)
+def turned(map_from_camera: Floats, options: RefineOptions, rng: Generator) -> list[Floats]:
+    """The pose and others drawn within +-spread about the vertical: `views` in all (Sec. 3.6)."""
     out = [map_from_camera]
-    for yaw in turns[np.argsort(np.abs(turns), kind="stable")]:
+    for yaw in rng.uniform(-options.spread, options.spread, options.views - 1):
         pose = map_from_camera.copy()
         pose[:3, :3] = rotation_z(yaw) @ pose[:3, :3]
         out.append(pose)

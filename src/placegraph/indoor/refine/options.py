@@ -54,8 +54,8 @@ class RefineOptions:
     images: bool | Literal["auto"] = "auto"
     """Match images with renderings; ``auto``: where depth alone does not fix the pose."""
     joint: bool = True
-    """All frames in one robust optimisation; else the frame with most inliers decides, as in the
-    paper."""
+    """All frames in one robust optimisation, of a pose that is not `LOST`, and which must stay near
+    it; else the frame with most inliers decides, as in the paper, wherever that is."""
     views: int = 1
     """Rendered views a frame is matched with, by matchers that know no neighbourhood. From starts
     within 10 degrees more than one cost time and gain nothing (benchmark; paper: 6)."""
@@ -107,5 +107,8 @@ class RefineOptions:
 
     @classmethod
     def paper(cls) -> RefineOptions:
-        """The paper's recipe: six views of every frame, PnP frame by frame, most inliers decide."""
+        """The paper's recipe: six views of every frame, PnP frame by frame, most inliers decide.
+
+        Its matcher is RoMa (`matcher="roma"`); the guided one knows where to look, and gets one view.
+        """
         return cls(depth=False, images=True, joint=False, check=False, views=6, frames=1000)

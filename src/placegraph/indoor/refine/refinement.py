@@ -65,14 +65,15 @@ def refined(
         The newest frames of the estimate; of more than `MOST` the newest are refined, except where
         each is by itself, as in the paper. Senses that were switched off for the filter are off here.
     estimate
-        One that is `LOST` is returned as it is.
+        One that is `LOST` is returned as it is, except where a frame decides as in the paper.
     refining
         How.
     explained
         Find the evidence of the refined pose, too; else that of the coarse one stands.
 
     """
-    if estimate.best is None or estimate.status is Status.LOST:
+    lost = estimate.status is Status.LOST and refining.options.joint
+    if estimate.best is None or lost:
         return estimate
     if refining.options.joint:
         window = window.last(MOST)

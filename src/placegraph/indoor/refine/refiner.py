@@ -22,6 +22,7 @@ from placegraph.threads import processors
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from placegraph.formats.capture.frame import Frame
@@ -113,6 +114,8 @@ class Refiner:
     known: tuple[Floats, Floats] | None = None
     """As `Problem.known`."""
     stats: dict[str, Any] = field(default_factory=dict)
+    rng: Generator = field(default_factory=lambda: np.random.default_rng(0))
+    """Turns views."""
 
     @classmethod
     def of(cls, window: Window, options: RefineOptions, matcher: Matcher | None) -> Refiner:
@@ -125,6 +128,7 @@ class Refiner:
             options=options,
             matcher=matcher,
             device=window.query.device,
+            rng=np.random.default_rng(window.query.seed),
         )
 
     def __post_init__(self) -> None:
@@ -208,13 +212,16 @@ class Refiner:
         """Matches of the frames that are looked at, those in held-back blocks left out."""
         rows = [t for t in self.looked() if self.queries[t] is not None]
         sights: list[Sights] = [Sights.none()] * len(self.frames)
+        views = {
+            t: turned(poses[t], self.options, self.rng) if stage.turned else [poses[t]]
+            for t in rows
+        }
 
         def one(t: int) -> Sights:
             frame, query = self.frames[t], self.queries[t]
             assert query is not None  # noqa: S101  chosen so
-            views = turned(poses[t], self.options) if stage.turned else [poses[t]]
             seen = look(
-                self.renderer, frame, query, views, stage.matcher,
+                self.renderer, frame, query, views[t], stage.matcher,
                 size=stage.size, sigma=stage.sigma,
             )  # fmt: skip
             return seen[~held_back(seen.pixels, frame.camera)] if self.options.check else seen
