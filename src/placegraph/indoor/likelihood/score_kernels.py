@@ -49,9 +49,10 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
         count[:] = 0.0
         moments[:] = 0.0
         far = np.float32(0.0)
+        missed = 0.0
         readings = 0
         coloured = 0
-        ssim = np.float32(0.0)
+        ssim = 0.0
         tiles = len(view.directions) // LANES
         for tile in range(tiles):
             aim(packet, poses[k], view.directions, tile * LANES)
@@ -69,13 +70,15 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 count[patch] += np.float32(1.0)
                 if view.terms[DEPTH] and view.depth[r] > 0:
                     readings += 1
-                    if triangle >= 0 or noise.gaussian:
+                    if noise.gaussian:
                         # what the map does not show is 0 in its depth image
                         expected = packet[FAR, lane] if triangle >= 0 else np.float32(0.0)
-                        far += _depth(expected, view.depth[r], noise)
+                        missed += _depth(expected, view.depth[r], noise)
+                    elif triangle >= 0:
+                        far += _depth(packet[FAR, lane], view.depth[r], noise)
                         far -= view.usual_depth[r]
             if view.terms[COLOUR]:
-                hits, likeness = _colour(tile, packet, ints, surface, view, moments)
+                hits, likeness = _colour(tile, packet, ints, surface, view, moments, noise.gaussian)
                 coloured += hits
                 ssim += likeness * hits
         if view.terms[SEMANTIC]:
@@ -85,10 +88,10 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
             samples += count[patch]
         if noise.gaussian:
             if readings:
-                scores[k, DEPTH] = np.float32(2.0) * (np.float32(1.0) - far / readings)
+                scores[k, DEPTH] = 2.0 * (1.0 - missed / readings)
             if samples:
                 # SSIM lies in [-1, 1]; what the map does not show agrees with nothing
-                scores[k, COLOUR] = max(np.float32(0.0), np.float32(2.0) * ssim / samples)
+                scores[k, COLOUR] = max(0.0, 2.0 * ssim / samples)
         else:
             scores[k, DEPTH] = np.float32(noise.depth_weight) * far / samples
             share = np.float32(coloured) / samples
@@ -144,10 +147,10 @@ def _depth(expected, measured, noise):
 
 
 @kernel(inline="always", fastmath=True)
-def _colour(tile, packet, ints, surface, view, moments):
-    """Add a tile to the frame's colour moments; its hits and the SSIM of its lightness (Sec. 3.4)."""
+def _colour(tile, packet, ints, surface, view, moments, gaussian):
+    """Add a tile to the frame's colour moments; its hits and, for Eq. 2, the SSIM of its lightness."""
     hits = 0
-    q1 = q2 = r1 = r2 = qr = np.float32(0.0)
+    q1 = q2 = r1 = r2 = qr = 0.0
     for lane in range(LANES):
         triangle = ints[TRIANGLE, lane]
         sample = tile * LANES + lane
@@ -169,13 +172,13 @@ def _colour(tile, packet, ints, surface, view, moments):
             moments[channel, 2] += q * q
             moments[channel, 3] += r * r
             moments[channel, 4] += q * r
-        q, r = view.colour[sample, 0], rendered[0]
+        q, r = np.float64(view.colour[sample, 0]), np.float64(rendered[0])
         q1, r1, q2, r2, qr = q1 + q, r1 + r, q2 + q * q, r2 + r * r, qr + q * r
-    if hits < 2:
-        return hits, np.float32(0.0)
-    n = np.float32(hits)
+    if hits < 2 or not gaussian:
+        return hits, 0.0
+    n = float(hits)
     # Wang et al. 2004 with K1 = .01, K2 = .03; lightness runs from 0 to 3
-    c1, c2 = np.float32(9e-4), np.float32(81e-4)
+    c1, c2 = 9e-4, 81e-4
     mq, mr = q1 / n, r1 / n
     vq, vr, cov = q2 / n - mq * mq, r2 / n - mr * mr, qr / n - mq * mr
     ssim = (2 * mq * mr + c1) * (2 * cov + c2) / ((mq * mq + mr * mr + c1) * (vq + vr + c2))

@@ -1,0 +1,255 @@
+"""`FilterOptions.paper()` against `paper_filter`, an independent implementation: by steps, and whole.
+
+Every step agrees to 1e-6, although rays are cast in single precision here.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import ks_2samp, kstest
+from tests.indoor.pose import paper_filter as theirs
+
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, between, compose, pose_matrix, wrap
+from placegraph.indoor.encode import Patches
+from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.filter import ParticleFilter
+from placegraph.indoor.pose.motion import propagate
+from placegraph.indoor.pose.particles import Particles, kld_bound, kld_count, resample
+from placegraph.indoor.pose.passes import everywhere
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.window import Window
+from placegraph.indoor.scene_map import SceneMap
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+PAPER = FilterOptions.paper()
+FOCAL, WIDTH, HEIGHT = 100.0, 160, 80
+GRID = (4, 8)
+UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+TRUE = np.array([[1.1, 1.0, 1.6, 0.5], [1.35, 1.15, 1.6, 0.7], [1.55, 1.4, 1.6, 0.95]])
+STEPS = np.concatenate([np.zeros((1, 4)), between(TRUE[:-1], TRUE[1:])])
+FURNITURE = (
+    ((0, 0, 0), (4, 3, 2.5)), ((3.3, 0.2, 0), (3.9, 1.6, 0.8)), ((0.1, 2.3, 0), (1.2, 2.9, 1.9)),
+    ((2.2, 2.6, 0.9), (3.2, 2.95, 1.7)), ((1.9, 0.05, 0), (2.8, 0.5, 1.2)),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(boxes):
+    """A room with four pieces of furniture; each wall is an object, and corners are painted."""
+    model = boxes({f"thing{i}": box for i, box in enumerate(FURNITURE)})
+    rng = np.random.default_rng(5)
+    vertices = np.asarray(model.vertices)
+    triangles = np.asarray(model.triangles)
+    objects = np.concatenate([np.arange(12) // 2, np.repeat(np.arange(6, 10), 12)])
+    mesh = Mesh.plain(vertices, triangles, objects, rng.integers(0, 256, vertices.shape))
+    names = [str(i) for i in range(10)]
+    return SceneMap.create(mesh, names, names, floor=0.0)
+
+
+@pytest.fixture(scope="module")
+def world(scene):
+    """What the other implementation is given of the room."""
+    mesh = scene.mesh
+    return theirs.World(
+        mesh.vertices[mesh.triangles].astype(float),
+        mesh.object_of,
+        mesh.colours[mesh.triangles] / 255.0,
+    )
+
+
+def rendered(world, pose, rng):
+    """Image of the room: every ninth patch is wrong, every tenth reading is missing."""
+    blank = np.zeros((HEIGHT, WIDTH))
+    image = theirs.Image(FOCAL, blank, blank, np.zeros(GRID, int), rng.uniform(0.3, 0.9, GRID))
+    nearest, depth, (u, v) = theirs.cast(world, pose[None], image.at(1)[2])
+    image.depth = np.round(depth[0].reshape(blank.shape), 3).astype(np.float32).astype(float)
+    image.depth[rng.random(blank.shape) < 0.1] = 0.0
+    # samples lie between pixels: either side of them reads the same
+    image.depth[:, 2::2], image.depth[2::2] = image.depth[:, 1:-1:2], image.depth[1:-1:2]
+    shares = np.stack([1 - u - v, u, v], axis=-1)[0]
+    colour = np.einsum("rk,rkc->rc", shares, world.colours[nearest[0]]) * 255
+    tiles = colour.reshape(HEIGHT // 4, 4, WIDTH // 4, 4, 3).mean(axis=(1, 3))
+    image.rgb = np.round(tiles).repeat(4, axis=0).repeat(4, axis=1).astype(np.uint8)
+    things = world.object_of[nearest[0]].reshape(4, HEIGHT // 4, 8, WIDTH // 8)
+    for row, column in np.ndindex(GRID):
+        seen = np.bincount(things[row, :, column].ravel(), minlength=10)
+        wrong = rng.random() < 1 / 9
+        image.best[row, column] = rng.integers(10) if wrong else seen.argmax()
+    image.cosine = image.cosine.astype(np.float32).astype(float)
+    return image
+
+
+@pytest.fixture(scope="module")
+def images(world):
+    rng = np.random.default_rng(1)
+    return [rendered(world, pose, rng) for pose in TRUE]
+
+
+@pytest.fixture(scope="module")
+def frames(images):
+    """The same as frames, with odometry in a frame of its own."""
+    camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
+    level = np.stack([UPRIGHT] * len(TRUE))
+    odometry = pose_matrix(between(TRUE[0], TRUE), level)
+    return [
+        Frame.from_arrays(
+            image.rgb, camera, depth=image.depth, odometry=at, gravity=(0, 1, 0), stamp=t, index=t
+        )
+        for t, (image, at) in enumerate(zip(images, odometry, strict=True))
+    ]
+
+
+class Told:
+    """Map encoder that says what the images' patches are most similar to."""
+
+    def __init__(self, images):
+        self.images = images
+
+    def encode(self, frame):
+        image = self.images[frame.index]
+        table = np.full((image.best.size, 10), -0.2, np.float32)
+        table[np.arange(image.best.size), image.best.ravel()] = image.cosine.ravel()
+        return Patches(frame.camera, GRID, np.arange(len(table), dtype=np.int32), table)
+
+
+def scattered(rng, count):
+    return rng.uniform((0.3, 0.7, 1.0, -np.pi), (3.1, 2.1, 1.8, np.pi), (count, 4))
+
+
+# ------------------------------------------------------------------------------------ steps
+
+
+def test_the_start(scene, rng):
+    """Sec. 3.1: the same cells and heights, three poses each; the rest is uniform in both."""
+    window = Window(PoseQuery(scene=scene, options=PAPER), Scorer(scene, PAPER.likelihood), [])
+    table = window.table
+    cells = np.unique(table.positions[:, :2], axis=0)
+    ours, other = everywhere(window, rng), theirs.start(cells, scene.floors[0], rng)
+
+    def told(poses):
+        cell = np.floor((poses[:, :2] - table.origin) / theirs.CELL)
+        columns = np.column_stack([cell, poses[:, 2].round(6)])
+        return np.unique(columns, axis=0, return_counts=True)
+
+    for a, b in zip(told(ours), told(other), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    for axis in (0, 1, 3):
+        size = theirs.CELL if axis < 2 else 2 * np.pi
+        within = [
+            (p[:, axis] - (table.origin[axis] if axis < 2 else -np.pi)) % size
+            for p in (ours, other)
+        ]
+        assert ks_2samp(*within).pvalue > 0.001
+        assert kstest(within[0] / size, "uniform").pvalue > 0.001
+
+
+def test_equation_1(rng):
+    poses, step = scattered(rng, 50), np.array([0.3, -0.1, 0.05, 0.4])
+    ours = propagate(poses, step, PAPER.motion, np.random.default_rng(3))
+    noise = np.random.default_rng(3).normal(size=poses.shape) * theirs.NOISE
+    away = ours - theirs.predict(poses, step, noise)
+    away[:, 3] = wrap(away[:, 3])
+    np.testing.assert_allclose(away, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("stride", [*theirs.STRIDES, 1])
+def test_scores_of_semantics_depth_and_colour(stride, scene, world, images, frames, rng):
+    """Sec. 3.3 and 3.4, at the strides of the passes and at full resolution."""
+    model = model_of(PAPER.likelihood)
+    sightings = [sight(frame, Told(images), PAPER) for frame in frames]
+    background = scene.visibility(PAPER).background
+    seen = views(sightings, float(stride), model, background)
+    poses = np.concatenate([TRUE, scattered(rng, 24 if stride > 1 else 2)])
+    ours = [Scorer(scene, PAPER.likelihood).terms(poses, view) for view in seen]
+    for scores, view, image in zip(ours, seen, images, strict=True):
+        nearest, depth, corner = theirs.cast(world, poses, image.at(stride)[2])
+        semantic = theirs.similarity(world, image, stride, nearest)
+        metres = theirs.depth_score(image, stride, depth)
+        colour = theirs.ssim_score(world, image, stride, nearest, corner)
+        expected = np.stack([semantic, metres, colour], axis=1)
+        np.testing.assert_allclose(scores, expected, rtol=0, atol=1e-6)
+        logs = model.combined(scores.astype(float), view.terms)
+        np.testing.assert_allclose(logs, theirs.likelihood(*scores.astype(float).T), rtol=1e-12)
+        alone = model.combined(scores.astype(float), np.array([True, False, False]))
+        np.testing.assert_allclose(alone, theirs.likelihood(scores[:, 0]), rtol=1e-12)
+
+
+def test_weights_bins_and_resampling(rng):
+    """Sec. 3.3 and 3.5, from the same random numbers."""
+    poses = np.concatenate([scattered(rng, 150), TRUE[0] + 0.1 * rng.normal(size=(250, 4))])
+    poses[:, 3] = wrap(poses[:, 3])
+    weights, logs = np.full(400, 1 / 400), -rng.exponential(3.0, 400)
+    ours, _ = Particles.even(poses).reweighted(logs)
+    other = theirs.update(weights, logs)
+    np.testing.assert_allclose(ours.weights, other, atol=1e-12)
+    wanted = theirs.kld(theirs.occupied(poses, other))
+    assert kld_count(ours, PAPER) == wanted
+    assert [kld_bound(k, 0.1, 0.95) for k in range(1, 400)] == [
+        theirs.kld(k) for k in range(1, 400)
+    ]
+    drawn = resample(ours, wanted, np.random.default_rng(8)).poses
+    uniform = np.random.default_rng(8).random(wanted)
+    np.testing.assert_array_equal(drawn, theirs.stratified(poses, other, uniform))
+    filter_ = ParticleFilter(None, PAPER, rng, ours, 100_000)
+    filter_.renew()
+    assert len(filter_.particles) == max(wanted, theirs.FEWEST)
+
+
+def test_an_estimate_is_carried_back(rng):
+    """Sec. 3.5: to the first frame, where the next pass begins."""
+    for pose in scattered(rng, 20):
+        first = compose(pose, between(TRUE[-1], TRUE[0]))
+        away = theirs.back(pose, STEPS) - first
+        away[3] = wrap(away[3])
+        np.testing.assert_allclose(away, 0.0, atol=1e-9)
+        there = first[None]
+        for step in STEPS[1:]:
+            there = theirs.plus(there, step)
+        np.testing.assert_allclose(there[0, :3], pose[:3], atol=1e-9)
+
+
+# ------------------------------------------------------------------------------- whole runs
+
+
+@pytest.mark.all
+@pytest.mark.parametrize("terms", [("semantic",), ("semantic", "depth")], ids=str)
+def test_whole_runs_err_alike(terms, scene, world, images, frames):
+    """Errors of many runs are drawn from one distribution, as far as a rank test can tell."""
+    few = 120
+    options = replace(PAPER, spacing=0.5, per_cell=1, fewest=few).only(**dict.fromkeys(terms, True))
+    first, *later = options.passes
+    options = replace(options, passes=(first, *(replace(p, particles=few) for p in later)))
+    cells = np.unique(scene.visibility(options).positions[:, :2], axis=0)
+    ours, other, counts = [], [], []
+    for seed in range(40):
+        estimate = scene.localize(
+            frames, encoder=Told(images), options=options, refine=False, seed=seed
+        )
+        ours.append(estimate.best.pose)
+        rng = np.random.default_rng(1000 + seed)
+        start = np.column_stack(
+            [
+                np.repeat(cells, 4, axis=0),
+                np.tile(theirs.HEIGHTS, len(cells)),
+                np.zeros(4 * len(cells)),
+            ]
+        )
+        start[:, :2] += rng.uniform(-0.25, 0.25, (len(start), 2))
+        start[:, 3] = rng.uniform(-np.pi, np.pi, len(start))
+        pose, counted = theirs.run(world, images, STEPS, start, rng, terms, few)
+        other.append(pose)
+        counts.append((sum(map(sum, estimate.stats["particles"])), sum(counted)))
+    assert ks_2samp(*(np.array(counts).T)).pvalue > 0.001
+
+    def errors(poses):
+        away = np.array(poses) - TRUE[-1]
+        return np.linalg.norm(away[:, :3], axis=1), np.abs(wrap(away[:, 3]))
+
+    for a, b in zip(errors(ours), errors(other), strict=True):
+        assert ks_2samp(a, b).pvalue > 0.01, (np.median(a), np.median(b))
