@@ -289,6 +289,63 @@ def test_nothing_is_injected_while_all_is_well(rng):
     assert not asked
 
 
+# ---------------------------------------------------------------- what the published code does
+
+
+def test_frames_that_are_not_scored_only_move_particles(rng):
+    true, steps = walk(6)
+    asked = []
+
+    def scorer(poses, view):
+        asked.append(view)
+        return near(poses, view)
+
+    filter_ = filter_of(scattered(rng, 900), rng, replace(OPTIONS, unscored=2), scorer, most=900)
+    run = run_pass(filter_, true, steps, range(6))
+    np.testing.assert_array_equal(asked, true[2:])
+    assert run.counts[:3] == (900,) * 3  # nothing is drawn anew before anything was said
+
+
+def test_the_only_frame_is_always_scored(rng):
+    true, steps = walk(1)
+    filter_ = filter_of(scattered(rng, 500), rng, replace(OPTIONS, unscored=1))
+    run = run_pass(filter_, true, steps, range(1))
+    np.testing.assert_array_equal(run.modes[0], run.particles.poses[run.particles.weights.argmax()])
+
+
+def test_injection_at_every_fifth_frame(rng):
+    true, steps = walk(12)
+    asked = []
+
+    def elsewhere(t, count):
+        asked.append((t, count))
+        return scattered(rng, count)
+
+    options = replace(OPTIONS, inject_every=5, kld=False)
+    run_pass(filter_of(scattered(rng, 400), rng, options), true, steps, range(12), elsewhere)
+    assert asked == [(4, 40), (9, 40)]  # a tenth, before frames 5 and 10
+
+
+def test_modes_of_all_frames_of_a_pass(rng):
+    """A place that the first frame speaks for keeps what it had then, though later ones leave it."""
+    first, second = np.array([0, 0, 1.6, 0.0]), np.array([3.0, 0, 1.6, 0])
+    views, steps = np.array([first, second, second, second]), np.zeros((4, 4))
+    start = np.repeat([first, second], 200, axis=0)
+    still = replace(PAPER, modes=2, fewest=2000, motion=MotionNoise(0, 0, 0, 0))
+    wide = np.array([1.5, 1.5, 1.5, 1.5])  # a likelihood ratio of e^2
+    masses = {}
+    for pooled in (False, True):
+        filter_ = filter_of(
+            start, rng, replace(still, pooled=pooled), lambda p, view: near(p, view, wide)
+        )
+        run = run_pass(filter_, views, steps, range(4))
+        np.testing.assert_allclose(run.modes, [second, first], atol=1e-9)
+        masses[pooled] = run.masses
+    odds = np.exp([-2.0, 2.0, 4.0])  # of the second place, after one, three and four frames
+    assert masses[False][1] == pytest.approx(1 / (1 + odds[2]), abs=0.02)
+    np.testing.assert_allclose(masses[True], [1 / (1 + 1 / odds[2]), 1 / (1 + odds[0])], atol=0.02)
+
+
 def test_the_paper_runs_by_the_same_code(rng):
     """Eq. 2's likelihood, particles at random, and KLD-sampling: Sec. 3.2 to 3.5."""
     true, steps = walk(10)

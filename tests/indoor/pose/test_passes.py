@@ -1,14 +1,15 @@
 """First particles of a pass: around a prior, or everywhere."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.passes import everywhere, near_prior
+from placegraph.indoor.options import FilterOptions, Pass
+from placegraph.indoor.pose.passes import _later, everywhere, near_prior
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.window import Window
@@ -67,6 +68,29 @@ def test_the_papers_start(room, rng):
     assert np.unique(got[:, 2]).round(3).tolist() == (room.floors[0] + [1.5, 1.7]).round(3).tolist()
     assert (np.abs(got[:, 3]) <= np.pi).all()
     assert np.histogram(got[:, 3], bins=4)[0].min() > len(got) / 8
+
+
+def test_a_wider_grid_is_as_dense(room, rng, monkeypatch):
+    """Where a map has more cells than a table can, each gets more poses."""
+    options = FilterOptions(start="uniform", spacing=0.1, per_cell=4, heights=(1.6,))
+    table = replace(room.visibility(options), spacing=0.2)
+    monkeypatch.setattr(Window, "table", table)
+    assert len(everywhere(window_of(room, options), rng)) == 16 * len(table)
+
+
+def test_later_passes_lie_in_boxes_and_give_every_mode_its_share(rng):
+    """Sec. 3.5; of several modes each gets a quarter of an even share at least."""
+    spec = Pass(stride=8.0, box=1.6, turn=0.4, particles=4000)
+    modes = np.array([[0.0, 0, 1.6, 0], [5, 0, 1.6, 1], [0, 5, 1.6, 2]])
+    got = _later(spec, modes, np.array([0.6, 0.2, 0.0]), rng)
+    of = np.linalg.norm(got[:, None, :3] - modes[:, :3], axis=2).argmin(axis=1)
+    counts = np.bincount(of)
+    np.testing.assert_allclose(counts, [1000 / 3 + 2250, 1000 / 3 + 750, 1000 / 3], atol=1)
+    offset = np.abs(got - modes[of])
+    assert (offset <= [0.8, 0.8, 0.8, 0.4]).all()
+    assert (offset.max(axis=0) > [0.75, 0.75, 0.75, 0.37]).all()
+    one = _later(spec, modes[:1], np.array([1e-9]), rng)
+    assert len(one) == 4000
 
 
 def test_layers_do_not_multiply_cells(room, rng):

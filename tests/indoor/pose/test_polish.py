@@ -12,12 +12,14 @@ from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import level_poses
+from placegraph.indoor.pose.particles import Particles
 from placegraph.indoor.pose.polish import (
     NARROWEST,
     SPREAD,
     WIDENED,
     Round,
     covariance_of,
+    heaviest,
     polish,
     probabilities,
     refine,
@@ -183,6 +185,29 @@ def test_what_is_badly_known_has_a_large_variance(rng):
 def test_no_pose_is_known_without_error(rng):
     (fit,) = polish(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
     assert (np.diag(covariance_of(fit))[[0, 1, 2, 5]] >= NARROWEST**2).all()
+
+
+# -------------------------------------------------------------------------- particles as they are
+
+
+def test_the_heaviest_particle_is_the_estimate(rng):
+    """Sec. 3.5: one pose; how likely and how exact, the particles about it say."""
+    rival = PEAK + np.array([2.0, 0, 0, 0])
+    poses = np.concatenate([PEAK + NARROW * rng.normal(size=(300, 4)), rival[None].repeat(100, 0)])
+    logs = np.log(np.append(rng.uniform(0.5, 1.0, 300), np.full(100, 0.2)))
+    particles, _ = Particles.even(poses).reweighted(logs)
+    best = particles.weights.argmax()
+    (fit,) = heaviest(particles, 1)
+    np.testing.assert_array_equal(fit.pose, poses[best])
+    assert np.exp(fit.log_likelihood) == pytest.approx(particles.weights[:300].sum())
+    away = poses[:300] - poses[best]
+    away[:, 3] = wrap(away[:, 3])
+    share = particles.weights[:300] / particles.weights[:300].sum()
+    expected = (away * share[:, None]).T @ away + np.diag(NARROWEST**2)
+    np.testing.assert_allclose(fit.covariance, expected, rtol=1e-9)
+    both = heaviest(particles, 5)
+    np.testing.assert_array_equal([f.pose for f in both], [poses[best], rival])
+    assert sum(np.exp(f.log_likelihood) for f in both) == pytest.approx(1.0)
 
 
 # ---------------------------------------------------------------------------- a rendered walk
