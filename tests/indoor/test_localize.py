@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,9 +22,10 @@ from placegraph.geometry import (
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.instances import ClassesOfInstances
+from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.threads import limited
@@ -526,10 +528,39 @@ def test_variants(options, room, walk, truth):
     right(estimate, truth(walk)[4], 0.3, 8.0)
 
 
-def test_the_papers_recipe(room, walk, truth):
-    """Eq. 2, a uniform start, strides 20, 8, 4: slower, but it finds its way in a room."""
-    estimate = room.localize(walk, frames=FIVE, options=FilterOptions.paper())
-    right(estimate, truth(walk)[4], 0.3, 8.0)
+@pytest.mark.parametrize("name", ["paper", "published", "coarse"])
+def test_the_papers_recipes(name, room, walk, truth):
+    """Eq. 2, a uniform start, 2,500 particles: slower, but they find their way in a room."""
+    options = FilterOptions.preset(name)
+    estimate = room.localize(walk, frames=slice(0, 3), options=options, refine=False)
+    distance, turn = errors(estimate.best, truth(walk)[2])
+    assert distance < 0.3
+    assert turn < 8.0
+    counts = estimate.stats["particles"]
+    assert [len(c) for c in counts] == [3] * len(options.passes)
+    assert min(map(min, counts)) >= 2490  # shares of modes are rounded
+    assert 0 < sum(mode.probability for mode in estimate.modes) <= 1 + 1e-9
+    assert len(estimate.modes) <= options.modes
+
+
+def test_the_recipes_do_not_ask_the_table(room, walk, monkeypatch):
+    """Where a start is uniform its panoramas say which cells are free, and no more."""
+
+    def ranks(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(VisibilityTable, "ranks", ranks)
+    options = replace(FilterOptions.published(), spacing=0.4, per_cell=1, inject_every=2)
+    options = replace(options, fewest=100, passes=options.passes[:1])
+    assert room.localize(walk, frames=FIVE, options=options, refine=False).modes
+
+
+def test_labels_alone_are_judged_by_ratios(room, walk, truth):
+    """Scores of Eq. 2 are never above 0, and no log-likelihood ratio of a place that fits."""
+    options = replace(FilterOptions().only(semantic=True), likelihood=Likelihood(kind="gaussian"))
+    estimate = room.localize(walk, frames=FIVE, options=options, refine=False)
+    assert estimate.status is not Status.LOST, estimate.reason
+    right(estimate, truth(walk)[4], 0.5, 10.0)
 
 
 # ------------------------------------------------------------------------------ many scenes
