@@ -110,6 +110,12 @@ def kitti360pose_world():
 
 
 @pytest.fixture(scope="session")
+def gotpr_world():
+    """Module that writes a tiny GOTPR in the released layout."""
+    return _world("gotpr_world.py")
+
+
+@pytest.fixture(scope="session")
 def scannet_world():
     """Module that writes a tiny ScanNet in the published layout."""
     return _world("scannet_world.py")
