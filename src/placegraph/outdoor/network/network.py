@@ -14,13 +14,7 @@ import numpy as np
 
 from placegraph.errors import MapError
 from placegraph.outdoor.network import network_kernels as kernels
-from placegraph.outdoor.network.batches import (
-    GraphBatch,
-    WordFits,
-    agreements,
-    place_batch,
-    text_batch,
-)
+from placegraph.outdoor.network.batches import agreements, place_batch, text_batch
 from placegraph.outdoor.network.labels import Bags
 from placegraph.outdoor.network.weights import MEANING, read_weights, shipped, sizes
 
@@ -29,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.network.batches import Floats, Rows
+    from placegraph.outdoor.network.batches import Floats, GraphBatch, Rows, WordFits
     from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
     from placegraph.outdoor.network.labels import WordVectors
     from placegraph.outdoor.network.weights import Shape
@@ -160,8 +154,6 @@ class GraphTransformer:
 
     def word_vectors(self, words: tuple[str, ...]) -> Floats:
         """Vectors (W, d) of labels, names (`of_name`) and any other words."""
-        if not words:
-            return np.zeros((0, self.shape.width), np.float32)
         return self.bags(words).vectors(self.arrays["table"], self.arrays.get(MEANING))
 
     def bags(self, words: tuple[str, ...]) -> Bags:

@@ -186,6 +186,8 @@ def test_the_table_runs_a_release(gotpr_world, folder, tmp_path, capsys):
         cells = read_graphs(file_of(folder, "scene_graphs/osm_cell_graphs_*.pkl"))
         expected = recalls(network, graphs, cells, candidates=None)
         assert found == {str(k): v for k, v in expected.items()}
+    outdoor_gotpr.measure(run, folder, quick=True)
+    assert "test k" not in capsys.readouterr().out
     weights.write_bytes(b"no weights")
     with pytest.raises(InputError, match="weights of 'GOTPR'"):
         BigGNN.open(weights)
