@@ -178,7 +178,11 @@ class Kitti360Pose:
         return sum(len(pack(a)[2]) for a in _map_columns(self, cells, rows).values())
 
     def save(self, write: Write) -> None:
-        """Write through `placegraph.store.writing`."""
+        """Write through `placegraph.store.writing`; raises `OptionError` where it is made of OSM."""
+        if self.tags:
+            raise OptionError(
+                f"{self.source} is made from its extract when it is needed; save the data without it."
+            )
         every = np.arange(len(self.cells.ids)), np.arange(len(self.objects.ids))
         p, h = self.poses, self.hints
         arrays = _map_columns(self, *every) | {

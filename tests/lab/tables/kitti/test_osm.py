@@ -129,6 +129,11 @@ def test_names_may_be_left_out(data, extract):
     assert not {"Kern", "Gartenweg"} & said
 
 
+def test_it_is_not_kept_in_a_file(osm):
+    with pytest.raises(OptionError, match=r"karlsruhe\.osm is made from its extract"):
+        osm.save(lambda *_: None)
+
+
 @pytest.mark.parametrize(("name", "least"), [("triple bag", 0.5), ("relational", 0.7)])
 def test_matchers_find_most(osm, name, least):
     split = Split.of(osm, "test")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError
+from placegraph.geometry import LocalPlane
 from placegraph_lab.tables.outdoor.raw import AREA, KEYS, LINE, POINT, is_area, read_raw, tag_label
 
 
@@ -95,6 +96,18 @@ def test_nodes_that_are_missing_are_left_out(write_world):
     city = read_raw(path)
     assert sorted(city.osm) == ["node/3", "way/1"]
     assert np.ptp(city.segments.reshape(-1, 2)[:, 0]) == pytest.approx(10.0, abs=0.02)
+
+
+def test_only_what_touches_the_bounds_is_kept(write_world):
+    nodes = [(0.0, 0.0, {"shop": "books"}), (900.0, 100.0, {"shop": "toys"}), (100.0, 900.0, {})]
+    path = write_world(nodes, [([0, 2], {"highway": "path"}), ([1, 2], {"highway": "steps"})])
+    plane = LocalPlane(10.0, 50.0)
+    low, high = plane.to_lonlat([(-50.0, -50.0), (50.0, 50.0)])
+    assert sorted(read_raw(path, (*low, *high)).osm) == ["node/1", "way/1"]
+    low, high = plane.to_lonlat([(400.0, 200.0), (500.0, 300.0)])  # the box of the steps alone
+    with pytest.raises(InputError, match="no tagged object there"):
+        read_raw(path, (*(low - 1.0), *(high - 1.0)))
+    assert read_raw(path, (*low, *high)).osm == ("way/2",)
 
 
 def test_nothing_to_read_is_said(write_world, tmp_path):

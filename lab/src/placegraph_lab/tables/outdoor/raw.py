@@ -224,7 +224,7 @@ def _lonlat(nodes: Iterable[Any]) -> Floats:
 
 
 def read_raw(path: str | Path, bounds: Bounds | None = None) -> RawCity:
-    """Read the tagged objects of an OpenStreetMap extract, whole or as far as they touch `bounds`.
+    """Read the tagged objects of an OpenStreetMap extract: all, or those whose box touches `bounds`.
 
     Closed ways become areas by `is_area`, multipolygon relations by osmium's assembler; nodes
     that a clipped extract lacks are left out of their lines.
