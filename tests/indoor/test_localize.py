@@ -543,6 +543,17 @@ def test_the_papers_recipes(name, room, walk, truth):
     assert len(estimate.modes) <= options.modes
 
 
+def test_the_last_pass_at_full_resolution(room, walk, truth):
+    """Table 7, "max. resolution": stride 1."""
+    first, second, third = FilterOptions.paper().passes
+    passes = (first, replace(second, particles=300), replace(third, stride=1.0, particles=60))
+    options = replace(FilterOptions.paper(), passes=passes, fewest=60)
+    estimate = room.localize(walk, frames=TWO, options=options, refine=False)
+    distance, turn = errors(estimate.best, truth(walk)[1])
+    assert distance < 0.4
+    assert turn < 10.0
+
+
 def test_the_recipes_do_not_ask_the_table(room, walk, monkeypatch):
     """Where a start is uniform its panoramas say which cells are free, and no more."""
 

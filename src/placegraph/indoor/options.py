@@ -139,7 +139,7 @@ _PRINTED = 2500  # particles on 3RScan (Sec. 5)
 def _passes(first: float, second: float, third: float) -> tuple[Pass, ...]:
     """The paper's three passes at these strides (Sec. 3.5)."""
     return (
-        Pass(stride=first, box=0.0, turn=np.pi, particles=100_000),
+        Pass(stride=first, box=0.0, turn=np.pi, particles=10 * _PRINTED),
         Pass(stride=second, box=1.6, turn=np.pi / 4, particles=_PRINTED),
         Pass(stride=third, box=0.8, turn=np.pi / 8, particles=_PRINTED),
     )
