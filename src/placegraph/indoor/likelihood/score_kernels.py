@@ -49,9 +49,9 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
         count[:] = 0.0
         moments[:] = 0.0
         far = np.float32(0.0)
-        missed = 0.0
         readings = 0
         coloured = 0
+        missed = 0.0
         ssim = 0.0
         tiles = len(view.directions) // LANES
         for tile in range(tiles):
@@ -70,17 +70,18 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 count[patch] += np.float32(1.0)
                 if view.terms[DEPTH] and view.depth[r] > 0:
                     readings += 1
-                    if noise.gaussian:
+                    if triangle >= 0 or noise.gaussian:
                         # what the map does not show is 0 in its depth image
                         expected = packet[FAR, lane] if triangle >= 0 else np.float32(0.0)
-                        missed += _depth(expected, view.depth[r], noise)
-                    elif triangle >= 0:
-                        far += _depth(packet[FAR, lane], view.depth[r], noise)
+                        far += _depth(expected, view.depth[r], noise)
                         far -= view.usual_depth[r]
-            if view.terms[COLOUR]:
-                hits, likeness = _colour(tile, packet, ints, surface, view, moments, noise.gaussian)
-                coloured += hits
-                ssim += likeness * hits
+            if noise.gaussian:  # tiles are summed in double precision
+                missed += far
+                far = np.float32(0.0)
+                if view.terms[COLOUR]:
+                    ssim += _ssim(tile, packet, ints, surface, view)
+            elif view.terms[COLOUR]:
+                coloured += _colour(tile, packet, ints, surface, view, moments)
         if view.terms[SEMANTIC]:
             scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
         samples = np.float32(0.0)
@@ -147,8 +148,37 @@ def _depth(expected, measured, noise):
 
 
 @kernel(inline="always", fastmath=True)
-def _colour(tile, packet, ints, surface, view, moments, gaussian):
-    """Add a tile to the frame's colour moments; its hits and, for Eq. 2, the SSIM of its lightness."""
+def _colour(tile, packet, ints, surface, view, moments):
+    """Add a tile to the frame's colour moments; how many of its samples hit."""
+    hits = 0
+    for lane in range(LANES):
+        triangle = ints[TRIANGLE, lane]
+        sample = tile * LANES + lane
+        if triangle < 0 or view.patch[sample] < 0:
+            continue
+        hits += 1
+        rendered = _shown(packet, lane, triangle, surface, view)
+        for channel in range(3):
+            q, r = view.colour[sample, channel], rendered[channel]
+            moments[channel, 0] += q
+            moments[channel, 1] += r
+            moments[channel, 2] += q * q
+            moments[channel, 3] += r * r
+            moments[channel, 4] += q * r
+    return hits
+
+
+@kernel(inline="always", fastmath=True)
+def _shown(packet, lane, triangle, surface, view):
+    """`opponent` of what one ray hits."""
+    width = packet[FAR, lane] * np.float32(view.footprint)
+    red, green, blue = colour_at(surface, triangle, packet[U, lane], packet[V, lane], width)
+    return opponent(red, green, blue)
+
+
+@kernel(inline="always", fastmath=True)
+def _ssim(tile, packet, ints, surface, view):
+    """SSIM of a tile's lightness (Sec. 3.4), times its samples that hit."""
     hits = 0
     q1 = q2 = r1 = r2 = qr = 0.0
     for lane in range(LANES):
@@ -157,32 +187,17 @@ def _colour(tile, packet, ints, surface, view, moments, gaussian):
         if triangle < 0 or view.patch[sample] < 0:
             continue
         hits += 1
-        red, green, blue = colour_at(
-            surface,
-            triangle,
-            packet[U, lane],
-            packet[V, lane],
-            packet[FAR, lane] * np.float32(view.footprint),
-        )
-        rendered = opponent(red, green, blue)
-        for channel in range(3):
-            q, r = view.colour[sample, channel], rendered[channel]
-            moments[channel, 0] += q
-            moments[channel, 1] += r
-            moments[channel, 2] += q * q
-            moments[channel, 3] += r * r
-            moments[channel, 4] += q * r
-        q, r = np.float64(view.colour[sample, 0]), np.float64(rendered[0])
+        q = np.float64(view.colour[sample, 0])
+        r = np.float64(_shown(packet, lane, triangle, surface, view)[0])
         q1, r1, q2, r2, qr = q1 + q, r1 + r, q2 + q * q, r2 + r * r, qr + q * r
-    if hits < 2 or not gaussian:
-        return hits, 0.0
+    if hits < 2:
+        return 0.0
     n = float(hits)
     # Wang et al. 2004 with K1 = .01, K2 = .03; lightness runs from 0 to 3
     c1, c2 = 9e-4, 81e-4
     mq, mr = q1 / n, r1 / n
     vq, vr, cov = q2 / n - mq * mq, r2 / n - mr * mr, qr / n - mq * mr
-    ssim = (2 * mq * mr + c1) * (2 * cov + c2) / ((mq * mq + mr * mr + c1) * (vq + vr + c2))
-    return hits, ssim
+    return n * (2 * mq * mr + c1) * (2 * cov + c2) / ((mq * mq + mr * mr + c1) * (vq + vr + c2))
 
 
 @kernel(inline="always", fastmath=True)

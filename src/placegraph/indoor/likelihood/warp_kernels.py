@@ -137,11 +137,9 @@ def shade(
         thing = surface.object_of[hit.face]
         far = hit.t
     semantic[n, r] = view.semantic[patch, thing]
-    if view.has_depth != 0 and view.depth[r] > 0.0:
-        if noise.gaussian != 0:  # what the map does not show is 0 in its depth image
-            depth[n, r] = depth_term(far, view.depth[r], noise)
-        elif hit.result:
-            depth[n, r] = depth_term(far, view.depth[r], noise) - view.usual_depth[r]
+    # what the map does not show is 0 in its depth image
+    if view.has_depth != 0 and view.depth[r] > 0.0 and (hit.result or noise.gaussian != 0):
+        depth[n, r] = depth_term(far, view.depth[r], noise) - view.usual_depth[r]
     if view.has_colour != 0 and hit.result:
         # Warp's weights are of corners 0 and 1
         v = 1.0 - hit.u - hit.v
