@@ -76,7 +76,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                         far += _depth(expected, view.depth[r], noise)
                         far -= view.usual_depth[r]
             if noise.gaussian:  # tiles are summed in double precision
-                missed += far
+                missed += float(far)
                 far = np.float32(0.0)
                 if view.terms[COLOUR]:
                     ssim += _ssim(tile, packet, ints, surface, view)
