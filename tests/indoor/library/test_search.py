@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.formats.capture.frame import Frame
-from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of
+from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.query import WORDS, encode, told_apart
 from placegraph.indoor.library.search import scores
@@ -133,19 +133,32 @@ def test_options_out_of_range(wrong):
 # ------------------------------------------------------------------------------------- the parts
 
 
-def test_the_papers_sum_is_the_papers_sum(by_labels, rooms):
-    film = rooms["parlour"].film(6, frames=3)
-    encoder = by_labels.encoders[0]
+@pytest.mark.parametrize("name", ["labels", "compact"])
+def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
+    """Sec. 4, of vectors as they are: more patches than a query is told apart by."""
+    library = library_of(maps, encoders=name)
+    (encoder,), film = library.encoders, list(rooms["parlour"].film(6, frames=10))
     wanted = np.zeros(3)
-    for s, name in enumerate(by_labels):
-        vectors = by_labels.entry(name).signature.vectors[encoder.key]
-        for frame in film:
-            patches = encoder.patches(frame).reshape(-1, encoder.dimension)
-            patches = patches[patches.any(axis=1)]
+    for frame in film:
+        patches = encoder.patches(frame).reshape(-1, encoder.dimension).astype(np.float64)
+        patches = patches[patches.any(axis=1)]
+        for s, scene in enumerate(library):
+            vectors = library.entry(scene).signature.vectors[encoder.key]
             wanted[s] += (patches @ vectors.T).max(axis=1).mean()
-    query = encode(list(film), by_labels.encoders)
-    got = scores(by_labels.own_index, query, SearchOptions(method="cosines")).total
-    np.testing.assert_allclose(got, wanted, atol=1e-4)
+    query = encode(film, library.encoders, exact=True)
+    got = scores(library.own_index, query, SearchOptions(method="cosines")).total
+    np.testing.assert_allclose(got, wanted, atol=1e-6)
+    found = library.search(film, options=SearchOptions(method="cosines"))
+    assert {m.scene: m.score for m in found.modes} == dict(zip(library, got.tolist(), strict=True))
+    assert (len(query.said[0].words) > WORDS) == (name == "compact")
+
+
+def test_the_papers_sum_of_a_large_library_is_made_in_parts(by_labels, rooms, monkeypatch):
+    query = encode(list(rooms["parlour"].film(6, frames=3)), by_labels.encoders, exact=True)
+    paper = SearchOptions(method="cosines")
+    whole = scores(by_labels.own_index, query, paper).total
+    monkeypatch.setattr(search, "_TABLE", 1)
+    np.testing.assert_allclose(scores(by_labels.own_index, query, paper).total, whole, atol=1e-9)
 
 
 @settings(max_examples=20)
@@ -156,7 +169,7 @@ def test_kernels_do_what_numpy_does(seed):
     starts = np.concatenate([[0], np.cumsum(sizes)])
     code = rng.integers(0, 6, starts[-1]).astype(np.int32)
     table = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
-    weight, share = (rng.random(n).astype(np.float32) for n in (3, starts[-1]))
+    weight, share = rng.random(3), rng.random(starts[-1]).astype(np.float32)
     best = [table[:, code[a:b]].max(axis=1) @ weight for a, b in itertools.pairwise(starts)]
     np.testing.assert_allclose(
         best_cosines(table, code, starts, weight), best, rtol=1e-4, atol=1e-5

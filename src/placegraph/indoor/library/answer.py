@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -62,10 +63,11 @@ def search_capture(
     text: Sentence | None = None,
 ) -> SceneEstimate:
     """Scenes of a library, likeliest first; `SceneLibrary.search` says more."""
-    index = library.index if options.method == "likelihood" else library.own_index
+    exact = options.method == "cosines"
+    index = library.own_index if exact else library.index
     chosen = chosen_frames(capture, frames)
     start = perf_counter()
-    query = encode(chosen, library.encoders)
+    query = encode(chosen, library.encoders, exact=exact)
     encoding = perf_counter() - start
     found = scores(index, query, options)
     names = library.names
@@ -128,8 +130,9 @@ def _explain_capture(
     missed = 0.0
     lost = 0.0
     for s in query.said:
-        vocabulary = index.vocabularies[s.key]
-        r = ratio(s, vocabulary, options)[vocabulary.code[first:last]].T
+        known = index.vocabularies[s.key]
+        here = replace(known, vectors=known.vectors[known.code[first:last]])
+        r = ratio(s, here, options).T
         parts = share * r
         mixture = np.log((1.0 - options.wrong) * parts.sum(axis=1) + options.wrong)
         weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))

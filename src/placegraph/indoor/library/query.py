@@ -66,8 +66,10 @@ class Query:
         return np.column_stack([steps[:, 0], steps[:, 1], steps[:, 3] / _UNIT])
 
 
-def encode(frames: Sequence[Frame], encoders: Sequence[Encoder]) -> Query:
+def encode(frames: Sequence[Frame], encoders: Sequence[Encoder], *, exact: bool = False) -> Query:
     """Encode frames with every encoder that they have something for.
+
+    `exact`: patches keep the vectors that they have, instead of the nearest of some `WORDS`.
 
     Raises
     ------
@@ -79,7 +81,7 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder]) -> Query:
     """
     if not frames:
         raise OptionError("frames: there is none; a query needs at least one.")
-    said = [s for s in (_said(frames, e) for e in encoders) if s is not None]
+    said = [s for s in (_said(frames, e, exact) for e in encoders) if s is not None]
     if not said:
         names = ", ".join(e.name for e in encoders)
         raise OptionError(
@@ -89,7 +91,7 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder]) -> Query:
     return Query(tuple(said), leveled(frames))
 
 
-def _said(frames: Sequence[Frame], encoder: Encoder) -> Said | None:
+def _said(frames: Sequence[Frame], encoder: Encoder, exact: bool) -> Said | None:
     vectors, owners, turns, bands = [], [], [], []
     for t, frame in enumerate(frames):
         patches = patches_of(encoder, frame)
@@ -106,9 +108,10 @@ def _said(frames: Sequence[Frame], encoder: Encoder) -> Said | None:
         owners.append(np.full(len(level), t, np.int32))
         turns.append(turn)
         bands.append(np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32))
-    if not sum(len(v) for v in vectors):
+    count = sum(len(v) for v in vectors)
+    if not count:
         return None
-    most = min(WORDS, 48 + 16 * len(vectors))
+    most = count if exact else min(WORDS, 48 + 16 * len(vectors))
     words, word = told_apart(np.concatenate(vectors), most)
     return Said(
         encoder.key,

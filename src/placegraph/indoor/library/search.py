@@ -1,9 +1,10 @@
 """In which scene of a library a capture was taken (Sec. 4), by what it shows and where.
 
-The paper sums the best cosines. Here every patch is a witness that may err: what it says of a
-scene is how much likelier it is there than in the library and the homes beside it (`decoys`), so
-that a wall says little and a piano much. Scenes that hold what was seen are then asked whether it
-is seen there *together*: frames are laid along their way through a scene's panoramas.
+The paper sums the best cosines, of every patch as its encoder has it. Here every patch is a
+witness that may err: what it says of a scene is how much likelier it is there than in the library
+and the homes beside it (`decoys`), so that a wall says little and a piano much. Scenes that hold
+what was seen are then asked whether it is seen there *together*: frames are laid along their way
+through a scene's panoramas.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.query import Query, Said
 
 _COMPARED = 50_000  # vectors that a word is compared with quickly
+_TABLE = 1 << 24  # cosines held at once
 _TOGETHER = 0.65  # exponent of the frames of one way in what counts as one
 ANYTHING = 4e-4
 """Belief that what is said is of anything, at least: what is like nothing in the library, and
@@ -54,8 +56,7 @@ def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
     start = perf_counter()
     said = [s for s in query.said if s.key in index.vocabularies]
     if options.method == "cosines":
-        sums = [_cosines(index, s, len(query)) for s in said]
-        total = np.stack(sums).sum(axis=0, dtype=np.float64)
+        total = np.sum([_cosines(index, s, len(query)) for s in said], axis=0)
         # sums are no likelihoods: a hundredth of the cosine counts as one
         return Scores(total, 0.01 * len(query), {"cosines": perf_counter() - start})
     rows, part = _shortlist(index, said, options)
@@ -113,16 +114,23 @@ def ratio(said: Said, vocabulary: Vocabulary, options: SearchOptions) -> NDArray
     return np.ascontiguousarray(out, np.float32)
 
 
-def _cosines(index: Index, said: Said, frames: int) -> NDArray[np.float32]:
-    """Sum over frames of the mean over patches of the best cosine (S,)."""
+def _cosines(index: Index, said: Said, frames: int) -> NDArray[np.float64]:
+    """Sum over frames of the mean over patches of the best cosine (S,): Sec. 4."""
     vocabulary = index.vocabularies[said.key]
     per_frame = np.bincount(said.frame, minlength=frames)
     weight = np.bincount(said.word, 1.0 / per_frame[said.frame], len(said.words))
-    cosines = np.ascontiguousarray(said.words @ vocabulary.vectors.T)
     first = np.searchsorted(index.owner, np.arange(int(index.owner[-1]) + 2))
-    return np.asarray(
-        best_cosines(cosines, vocabulary.code, index.starts[first], weight.astype(np.float32))
-    )
+    total = np.zeros(len(first) - 1)
+    step = max(1, _TABLE // len(vocabulary.vectors))
+    for row in range(0, len(weight), step):
+        cosines = said.words[row : row + step] @ vocabulary.vectors.T
+        total += best_cosines(
+            np.ascontiguousarray(cosines),
+            vocabulary.code,
+            index.starts[first],
+            weight[row : row + step],
+        )
+    return total
 
 
 def patch_weights(said: Said, frames: int, options: SearchOptions) -> NDArray[np.float32]:

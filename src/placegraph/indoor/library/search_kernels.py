@@ -24,7 +24,7 @@ def best_cosines(cosines, code, starts, weight):
 
     `code`: (M,) column of each object; `starts`: (S + 1,) first object of each scene.
     """
-    out = np.empty(len(starts) - 1, np.float32)
+    out = np.empty(len(starts) - 1, np.float64)
     in_threads(_best_cosines, len(out), cosines, code, starts, weight, out)
     return out
 
@@ -32,7 +32,7 @@ def best_cosines(cosines, code, starts, weight):
 @kernel(fastmath=True, error_model="numpy")
 def _best_cosines(cosines, code, starts, weight, out, first, last):
     for s in range(first, last):
-        total = np.float32(0.0)
+        total = 0.0
         for w in range(len(weight)):
             best = np.float32(-1.0)
             for i in range(starts[s], starts[s + 1]):

@@ -105,7 +105,7 @@ class Cosines:
 
     def search(self, capture: Capture) -> Found:
         """Scenes by their score."""
-        query = encode(list(capture), self._encoders)
+        query = encode(list(capture), self._encoders, exact=True)
         total = scores(self._index, query, SearchOptions(method="cosines")).total
         order = np.argsort(-total, kind="stable")
         return Found(
