@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+from zipfile import is_zipfile
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 
@@ -39,13 +40,22 @@ def device_for(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and tor
     return found
 
 
+def load_file(torch: Any, path: Path) -> Any:  # noqa: ANN401
+    """What a file of PyTorch holds, tensors and plain values only; nothing in it is run.
+
+    Tensors stay in the file, whose pages are read when they are computed with, unless it is of the
+    old format. Raises whatever PyTorch's parsers do.
+    """
+    return torch.load(path, map_location="cpu", weights_only=True, mmap=is_zipfile(path))
+
+
 def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: ANN401
     """Weights from a file: tensors by name. Nothing in the file is run.
 
     Raises `InputError` where the file is missing, no file of weights, or holds anything else.
     """
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        state = load_file(torch, path)
     except FileNotFoundError as error:
         raise InputError(
             f"{path} does not exist; weights= names the file with the weights of {name!r}."

@@ -39,9 +39,9 @@ def encoders_of(names: Sequence[str], weights: Path | None) -> list[Encoder]:
         As the encoders themselves.
 
     """
-    from placegraph.indoor.encode import encoder
+    from placegraph.indoor.encode import encoder, spoken
 
-    own = [name for name in names if name in WITH_WEIGHTS]
+    own = [name for name in names if spoken(name)[0] in WITH_WEIGHTS]
     if weights is not None and len(own) != 1:
         raise OptionError(
             f"--weights belongs to one encoder that has some ({', '.join(WITH_WEIGHTS)}), and "

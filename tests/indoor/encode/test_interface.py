@@ -11,6 +11,7 @@ from placegraph.indoor.encode import (
     encoder,
     for_map,
     patches_of,
+    spoken,
     vectors_of,
 )
 
@@ -28,6 +29,16 @@ def test_encoders_by_name_read_a_map(name, room):
     assert vectors.shape == (len(room), made.dimension)
     lengths = np.linalg.norm(vectors, axis=1)
     np.testing.assert_allclose(lengths[lengths > 0], 1.0, atol=1e-5)
+
+
+def test_options_are_said_with_the_name():
+    said = "labels weights='my file.pth' rotate=True temperature=0.5 name=a=b"
+    options = {"weights": "my file.pth", "rotate": True, "temperature": 0.5, "name": "a=b"}
+    assert spoken(said) == ("labels", options)
+    assert encoder("appearance").key == encoder("  appearance ").key
+    for wrong in ("labels colour=1", "labels colour", "labels 'colour", ""):
+        with pytest.raises(OptionError):
+            encoder(wrong)
 
 
 def test_what_is_no_encoder():

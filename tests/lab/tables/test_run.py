@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from placegraph_lab.cli.lab import app
-from placegraph_lab.tables.run import Run, known, load, names, spoken
+from placegraph_lab.tables.run import Run, known, load, names
 from placegraph_lab.worlds.town.town import Town
 
 
@@ -77,8 +77,7 @@ def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatc
     assert (tmp_path / "results/some.json").exists()
 
 
-def test_what_is_said_of_rows_and_options():
-    assert spoken("sift ratio=0.8 upright=False") == ("sift", {"ratio": 0.8, "upright": False})
+def test_what_is_said_of_rows():
     assert known([], ("a", "b"), "row") == ["a", "b"]
     with pytest.raises(typer.BadParameter, match="there are a; b"):
         known(["c"], ("a", "b"), "row")

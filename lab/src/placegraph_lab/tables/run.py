@@ -6,7 +6,6 @@ name in `placegraph_lab.tables.named`. Its first line says what it measures.
 
 from __future__ import annotations
 
-import ast
 import inspect
 import json
 import os
@@ -189,13 +188,6 @@ def known(given: Sequence[str], there: Iterable[str], what: str) -> list[str]:
     if unknown:
         raise typer.BadParameter(f"{unknown[0]!r} is no {what}; there are {'; '.join(every)}")
     return list(given) or every
-
-
-def spoken(spec: str) -> tuple[str, dict[str, Any]]:
-    """Name and options of what is said like `sift ratio=0.8`."""
-    name, *options = spec.split()
-    pairs = (option.partition("=") for option in options)
-    return name, {key: ast.literal_eval(value) for key, _, value in pairs}
 
 
 def _shared(

@@ -35,7 +35,8 @@ def encode(
         str,
         Option(
             help="labels, appearance and compact know objects by the map alone; features and "
-            "scenegraphloc (extra `learn`) by images of it, --captures."
+            "scenegraphloc (extra `learn`) by images of it, --captures. Options of an encoder are said "
+            "with its name: 'scenegraphloc feature_weights=dinov2_vitg14.pth'."
         ),
     ],
     weights: WeightsFile = None,
@@ -104,6 +105,9 @@ def _given(
     encoder: str, captures: list[Path], poses: str | None, frames: str | None
 ) -> Sequence[Path]:
     """Folders of captures; `OptionError` where options contradict each other."""
+    from placegraph.indoor.encode import spoken
+
+    encoder, _ = spoken(encoder)
     if captures and encoder not in WITH_CAPTURES:
         raise OptionError(
             f"--captures belongs to {' and '.join(WITH_CAPTURES)}; {encoder} knows objects by the "

@@ -66,8 +66,9 @@ def localize(
     encoder: Annotated[
         str | None,
         Option(
-            help="What says which objects a patch may show: labels, appearance, compact; "
-            "the capture's own labels if not given.",
+            help="What says which objects a patch may show: labels, appearance, compact, or one "
+            "that `scene encode` gave the map its vectors of, with its options: 'features "
+            "weights=dinov2.pth'; the capture's own labels if not given.",
             panel=USED,
         ),
     ] = None,

@@ -18,6 +18,8 @@ show, and that is what localizing reads. `encoder` makes the encoders that place
 
 from __future__ import annotations
 
+import ast
+import shlex
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Camera
     from placegraph.indoor.map.scene import Scene
 
-__all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map"]
+__all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map", "spoken"]
 
 TEMPERATURE = 0.05
 """Cosine that counts one nat, of encoders whose vectors agree or do not."""
@@ -126,6 +128,8 @@ class MapEncoder(Protocol):
 def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the encoder named
     """Encoder by name, one of `ENCODERS`; options are those of its class.
 
+    They may be said with the name: ``"scenegraphloc weights=a.pth rotate=True"`` (`spoken`).
+
     Raises
     ------
     OptionError
@@ -134,14 +138,35 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
         It needs what is not installed.
 
     """
+    name, said = spoken(name)
     if name not in _HOME:
         raise OptionError(f"encoder is {name!r}; it is one of {', '.join(ENCODERS)}.")
     module, kind = _HOME[name]
     made = getattr(import_module(f"{__name__}.{module}"), kind)
     try:
-        return cast("Encoder", made(**options))
+        return cast("Encoder", made(**(said | options)))
     except TypeError as error:  # an option that the class does not have
         raise OptionError(f"encoder {name!r}: {error}.") from error
+
+
+def spoken(said: str) -> tuple[str, dict[str, Any]]:
+    """Name and options of what is said like ``scenegraphloc weights=a.pth rotate=True``.
+
+    Values are literals of Python, or else text. Raises `OptionError` where an option has no value.
+    """
+    try:
+        name, *pairs = shlex.split(said) or [""]
+        options = dict(pair.split("=", 1) for pair in pairs)
+    except ValueError as error:
+        raise OptionError(f"{said!r}: give a name, and options as NAME=VALUE.") from error
+    return name, {key: _literal(value) for key, value in options.items()}
+
+
+def _literal(value: str) -> Any:  # noqa: ANN401
+    try:
+        return ast.literal_eval(value)
+    except (ValueError, SyntaxError):
+        return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -131,6 +131,29 @@ def test_positions_matter_and_the_class_token_is_that_of_crops(dino, rng):
     assert np.array_equal(dino.crop(square), dino._values(square)[0])
 
 
+def test_positions_are_stretched_as_dinov2_does_it(dino, transformer):
+    """`interpolate_pos_encoding` of facebookresearch/dinov2, offset 0.1, by cubic convolution."""
+    table = transformer.pos_embed[0, 1:].detach().numpy().reshape(5, 5, 24).astype(np.float64)
+
+    def stretched(rows):
+        """(rows, 5): weights of Keys' kernel, a = -0.75, at (i + 1/2) / scale - 1/2."""
+        out = np.zeros((rows, 5))
+        for i in range(rows):
+            at = (i + 0.5) * 5 / (rows + 0.1) - 0.5
+            for k in range(int(np.floor(at)) - 1, int(np.floor(at)) + 3):
+                d, a = abs(at - k), -0.75
+                near = (a + 2) * d**3 - (a + 3) * d**2 + 1
+                far = a * (d**3 - 5 * d**2 + 8 * d - 4)
+                out[i, min(max(k, 0), 4)] += near if d <= 1 else far
+        return out
+
+    wanted = np.einsum("ri,cj,ijf->rcf", stretched(9), stretched(16), table)
+    got = dino._positions(9, 16)[0].detach().numpy()
+    assert np.abs(got[1:].reshape(9, 16, 24) - wanted).max() < 1e-5
+    assert np.array_equal(got[0], transformer.pos_embed[0, 0].detach().numpy())
+    assert dino._positions(5, 5) is transformer.pos_embed
+
+
 @pytest.mark.parametrize("wrong", [{"block": 4}, {"block": -1}])
 def test_blocks_that_are_not_there_are_refused(transformer, wrong):
     with pytest.raises(OptionError, match="block"):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from placegraph.indoor.encode import spoken
 from placegraph.indoor.refine.matching import matcher
 from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.matches import Query, Trial, ask, starts
@@ -28,14 +29,13 @@ from placegraph_lab.tables.run import (
     Seed,
     option,
     parts,
-    spoken,
     table,
 )
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.indoor.refine.matching import Matcher
+from placegraph.indoor.refine.matching import Matcher
 
 MATCHERS = "sift; sift upright=False; xfeat; xfeat least=0.82; xfeat dense=True"
 EVERY, OFFICE_EVERY = 5, 6

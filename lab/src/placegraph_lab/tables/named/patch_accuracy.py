@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from placegraph.indoor.encode import bound, encoder
 from placegraph_lab.tables.retrieval.patch_accuracy import Accuracy, accuracy, mean, report
 from placegraph_lab.tables.retrieval.patch_places import HOMES, places
-from placegraph_lab.tables.run import Quick, Run, option, parts, spoken, table
+from placegraph_lab.tables.run import Quick, Run, option, parts, table
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder
@@ -34,8 +34,7 @@ def patch_accuracy(
         every, homes = 10, 2
     asked: dict[str, Encoder] = {}
     for spec in parts(encoders, ";"):
-        name, options = spoken(spec)
-        asked[spec] = encoder(name, **options)
+        asked[spec] = encoder(spec)
     rows: list[dict[str, Any]] = []
     found: dict[str, dict[str, list[Accuracy | None]]] = {}
     for place in run.track(places(run.data, run.cache, every, homes), total=3 + homes):

@@ -112,16 +112,16 @@ def ablation_table(rows: Sequence[Row]) -> str:
 
 
 def split_table(rows: Sequence[Row], parts: Sequence[tuple[str, Callable[[Answer], bool]]]) -> str:
-    """Recall@1 among 50 of parts of the queries."""
-    head = ["encoder, method", *(f"{n} frames" for n in LENGTHS)]
+    """Recall@1 among 50 of parts of the queries, and how many these are."""
+    head = ["encoder, method", *(f"{n} frames" for n in LENGTHS), "queries"]
     table = []
     for row in rows:
         for method in WHOLE:
-            cells = []
-            for n in LENGTHS:
-                all_ = row.answers.get((method, "50", n), [])
-                cells.append(shares(recall([a for a in all_ if of(a)], 1) for _, of in parts))
-            table.append([f"{row.name}, {method}", *cells])
+            by_length = [row.answers.get((method, "50", n), []) for n in LENGTHS]
+            split = [[[a for a in all_ if of(a)] for _, of in parts] for all_ in by_length]
+            cells = [shares(recall(part, 1) for part in each) for each in split]
+            counts = ("/".join(str(len(part)) for part in each) for each in split)
+            table.append([f"{row.name}, {method}", *cells, ", ".join(counts)])
     return markdown(head, table)
 
 

@@ -138,7 +138,9 @@ def _created(timm: Any, model: str, weights: Path | str | None) -> Any:  # noqa:
     if not timm.is_model(model):
         raise OptionError(f"timm knows no model {model!r}; DINOv2 ViT-g/14 is {MODEL!r}.")
     if weights is not None:
-        return _filled(timm.create_model(model, num_classes=0), model, Path(weights))
+        with _torch().device("meta"):  # its own numbers would be drawn, and thrown away
+            made = timm.create_model(model, num_classes=0)
+        return _filled(made, model, Path(weights))
     try:
         return timm.create_model(model, pretrained=True, num_classes=0)
     except Exception as error:  # timm raises whatever its hub does
@@ -155,7 +157,8 @@ def _filled(made: Any, model: str, path: Path) -> Any:  # noqa: ANN401
 
     state, _ = read_state(path, f"name the weights of {model}")
     try:
-        made.load_state_dict(checkpoint_filter_fn(state, made))
+        own = checkpoint_filter_fn({key: value.float() for key, value in state.items()}, made)
+        made.load_state_dict(own, assign=True)  # those of the file: ViT-g's are 4.5 GB
     except Exception as error:  # of keys and shapes that are another network's
         raise InputError(f"{path}: not the weights of {model} ({_why(error)}).") from error
     return made
@@ -171,7 +174,7 @@ def _digest(model: Any) -> str:  # noqa: ANN401
     digest = hashlib.sha256()
     for name, value in sorted(model.state_dict().items()):
         digest.update(name.encode())
-        digest.update(value.cpu().contiguous().numpy().tobytes())
+        digest.update(value.cpu().contiguous().numpy())
     return digest.hexdigest()[:12]
 
 

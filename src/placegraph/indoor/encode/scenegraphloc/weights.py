@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
 from torch import Tensor
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import write_file
 from placegraph.indoor.encode.scenegraphloc.network import SceneGraphLoc
 from placegraph.indoor.encode.scenegraphloc.widths import Widths
+from placegraph.networks import load_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,11 +68,11 @@ def read_weights(path: str | PathLike[str]) -> Weights:
 def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
     try:
-        data = path.read_bytes()
+        path.open("rb").close()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; {mend}.") from error
     if path.suffix == ".safetensors":
-        return _safetensors(path, data, mend)
+        return _safetensors(path, mend)
     found = read_snapshot(path, mend)
     state = found.get("model", found)
     if not isinstance(state, dict) or not state:
@@ -85,7 +86,7 @@ def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[s
 def read_snapshot(path: Path, mend: str = _MEND) -> dict[str, Any]:
     """The dict of a snapshot; `InputError` where the file is cut short or anything else."""
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        found = load_file(torch, path)
     except Exception as error:  # torch.load raises whatever its parsers do
         why = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise InputError(
@@ -151,11 +152,11 @@ def write_weights(
     write_file(path, [save(state, {NOTES: json.dumps(dict(notes), sort_keys=True)})])
 
 
-def _safetensors(path: Path, data: bytes, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+def _safetensors(path: Path, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
-        state = load(data)
-        head = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        notes = json.loads(head.get("__metadata__", {}).get(NOTES, "{}"))
+        with safe_open(path, "pt") as file:
+            state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            notes = json.loads((file.metadata() or {}).get(NOTES, "{}"))
     except (SafetensorError, ValueError) as error:
         raise InputError(
             f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {mend}."
