@@ -1,6 +1,5 @@
-"""RoMa's adapters: with networks of the libraries' call signatures, and with the libraries where there."""
+"""RoMa's adapters: with networks of the libraries' call signatures."""
 
-import importlib
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -292,19 +291,3 @@ def test_without_the_library_it_says_what_to_install(monkeypatch, name, missing)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[roma\]"):
         matcher(name)
-
-
-def test_tiny_roma_itself_on_random_weights(picture, tmp_path):
-    try:
-        tiny = importlib.import_module("romatch.models.tiny")
-    except (ImportError, RuntimeError) as error:
-        pytest.skip(f"needs romatch: {error}")
-    from kornia.feature import XFeat
-
-    path = tmp_path / "tiny.pth"
-    torch.save(tiny.TinyRoMa(xfeat=XFeat().net, freeze_xfeat=False).state_dict(), path)
-    (found,) = matcher("roma", kind="tiny", weights=path, device="cpu", least=0.0).match(
-        picture, [picture]
-    )
-    assert found.query.shape == found.rendered.shape
-    assert (found.query <= (320, 240)).all()
