@@ -164,15 +164,18 @@ def table(paper: str = "") -> Callable[[Callable[..., None]], Table]:
 
 
 def names() -> list[str]:
-    """Names of all tables."""
-    return sorted(m.name for m in pkgutil.iter_modules(named.__path__))
+    """Names of all tables: of their modules, and those that a module numbers."""
+    modules = sorted(m.name for m in pkgutil.iter_modules(named.__path__))
+    counts = {m: named.NUMBERED.get(m, 0) for m in modules}
+    return [name for m, n in counts.items() for name in ([f"{m}-{i + 1}" for i in range(n)] or [m])]
 
 
 def load(name: str) -> Table:
     """Table of a name; `KeyError` where there is none."""
     if name not in names():
         raise KeyError(name)
-    found: Table = getattr(import_module(f"{named.__name__}.{name}"), name)
+    module = import_module(f"{named.__name__}.{name.partition('-')[0]}")
+    found: Table = module.TABLES[name] if "-" in name else getattr(module, name)
     return found
 
 

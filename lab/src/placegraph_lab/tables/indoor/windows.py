@@ -38,6 +38,8 @@ COVERED = 0.6
 """A window of the office counts as covered if the map holds this share of its last frame."""
 TILT = np.radians(0.2)
 """Noise of gravity where a recording has none of its own, as the office's is [rad]."""
+DRIFT = (0.01, np.radians(0.1))
+"""Error of a step along each axis, as a share of its length, and in yaw [rad]."""
 TOLERANCE = 0.10
 """A reading is covered where the map's surface is this near to it along the optical axis [m]."""
 
@@ -83,7 +85,7 @@ def house_windows(
         if sequences and path.name not in sequences:
             continue
         capture, truth = open_capture(path), true_poses(path)
-        changed = _changed(path / "changes.json")
+        changed = is_changed(path / "changes.json")
         for start in starts(len(capture), length, every, (HARD,)):
             rows = slice(start, start + length)
             found.append(
@@ -158,24 +160,32 @@ def drifting_windows(
     rng: np.random.Generator,
     *,
     changed: bool | None = None,
+    drift: tuple[float, float] = DRIFT,
 ) -> list[Window]:
-    """Windows of `length` frames that do not overlap, of a recording whose own poses are its truth.
+    """Windows of `length` frames that do not overlap, of a recording whose truth is known.
 
-    Their odometry is made of these, in a frame of its own, and drifts as `worlds.flat.walks.drifted`
-    says; gravity is off by `TILT` along each axis. `truth` (T, 4, 4): map_from_camera. Raises
+    Their odometry is made of `truth` (T, 4, 4), map_from_camera, in a frame of its own, and drifts
+    as `worlds.flat.walks.drifted` says; gravity is off by `TILT` along each axis. Raises
     `OptionError` where `length` is less than 1.
     """
     if length < 1:
         raise OptionError(f"length is {length}; it is 1 or more.")
     return [
-        Window(place, _drifting(capture[s : s + length], rng), truth[s + length - 1], changed)
+        Window(
+            place,
+            _drifting(capture[s : s + length], truth[s : s + length], drift, rng),
+            truth[s + length - 1],
+            changed,
+        )
         for s in starts(len(capture), length, length)
     ]
 
 
-def _drifting(capture: Capture, rng: np.random.Generator) -> Capture:
-    """Capture whose odometry leads nowhere near the recording's axes, and drifts."""
-    odometry = drifted(capture.odometry, rng)
+def _drifting(
+    capture: Capture, truth: Floats, drift: tuple[float, float], rng: np.random.Generator
+) -> Capture:
+    """Capture whose odometry leads nowhere near the map's axes, and drifts."""
+    odometry = drifted(truth, rng, drift=drift[0], yaw_drift=drift[1])
     gravity = capture.gravity + TILT * rng.standard_normal(capture.gravity.shape)
     gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
     frames = tuple(
@@ -185,7 +195,8 @@ def _drifting(capture: Capture, rng: np.random.Generator) -> Capture:
     return replace(capture, frames=frames)
 
 
-def _changed(path: Path) -> bool | None:
+def is_changed(path: Path) -> bool | None:
+    """What a `changes.json` says; None where there is none, `InputError` where it is broken."""
     if not path.exists():
         return None
     try:

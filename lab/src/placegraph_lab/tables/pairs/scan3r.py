@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
+    from placegraph.formats.capture.capture import Capture
     from placegraph.formats.dataset.scan3r_rooms import Room, Rooms, Scan
     from placegraph.geometry import Floats
 
@@ -248,6 +249,15 @@ def scan_folder(root: Path, scan: str) -> Path:
     return found
 
 
+def recorded(root: Path, pair: ScanPair, *, every: int = 1) -> tuple[Capture, Floats]:
+    """A pair's query, one image in `every`, and its true map_from_camera (T, 4, 4) [m].
+
+    Raises as `pair_windows` does.
+    """
+    capture = sampled(read_scan3r_sequence(scan_folder(root, pair.query)), every)
+    return capture, pair.map_from_query @ capture.odometry
+
+
 def pair_windows(
     root: Path, pair: ScanPair, length: int, rng: Generator, *, every: int = 1
 ) -> list[Window]:
@@ -277,6 +287,5 @@ def pair_windows(
         `length` or `every` is less than 1.
 
     """
-    capture = sampled(read_scan3r_sequence(scan_folder(root, pair.query)), every)
-    truth = pair.map_from_query @ capture.odometry
+    capture, truth = recorded(root, pair, every=every)
     return drifting_windows(pair.name, capture, truth, length, rng, changed=pair.changed)

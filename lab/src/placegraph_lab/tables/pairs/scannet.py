@@ -173,6 +173,16 @@ def true_poses(capture: Capture, folder: Path, pair: ScanPair) -> Floats:
     return poses
 
 
+def recorded(folder: Path, pair: ScanPair, *, every: int = EVERY) -> tuple[Capture, Floats]:
+    """A pair's query, one image in `every`, and its true map_from_camera (T, 4, 4) [m].
+
+    Raises as `pair_windows` does.
+    """
+    scan = folder / pair.query
+    capture = sampled(open_capture(scan), every)
+    return capture, true_poses(capture, scan, pair)
+
+
 def pair_windows(
     folder: Path, pair: ScanPair, length: int, rng: Generator, *, every: int = EVERY
 ) -> list[Window]:
@@ -202,6 +212,5 @@ def pair_windows(
         The pair's scans are not registered, or `length` or `every` is less than 1.
 
     """
-    scan = folder / pair.query
-    capture = sampled(open_capture(scan), every)
-    return drifting_windows(pair.name, capture, true_poses(capture, scan, pair), length, rng)
+    capture, truth = recorded(folder, pair, every=every)
+    return drifting_windows(pair.name, capture, truth, length, rng)

@@ -16,7 +16,6 @@ from zlib import crc32
 
 import numpy as np
 
-from placegraph.errors import OptionError
 from placegraph.indoor.encode import vectors_of
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.index import Index
@@ -200,13 +199,12 @@ def kilobytes(library: SceneLibrary) -> float:
 def pool(place: str, names: Sequence[str], kind: str) -> list[str]:
     """Scenes that queries of a place are searched among: the same ones whatever the encoder.
 
-    The 10 are among the 50; the order says nothing of which is right.
+    The 10 are among the 50; the order says nothing of which is right. Where there are fewer scenes,
+    all of them.
     """
     rng = np.random.default_rng(crc32(place.encode()))
     others = [str(name) for name in rng.permutation([n for n in names if n != place])]
     size = POOLS.get(kind, max(POOLS.values()))
-    if len(others) < size - (kind != ABSENT):
-        raise OptionError(f"{len(names)} scenes are too few for a pool of {size}.")
     if kind == ABSENT:
         return others[:size]
     return [str(name) for name in rng.permutation([place, *others[: size - 1]])]

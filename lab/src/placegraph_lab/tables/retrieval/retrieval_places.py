@@ -49,6 +49,8 @@ class Place:
 
     name: str
     scene: SceneMap
+    room: str = ""
+    """Places of one room, at different times, are not to be told apart; empty: it has but this."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,7 +107,7 @@ class Study:
         for place, own in by_place.items():
             self.tell(f"{name}: {place}")
             for kind, methods in _asked(name).items():
-                names = pool(place, self._scenes.names, kind)
+                names = pool(place, self._rivals(place), kind)
                 library = self._scenes.library(names, encoders)
                 for method in methods:
                     for answer in self._of(own, library, f"{base} {method} {kind}", method):
@@ -137,6 +137,11 @@ class Study:
             for walk in self.walks
         )
         return [replay(e) for e in encoders], [known for known in found if known is not None]
+
+    def _rivals(self, place: str) -> list[str]:
+        """A place and all of other rooms."""
+        room = next(p.room for p in self.places if p.name == place)
+        return [p.name for p in self.places if p.name == place or not room or p.room != room]
 
     def _of(
         self, walks: Sequence[Encoded], library: SceneLibrary, base: str, method: str
