@@ -65,8 +65,6 @@ def test_a_line_has_both_sides():
 
 def test_published_rows_belong_to_tables():
     assert all(place in PLACES for p in PUBLISHED for place in p.places)
-    text = refine_report([row("b in a found: no labels: colour, auto", result("b in a 0:9"))])
-    assert lines(text, "*earlier trial")[0][7] == "–/.45/–/–"
 
 
 def test_changes_sequences_and_aims():

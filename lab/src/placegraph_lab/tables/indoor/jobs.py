@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
 import typer
@@ -61,8 +61,6 @@ class Job:
     map: str
     """`house`, `coarse` or a key of `HALVES`."""
     labels: Labels
-    theirs: bool = False
-    """The paper's recipe, which the aims do not count."""
 
     @property
     def name(self) -> str:
@@ -76,7 +74,7 @@ class Job:
 
 
 def house_jobs() -> list[Job]:
-    """Terms and pairs, variants, the paper's recipe, and the coarse map."""
+    """Terms and pairs, with all labels and none, and the coarse map."""
     jobs = []
     for labels in ("instances", "classes"):
         jobs += [
@@ -88,22 +86,6 @@ def house_jobs() -> list[Job]:
         for row, terms in BARE.items()
     ]
     for row in ("semantic", "semantic + depth", "all"):
-        terms = SEMANTIC[row]
-        jobs += [
-            Job("instances", f"{row}, {name}", options, "house", "instances")
-            for name, options in variants(**terms)
-        ]
-        jobs.append(
-            Job(
-                "instances",
-                f"{row}, paper's recipe",
-                FilterOptions.paper().only(**terms),
-                "house",
-                "instances",
-                theirs=True,
-            )
-        )
-    for row in ("semantic", "semantic + depth", "all"):
         options = FilterOptions().only(**SEMANTIC[row])
         jobs.append(Job("instances", f"{row}, 20k triangles", options, "coarse", "instances"))
     for row in ("depth + colour", "colour"):
@@ -112,27 +94,13 @@ def house_jobs() -> list[Job]:
     return jobs
 
 
-def variants(**terms: bool) -> list[tuple[str, FilterOptions]]:
-    """Rows of the ablations (Tables 7, 12) for the terms named."""
-    ours = FilterOptions().only(**terms)
-    return [
-        ("coarse only", replace(ours, answer="mle")),
-        ("without KLD", replace(ours, kld=False)),
-        ("uniform start", replace(ours, start="uniform")),
-    ]
-
-
 def office_jobs() -> list[Job]:
-    """No labels: depth and colour, each alone, and the paper's recipe."""
-    jobs = []
-    for half in HALVES:
-        jobs += [
-            Job(half, row, FilterOptions().only(**terms), half, "none")
-            for row, terms in BARE.items()
-        ]
-        options = FilterOptions.paper().only(**BARE["depth + colour"])
-        jobs.append(Job(half, "depth + colour, paper's recipe", options, half, "none", theirs=True))
-    return jobs
+    """No labels: depth and colour, and each alone."""
+    return [
+        Job(half, row, FilterOptions().only(**terms), half, "none")
+        for half in HALVES
+        for row, terms in BARE.items()
+    ]
 
 
 QUICK = (

@@ -24,8 +24,8 @@ class Published:
     """Where it stands, and what it was measured on."""
     places: tuple[str, ...]
     """Keys of `indoor_refine.PLACES` whose tables it belongs to."""
-    length: int | None
-    """Frames; None where it is not said."""
+    length: int
+    """Frames."""
     recall_before: Recall = _NO_RECALL
     """Within (10 cm, 5), (25 cm, 2), (25 cm, 5), (25 cm, 10 degrees)."""
     recall: Recall = _NO_RECALL
@@ -73,13 +73,9 @@ PUBLISHED = (
         mean_before=(0.46, 10.42), mean=(0.29, 4.55),
         median_before=(0.13, 1.99), median=(0.09, 2.29),
     ),
-    Published(
-        "earlier trial, XFeat + PnP", ("b in a", "a in b"), None,
-        recall=(None, 0.45, None, None),
-    ),
 )  # fmt: skip
 
 
 def published(place: str, length: int) -> list[Published]:
     """Published rows that stand in a table of poses that were found."""
-    return [p for p in PUBLISHED if place in p.places and p.length in {None, length}]
+    return [p for p in PUBLISHED if place in p.places and p.length == length]

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph_lab.tables.indoor.jobs import TITLES, Job
 from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
-from placegraph_lab.tables.indoor.reference import COVERED as COVERED_REFERENCES
-from placegraph_lab.tables.indoor.reference import Reference, references
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
@@ -87,7 +85,7 @@ def report(rows: Sequence[Row]) -> str:
             if table in HALVES:
                 parts += [heading, office_table(mine)]
             else:
-                parts += [heading, markdown(HEADER, [x for r in mine for x in lines_of(r)])]
+                parts += [heading, markdown(HEADER, [score_line(r.job.row, r.score) for r in mine])]
     house = [r for r in rows if r.job.table not in HALVES]
     if house:
         parts += ["#### House, unchanged / changed scenes, 25 cm 2°", changes_table(house)]
@@ -100,14 +98,6 @@ def report(rows: Sequence[Row]) -> str:
     if wrong:
         parts += ["#### Answers said to be OK that are not", wrong]
     return "\n\n".join(parts)
-
-
-def lines_of(row: Row) -> list[list[str]]:
-    """A measured row, and the published ones that compare with it."""
-    return [
-        score_line(row.job.row, row.score),
-        *(reference_line(r) for r in references(row.job.table, row.job.row, row.length)),
-    ]
 
 
 def score_line(head: str, s: Score) -> list[str]:
@@ -127,20 +117,6 @@ def score_line(head: str, s: Score) -> list[str]:
     ]
 
 
-def reference_line(r: Reference) -> list[str]:
-    """Cells of `HEADER`, as far as they were published."""
-    return [
-        f"*{r.source}*",
-        number(r.windows),
-        errors(r.mean),
-        errors(r.median),
-        shares(r.recall),
-        *["–"] * 4,
-        number(r.particles),
-        number(r.frame_seconds, 2),
-    ]
-
-
 def errors(pair: Sequence[float | None]) -> str:
     """`2.1 cm, 0.4°`, metres from one metre on; a dash where there is nothing."""
     metres, degrees = pair
@@ -148,6 +124,8 @@ def errors(pair: Sequence[float | None]) -> str:
         return "–"
     far = metres >= 1
     text = number(metres if far else 100 * metres, 2 if far else 1, "m" if far else "cm")
+    if math.isfinite(metres) and metres >= 1e4:
+        text = f"{metres:.3g} m"
     return text if degrees is None else f"{text}, {number(degrees, 1)}°"
 
 
@@ -157,14 +135,11 @@ def office_table(rows: Sequence[Row]) -> str:
     header[0] = "windows"
     lines = []
     for row in rows:
-        key = (row.job.table, row.job.row, row.length)
         covered = row.part(is_covered)
         rest = row.part(lambda a: not is_covered(a))
-        lines += lines_of(row)
+        lines.append(score_line(row.job.row, row.score))
         if covered and rest:
             lines.append(score_line(f"{row.job.row}: covered to {COVERED:.0%} or more", covered))
-            if key in COVERED_REFERENCES:
-                lines.append(reference_line(COVERED_REFERENCES[key]))
             lines.append(score_line(f"{row.job.row}: the others", rest))
     return markdown(["", *header[1:]], lines)
 
@@ -269,11 +244,11 @@ def aims_table(rows: Sequence[Row]) -> str:
         lines.append([f"{aim.text} {where}".strip(), f"≥ {share(aim.least)}", share(reached)])
     for length in sorted({r.length for r in rows}):
         lines += compared(at, length)
-    sure = [a for r in rows if not r.job.theirs for a in r.answers]
+    sure = [a for r in rows for a in r.answers]
     if sure:
         s = score(sure)
         lines.append(["OK answers near the truth, all our rows", "≥ .95", share(s.right)])
-        false = max((r.score.false_ok for r in rows if not r.job.theirs), default=math.nan)
+        false = max((r.score.false_ok for r in rows), default=math.nan)
         lines.append(["OK and wrong, share of a row's windows, worst row", "≤ .05", share(false)])
     return markdown(["", "aim", "reached"], lines) if lines else ""
 

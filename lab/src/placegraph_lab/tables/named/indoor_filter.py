@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 ALL_LENGTHS = ",".join(str(n) for n in LENGTHS)
 
 
-@table("SG2Loc, Tables 1, 2, 4, 7, 12, 13")
+@table()
 def indoor_filter(
     run: Run,
     only: Annotated[
