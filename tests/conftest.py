@@ -121,6 +121,12 @@ def scannet_world():
     return _world("scannet_world.py")
 
 
+@pytest.fixture(scope="session")
+def scan3r_world():
+    """Module that writes a tiny 3RScan in the published layout."""
+    return _world("scan3r_world.py")
+
+
 def _world(name):
     path = Path(__file__).with_name(name)
     spec = importlib.util.spec_from_file_location(path.stem, path)
