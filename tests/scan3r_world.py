@@ -43,9 +43,8 @@ def write_scan(root, name, scene, capture, scan_from_camera):
     lines += ["usemtl one", *("f " + " ".join(f"{i}/{i}" for i in face + 1) for face in faces)]
     (folder / "mesh.refined.v2.obj").write_text("\n".join(lines) + "\n")
     (folder / "mesh.refined.mtl").write_text("newmtl one\nKd 1 1 1\nmap_Kd mesh.refined_0.png\n")
-    corners = mesh.colours[mesh.triangles]
-    palette = [corners[mesh.object_of == i].mean((0, 1)) for i in range(len(graph))]
-    picture = np.repeat(np.array(palette, np.uint8)[None], 4, axis=0).repeat(4, axis=1)
+    palette = np.random.default_rng(0).integers(0, 256, (len(graph), 3))
+    picture = np.repeat(palette.astype(np.uint8)[None], 4, axis=0).repeat(4, axis=1)
     Image.fromarray(picture).save(folder / "mesh.refined_0.png")
     rows = [f"{x:.6f} {y:.6f} {z:.6f} {i}" for (x, y, z), i in zip(points, ids, strict=True)]
     rows += [f"3 {a} {b} {c}" for a, b, c in faces]
