@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.sg2loc.sets import Set, Walk
 
 ANSWERING = (
-    *INDOOR, *RENDERING, "placegraph_lab/tables/sg2loc/*.py", "placegraph_lab/tables/indoor/*.py",
-    "placegraph_lab/tables/pairs/*.py",
+    *INDOOR, *RENDERING, "placegraph_lab/tables/indoor/*.py", "placegraph_lab/tables/pairs/*.py",
+    *(f"placegraph_lab/tables/sg2loc/{name}.py" for name in ("ask", "sets", "at_hand", "brought")),
 )  # fmt: skip
 """Code that decides what the answers are."""
 IMAGES = "compact"

@@ -70,10 +70,10 @@ class Set:
 def _thinned(
     pairs: list[tuple[Walk, Window]], frames: int, length: int
 ) -> list[tuple[Walk, Window]]:
-    """Evenly many of all walks' windows."""
+    """As many windows as are asked for, drawn; those of fewer are among those of more."""
     most = max(1, frames // length) if frames else len(pairs)
-    rows = np.linspace(0, len(pairs) - 1, min(most, len(pairs))).round().astype(int)
-    return [pairs[i] for i in rows]
+    drawn = np.random.default_rng(0).permutation(len(pairs))[:most]
+    return [pairs[i] for i in sorted(drawn.tolist())]
 
 
 def kept(scene: Callable[[str], SceneMap]) -> Callable[[str], SceneMap]:
