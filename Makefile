@@ -34,7 +34,7 @@ docs: $(TOOLS) ## build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(TOOLS) ## print the benchmark tables but KITTI360Pose (needs ../shared; long)
-	set -e; for table in $$(ls lab/src/placegraph_lab/tables/named/ | grep -Ev "__|kitti360pose"); do $(BIN)/placegraph-lab table $${table%.py}; done
+	set -e; for table in $$($(BIN)/placegraph-lab table --list | cut -d" " -f1 | grep -v kitti360pose); do $(BIN)/placegraph-lab table $$table; done
 
 clean: ## remove what the targets above left behind, .venv included
 	rm -rf $(VENV) demo-out dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmark-cache

@@ -13,7 +13,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from placegraph.errors import InputError
-from placegraph_lab.tables.run import Device, Fresh, Quick, Run, Seed, Table, option, parts
+from placegraph_lab.tables.pairs.scan3r import Split  # noqa: TC001  # Typer reads it
+from placegraph_lab.tables.run import Device, Fresh, Quick, Run, Seed, Table, known, option, parts
 from placegraph_lab.tables.sg2loc import at_hand, brought
 from placegraph_lab.tables.sg2loc.ask import IMAGES, Asking, How
 from placegraph_lab.tables.sg2loc.costs import retrieval, seconds, storage
@@ -25,13 +26,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from placegraph_lab.tables.pairs.scan3r import Split
-
 
 def there(run: Run, names: list[str], split: Split) -> Iterator[Set]:
     """The sets named, or all whose data there are; `InputError` where they are not."""
     data, cache = run.data, run.cache
-    known: dict[str, tuple[Path, Callable[[], Set]]] = {
+    sources: dict[str, tuple[Path, Callable[[], Set]]] = {
         "3RScan": (run.shared / "3RScan", lambda: brought.of_3rscan(run, split)),
         "ScanNet": (run.shared / "ScanNet", lambda: brought.of_scannet(run)),
         "house": (data / "house", lambda: at_hand.of_house(data, cache)),
@@ -39,15 +38,15 @@ def there(run: Run, names: list[str], split: Split) -> Iterator[Set]:
         "freiburg1_rpy": (data / "freiburg1_rpy", lambda: at_hand.of_freiburg(data, cache)),
         "homes": (data, lambda: at_hand.of_homes(cache)),
     }
-    found = names or [name for name, (path, _) in known.items() if path.is_dir()]
+    found = names or [name for name, (path, _) in sources.items() if path.is_dir()]
     for name in found:
-        if name not in known:
-            raise InputError(f"sets: there is no {name!r}; there are {', '.join(known)}.")
-        if name != "homes" and not known[name][0].is_dir():
-            raise InputError(f"{known[name][0]} is not there. {LAYOUT}")
+        if name not in sources:
+            raise InputError(f"sets: there is no {name!r}; there are {', '.join(sources)}.")
+        if name != "homes" and not sources[name][0].is_dir():
+            raise InputError(f"{sources[name][0]} is not there. {LAYOUT}")
     if not found:
         raise InputError(f"{run.shared} holds nothing to measure. {LAYOUT}")
-    return (known[name][1]() for name in found)
+    return (sources[name][1]() for name in found)
 
 
 def numbered(table: int) -> Table:
@@ -56,19 +55,26 @@ def numbered(table: int) -> Table:
 
     def measure(
         run: Run,
+        *,
         sets: Annotated[str, option("Sets, with commas between; all that there are.")] = "",
         frames: Annotated[int, option("Most frames of a set, a state and a length; 0: all.")] = 0,
         lengths: Annotated[str, option("Sequence lengths; those of the table.")] = "",
+        only: Annotated[str, option("Rows of the table, with semicolons between.")] = "",
+        pace: Annotated[float, option("Seconds a frame (Table 6); 0: as measured.")] = 0.0,
         encoder: Annotated[str, option(f"Of images; {IMAGES}, where they bring no labels.")] = "",
         matcher: Annotated[str, option("Of the paper's final fit; theirs is roma.")] = "sift",
-        *,
-        split: Annotated[str, option("Of 3RScan: train, validation or test.")] = "test",
+        split: Annotated[Split, option("Of 3RScan.")] = "test",
         seed: Seed = 0,
         device: Device = "auto",
         quick: Quick = False,
         fresh: Fresh = False,
     ) -> None:
-        of = spec._replace(lengths=tuple(map(int, parts(lengths))) or spec.lengths)
+        kept = known(parts(only, ";"), (name for name, *_ in spec.rows), "row")
+        of = spec._replace(
+            lengths=tuple(map(int, parts(lengths))) or spec.lengths,
+            rows=tuple(row for row in spec.rows if row[0] in kept),
+            pace=pace,
+        )
         if quick:
             frames, of = 10, of._replace(lengths=of.lengths[:1])
         asking = Asking(run, How(frames, encoder, matcher, seed, device), fresh=fresh)
@@ -76,7 +82,7 @@ def numbered(table: int) -> Table:
         costs = {3: storage, 4: seconds, 5: retrieval}.get(table)
         text, rows = costs(of, asking, chosen) if costs else poses(table, of, asking, chosen)
         print(f"Table {table}. {spec.asks}\n\n{text}")
-        run.save({"rows": rows}, whole=not (sets or lengths))
+        run.save({"rows": rows}, whole=not (sets or lengths or only))
 
     measure.__name__ = f"sg2loc-{table}"
     measure.__doc__ = f"{spec.asks}\n\n{LAYOUT}"

@@ -174,7 +174,7 @@ class Asking:
             "filter": _measured(coarse, window, seconds - refining),
             "whole": _measured(estimate, window, seconds),
             "refining": refining,
-            "right": bool(best) and (len(scene.scenes) == 1 or best.scene == name),
+            "right": best is not None and (len(scene.scenes) == 1 or best.scene == name),
         }
 
     def encoder(self, of: Set, scene: SceneMap, window: Window) -> MapEncoder:

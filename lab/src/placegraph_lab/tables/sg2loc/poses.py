@@ -47,11 +47,16 @@ def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
         for name, recipe, whole in spec.rows:
             if not of.windows(length, 1, 0):
                 continue
-            short = asking.replies(of, recipe, 5)
-            pace = float(np.median([r.filter.seconds / r.filter.frames for r in short]))
+            pace = spec.pace or _pace(asking, of, recipe)
             step = max(1, math.ceil(pace * of.rate))
             replies = asking.replies(of, recipe, length, step=step)
             yield from measured(of.name, f"{name}, one frame in {step}", replies, whole=whole)
+
+
+def _pace(asking: Asking, of: Set, recipe: str) -> float:
+    """Seconds that a frame takes, by sequences of five."""
+    replies = asking.replies(of, recipe, 5)
+    return float(np.median([r.filter.seconds / r.filter.frames for r in replies]))
 
 
 def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
