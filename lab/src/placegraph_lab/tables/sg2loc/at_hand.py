@@ -69,18 +69,20 @@ def of_freiburg(data: Path, cache: Path) -> Set:
         for half, (_, first, last) in RPY.items()
     ]
     spans = {half: slice(low, low + 52) for half, (low, *_) in RPY.items()}
-    rooms = dict.fromkeys(spans, "desk")
-    return Set("freiburg1_rpy", tuple(walks), _halves(folder, cache, spans), rooms, 30 / 7)
+    scene = _halves(folder, cache, spans, floor=0.0)  # which one half does not show
+    return Set("freiburg1_rpy", tuple(walks), scene, dict.fromkeys(spans, "desk"), 30 / 7)
 
 
-def _halves(folder: Path, cache: Path, spans: dict[str, slice]) -> Callable[[str], SceneMap]:
+def _halves(
+    folder: Path, cache: Path, spans: dict[str, slice], floor: float | None = None
+) -> Callable[[str], SceneMap]:
     """Maps of parts of a capture, cut into objects, as users make them."""
 
     def scene(half: str) -> SceneMap:
         span = spans[half]
         path = place(cache, f"{folder.name}_objects_{span.start}_{span.stop}")
         if not path.exists():
-            build_scene(folder, path, capture=FromCapture(frames=span))
+            build_scene(folder, path, capture=FromCapture(frames=span), floor=floor)
         return SceneMap.open(path)
 
     return kept(scene)
