@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
-from placegraph_lab.tables.indoor.refine import PLACES, refine_jobs
+from placegraph_lab.tables.indoor.refine import refine_jobs
 from placegraph_lab.tables.indoor.refine_metrics import Refined, spread
-from placegraph_lab.tables.indoor.refine_reference import PUBLISHED
 from placegraph_lab.tables.indoor.refine_report import RefineRow, histogram, refine_report
 
 JOBS = {job.name: job for job in refine_jobs()}
@@ -50,21 +49,7 @@ def test_a_line_has_both_sides():
         ".50/.50/.50/1.00", ".50/.50/.50/.50",
     ]  # fmt: skip
     assert ours[8:] == ["1.00", ".50", ".00", "0.40", "0.50"]
-    paper = lines(text, "*paper")
-    assert [p[0] for p in paper] == [
-        "*paper, 3RScan, Tab. 1, 2, 4*",
-        "*paper, ScanNet, Tab. 2, 9, 10*",
-    ]
-    assert paper[1][2:8] == [
-        "54.0 cm, 10.2°", "44.0 cm, 8.1°", "14.0 cm, 2.1°", "10.0 cm, 2.3°",
-        ".28/–/–/.73", ".49/.39/–/.79",
-    ]  # fmt: skip
-    assert paper[0][-2] == "5.5"
     assert "- house found: all, sift, 10 frames: seq00 0:10 OK 0.20 m" in text
-
-
-def test_published_rows_belong_to_tables():
-    assert all(place in PLACES for p in PUBLISHED for place in p.places)
 
 
 def test_changes_sequences_and_aims():

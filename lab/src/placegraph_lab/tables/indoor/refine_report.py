@@ -17,7 +17,6 @@ from placegraph_lab.tables.indoor.refine_metrics import (
     refine_score,
     spread,
 )
-from placegraph_lab.tables.indoor.refine_reference import Published, published
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.tables import markdown, number, share, shares
@@ -101,8 +100,6 @@ def refine_report(rows: Sequence[RefineRow]) -> str:
             mine = [r for r in rows if (r.job.place, r.job.start) == (place, start)]
             for length in sorted({r.length for r in mine}):
                 lines = [x for r in mine if r.length == length for x in lines_of(r)]
-                if start == "found":
-                    lines += [published_line(p) for p in published(place, length)]
                 heading = f"#### {place_title}, {start_title}, {length} frames"
                 parts += [heading, markdown(HEADER, lines)]
     house = [r for r in rows if r.job.place not in HALVES]
@@ -150,23 +147,6 @@ def score_line(head: str, s: RefineScore) -> list[str]:
         share(s.wrongly_refused),
         number(s.refine_seconds, 2),
         number(s.seconds, 2),
-    ]
-
-
-def published_line(p: Published) -> list[str]:
-    """Cells of `HEADER`, as far as they were published."""
-    return [
-        f"*{p.source}*",
-        "–",
-        errors(p.mean_before),
-        errors(p.mean),
-        errors(p.median_before),
-        errors(p.median),
-        shares(p.recall_before),
-        shares(p.recall),
-        *["–"] * 3,
-        number(p.seconds, 1),
-        "–",
     ]
 
 
