@@ -45,6 +45,8 @@ def users(tmp_path_factory, scan3r_world, scannet_world):
                 scene, capture, truth = made
                 called = f"scene0000_0{number}"
                 mesh = scannet_world.ObjectMesh(scene)
+                palette = np.random.default_rng(0).integers(0, 256, (len(scene), 3))
+                mesh.colours = palette[np.array(mesh.segments) - 100].astype(np.uint8)
                 folder = scannet_world.Scan(scans / called, mesh, name=called).folder
                 poses = scannet_world.SCAN_FROM_MAP @ truth
                 scannet_world.Recording.of(capture, poses).export(folder)
