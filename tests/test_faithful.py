@@ -11,6 +11,7 @@ import pytest
 import placegraph as pg
 from placegraph.indoor.options import Likelihood, MotionNoise
 from placegraph.indoor.refine import RefineOptions
+from placegraph.outdoor.network.weights import Shape
 from placegraph.outdoor.search.request import Matching
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,6 +38,7 @@ KNOWN = {
     "MotionNoise": MotionNoise,
     "RefineOptions": RefineOptions,
     "SearchOptions": pg.SearchOptions,
+    "Shape": Shape,
 }
 
 
@@ -100,7 +102,10 @@ def test_what_a_row_names_exists(row):
 def test_options_can_be_given(row):
     for option in re.findall(r"`([^`]+)`", row[6]):
         head = re.match(r"\w+", option)[0]
-        if head in KNOWN:
+        if head == "TrainOptions":
+            training = pytest.importorskip("placegraph_lab.train.city.options")
+            eval(f"check({{'a city': None}}, {option})", vars(training))
+        elif head in KNOWN:
             eval(option, KNOWN)  # raises where an option is none
         else:
             assert option.startswith("--") or hasattr(pg, head), f"{option} is no option"
