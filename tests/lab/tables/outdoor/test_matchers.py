@@ -18,15 +18,15 @@ from placegraph_lab.tables.outdoor.extracts import (
     unseen_queries,
 )
 from placegraph_lab.tables.outdoor.matchers import (
+    EDIT,
     FUSED,
     MATCHERS,
     RELATIONAL,
-    EditMatcher,
     Places,
+    RetrieveMatcher,
     ask,
     cell_centers,
     matcher,
-    places_of,
 )
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
@@ -63,7 +63,7 @@ def check(places, city, top):
 @pytest.mark.parametrize("setting", ["none", "names", "speaker"])
 def test_matchers_rank_cells(city, bins, town, name, setting):
     found = matcher(name, city, bins, setting)
-    if isinstance(found, EditMatcher):
+    if isinstance(found, RetrieveMatcher):
         found = replace(found, timeout=0.01)
     for query in make_queries(town, n=4, setting=setting):
         places = found.rank(query, 5)
@@ -78,22 +78,10 @@ def test_a_text_finds_its_place(city, bins, town):
     assert 5 * np.pi * 50.0**2 / (len(city.cells) * city.cells.size**2) < 0.1
     for found in (
         matcher("triple bag, tuned", city, bins),
-        matcher("edit distance", city, bins),
+        matcher(EDIT, city, bins),
         matcher(RELATIONAL, city, bins),
     ):
         assert score(ask(found, city, asked)).within[50.0][5] > 0.4
-
-
-def test_edit_distance_ranks_what_it_is_given(city, town):
-    query = make_queries(town, n=1)[0]
-    cells = tuple(city.cells)[:7]
-
-    class First:
-        def rank(self, _, top):
-            return places_of(city, (*cells, *cells)[:top])
-
-    found = EditMatcher(city, First(), candidates=14).rank(query, 14)
-    assert sorted(found.cells) == sorted(cells)
 
 
 def test_exact_is_the_cell_that_covers_the_truth(city):

@@ -69,6 +69,7 @@ def measure(
         "vectors": len(store),
         "with_s": medians(runs),
         "without_s": medians(slow) if slow else None,
+        "without_queries": len(slow),
         "with_recall": found_within(city, queries, [at[r.rows[0]] for r in runs], HIT),
         "without_recall": found_within(city, queries[:without], [at[r.rows[0]] for r in slow], HIT)
         if slow
@@ -96,8 +97,17 @@ def slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 def printed(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown of all sizes."""
-    header = ["cells", "paper: without", "with", "without candidates", "with: all", *STAGES]
-    header += ["default, p50", "p95", "@1 50 m: without", "with", "default", "prepared in", "peak"]
+    header = ["cells", "paper: without", "with", "without candidates", "@1 50 m", "queries"]
+    header += [
+        "with: all",
+        "@1 50 m",
+        *STAGES,
+        "default, p50",
+        "p95",
+        "@1 50 m",
+        "prepared in",
+        "peak",
+    ]
     lines = []
     for row in rows:
         theirs = PAPER.get(row["cells"], (None, None))
@@ -107,12 +117,13 @@ def printed(rows: Sequence[dict[str, Any]]) -> str:
                 number(row["cells"]),
                 *(number(t, 2, "s") for t in theirs),
                 number(1e3 * slow["total"], 1, "ms") if slow else "–",
+                share(row["without_recall"]),
+                number(row["without_queries"]),
                 number(1e3 * fast["total"], 2, "ms"),
+                share(row["with_recall"]),
                 *(number(1e3 * fast[s], 2) for s in STAGES),
                 number(1e3 * row["default_p50_s"], 1, "ms"),
                 number(1e3 * row["default_p95_s"], 1, "ms"),
-                share(row["without_recall"]),
-                share(row["with_recall"]),
                 share(row["default_recall"]),
                 number(row["prepare_s"], 1, "s"),
                 number(1e-6 * row["peak_bytes"], 0, "MB"),
@@ -126,7 +137,7 @@ def outdoor_candidates(
     run: Run,
     city: Annotated[str, option("City that is cut and copied.")] = "vancouver",
     sizes: Annotated[str, option("Cells with commas, rising.")] = "",
-    queries: Annotated[int, option("Queries.")] = 100,
+    queries: Annotated[int, option("Queries.")] = 200,
     without: Annotated[int, option("Pairs of a size without candidates.")] = 2_000_000,
     candidates: Annotated[int, option("Candidates.")] = 10,
     seed: Seed = 0,

@@ -4,7 +4,8 @@
     placegraph-lab table outdoor_matchers --cities monaco --quick
 
 Viewpoints lie where nothing was trained on: in the held-out tiles of four cities, and anywhere in
-Monaco and Toronto. Prints Markdown, writes JSON. `docs/benchmarks.md` explains the protocol.
+Monaco and Toronto. Interrupted, the same command goes on. Prints Markdown, writes JSON.
+`docs/benchmarks/gotloc-tables.md` explains the protocol.
 """
 
 from __future__ import annotations
@@ -15,38 +16,55 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import MATCHERS, SLOW, ask, matcher
-from placegraph_lab.tables.outdoor.matchers_report import advantages, report
+from placegraph_lab.tables.outdoor.matchers_report import advantages, report, title
+from placegraph_lab.tables.outdoor.metrics import Answer
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load
 from placegraph_lab.tables.outdoor.report import Protocol, Row, of_answers
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.matchers import Matcher
+    from placegraph_lab.tables.journal import Journal
+
+
+CODE = (
+    "placegraph/outdoor/**/*.py",
+    "placegraph/outdoor/**/data/*",
+    "placegraph_lab/tables/outdoor/*.py",
+)
+"""What decides an answer."""
 
 
 @dataclass(frozen=True)
 class Asking:
-    """Which matchers are asked, and how often."""
+    """Which matchers are asked, and how often; answers are written down as they come."""
 
     methods: Sequence[str]
     queries: int
     slow: int
+    slow_cities: Sequence[str]
     seed: int
+    journal: Journal
     tick: Callable[[], None]
+
+    def asked(self, name: str, protocol: Protocol, method: str) -> int:
+        """How many queries a matcher gets."""
+        if method not in SLOW:
+            return self.queries
+        wanted = name in self.slow_cities and protocol == Protocol(anywhere=True)
+        return min(self.slow, self.queries) if wanted else 0
 
     def rows(
         self, name: str, city: CityMap, path: Path, protocols: Sequence[Protocol]
     ) -> list[Row]:
         """All rows of a city."""
-        bins = load(path)
-        made: dict[tuple[str, str], Matcher] = {}
-        rows = []
+        bins, code, rows = load(path), fingerprint(CODE), []
         for protocol in protocols:
             setting = protocol.setting
             spoken = partial(
@@ -55,12 +73,17 @@ class Asking:
             )  # fmt: skip
             asked, warming = spoken(n=self.queries, seed=self.seed), spoken(n=3, seed=self.seed + 1)
             for method in self.methods:
-                key = method, setting if setting in ("names", "speaker") else ""
-                if key not in made:
-                    made[key] = matcher(method, city, bins, setting, seed=self.seed)
-                    ask(made[key], city, warming)
-                few = asked[: self.slow] if method in SLOW else asked
-                rows.append(of_answers(name, protocol, method, ask(made[key], city, few)))
+                n = self.asked(name, protocol, method)
+                key = f"{name}, {title(protocol)}, {method}, {n}, {self.seed}, {code}"
+                if n and key not in self.journal:
+                    found = matcher(method, city, bins, setting, seed=self.seed)
+                    ask(found, city, warming)
+                    answers = ask(found, city, asked[:n])
+                    plain = [(a.distance.tolist(), a.exact, a.seconds) for a in answers]
+                    self.journal.put(key, plain)
+                if n:
+                    answers = [Answer(np.array(d), tuple(e), s) for d, e, s in self.journal[key]]
+                    rows.append(of_answers(name, protocol, method, answers))
                 self.tick()
         return rows
 
@@ -69,33 +92,40 @@ class Asking:
 def outdoor_matchers(
     run: Run,
     cities: Annotated[str, option("Names with commas; all where left out.")] = "",
-    settings: Annotated[str, option("Settings with commas; all.")] = "",
+    settings: Annotated[str, option("Settings with commas.")] = "none",
     methods: Annotated[str, option("Matchers with semicolons; all.")] = "",
-    queries: Annotated[int, option("Queries a city and setting.")] = 300,
-    slow: Annotated[int, option("Of these, how many for edit distance.")] = 50,
+    queries: Annotated[int, option("Queries a city and setting.")] = 200,
+    slow: Annotated[int, option("Of these, how many for plain edit distance.")] = 100,
+    slow_cities: Annotated[
+        str, option("Cities that plain edit distance is asked in, without noise.")
+    ] = "liechtenstein,monaco,toronto",
     seed: Seed = 0,
     *,
     quick: Quick = False,
 ) -> None:
     """Which matcher finds the cell? On graphs from OpenStreetMap."""
     if quick:
-        queries, slow, settings = 40, 5, settings or "none,replaced"
-    chosen = [s for s in SETTINGS if not settings or s in settings.split(",")]
+        queries, slow = 40, 5
+    asked_for = known(parts(settings), SETTINGS, "setting")
+    chosen = [s for s in SETTINGS if s in asked_for]
     protocols = [Protocol(setting=s, anywhere=True) for s in chosen]
     protocols += [Protocol(setting="none")] if "none" in chosen else []
-    shown = [m for m in MATCHERS if not methods or m in methods.split(";")]
+    shown = known(parts(methods, ";"), MATCHERS, "matcher")
     names = names_of(cities)
     run.one_core()
     rows: list[Row] = []
     cells = {}
     with run.progress() as progress:
         task = progress.add_task("asking", total=len(names) * len(protocols) * len(shown))
-        asking = Asking(shown, queries, slow, seed, lambda: progress.advance(task))
+        asking = Asking(
+            shown, queries, slow, parts(slow_cities), seed, run.journal(),
+            lambda: progress.advance(task),
+        )  # fmt: skip
         for name in names:
             city = open_city(name, run.osm, run.cache)
             cells[name] = len(city.cells)
             rows += asking.rows(name, city, run.osm / EXTRACTS[name], protocols)
     lead = advantages(rows, np.random.default_rng(seed))
     print(report(rows, lead))
-    found = {"rows": [r.to_dict() for r in rows], "fused_against_best_single": lead}
-    run.save({"queries": queries, "queries_of_edit_distance": slow, "cells": cells} | found)
+    found = {"rows": [r.to_dict() for r in rows], "differences": lead}
+    run.save({"cells": cells} | found, whole=not (cities or methods))

@@ -6,7 +6,7 @@ All rank the cells of the same map. Bags are handed the query's triples; all oth
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -14,7 +14,6 @@ import numpy as np
 from placegraph.outdoor.likelihood.query import read
 from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
-from placegraph.outdoor.search.edit_distance import rank as rank_by_edits
 from placegraph.outdoor.search.request import Matching
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.metrics import RANKS, Answer, distances, positions
@@ -25,22 +24,35 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.search.request import By
-    from placegraph.outdoor.search.request import Matcher as MatcherName
+    from placegraph.outdoor.search.request import MatchingOptions
     from placegraph_lab.tables.outdoor.nearby import Bins
     from placegraph_lab.tables.outdoor.queries import Query, Setting
 
-EDIT, EDIT_PLAIN = "edit distance", "edit distance, plain"
-DENSE = "dense candidates alone"
 RELATIONAL, FUSED = "relational (default)", "fused"
-WAYS: tuple[By, ...] = ("dense", "sparse", "both")
-TRANSFORMER = {by: f"transformer, {by} candidates" for by in WAYS}
-MATCHERS = (*BAGS, EDIT_PLAIN, EDIT, DENSE, *TRANSFORMER.values(), RELATIONAL, FUSED)
+DENSE = "dense candidates alone"
+PAPER_EDITS, PAPER_TRANSFORMER = "paper's pipeline, rule-based", "paper's pipeline, transformer"
+EDIT_PLAIN, EDIT = "edit distance, plain, sparse candidates", "edit distance, sparse candidates"
+LOGIT_DENSE = "transformer by logit, dense candidates"
+COSINE, LOGIT = (
+    "transformer by cosine, sparse candidates",
+    "transformer by logit, sparse candidates",
+)
+_SPARSE: MatchingOptions = {"by": "sparse", "candidates": 10}
+PIPELINES: dict[str, MatchingOptions] = {
+    PAPER_EDITS: {"preset": "paper", "matcher": "edit-distance-plain"},
+    PAPER_TRANSFORMER: {"preset": "paper"},
+    DENSE: {"preset": "published"},
+    LOGIT_DENSE: {"preset": "paper", "score": "logit"},
+    EDIT_PLAIN: {"matcher": "edit-distance-plain", **_SPARSE},
+    EDIT: {"matcher": "edit-distance", **_SPARSE},
+    COSINE: {"matcher": "transformer", "score": "cosine", **_SPARSE},
+    LOGIT: {"matcher": "transformer", **_SPARSE},
+}
+"""What ranks ten cells: found by their embeddings, as in the paper, or by the inverted index."""
+MATCHERS = (*BAGS, *PIPELINES, RELATIONAL, FUSED)
 """All, in the order of the table."""
-SLOW = (EDIT, EDIT_PLAIN)
-"""Those that only get some of the queries."""
-EDIT_CANDIDATES = 20
-"""Candidates that edit distance ranks; the paper has 10."""
+SLOW = (PAPER_EDITS, EDIT_PLAIN)
+"""Those that only get some of the queries, of some of the cities."""
 
 
 class Places(NamedTuple):
@@ -115,41 +127,17 @@ class RetrieveMatcher:
     """The paper's pipeline on cells (Eq. 9-16): candidates, then a matcher for each pair."""
 
     city: CityMap
-    matcher: MatcherName
-    by: By = "both"
-    candidates: int = 10
+    options: MatchingOptions
+    timeout: float = TIMEOUT
 
     def rank(self, query: Query, top: int) -> Places:
         """Candidates, ranked."""
-        matching = Matching(
-            self.matcher, by=self.by, candidates=self.candidates, shipped=lambda: self.city.encoded
-        )
-        found = retrieve(self.city, read(self.city, query.text), matching, top=top)
+        options = self.options.copy()
+        matching = Matching.preset(options.pop("preset", "default"), **options)
+        matching = replace(matching, shipped=lambda: self.city.encoded)
+        text = read(self.city, query.text)
+        found = retrieve(self.city, text, matching, top=top, timeout=self.timeout)
         return places_of(self.city, found.cells)
-
-
-@dataclass(frozen=True)
-class EditMatcher:
-    """Edit distance on another matcher's first cells."""
-
-    city: CityMap
-    first: Matcher
-    candidates: int = EDIT_CANDIDATES
-    timeout: float = TIMEOUT
-    plain: bool = False
-
-    def rank(self, query: Query, top: int) -> Places:
-        """Candidates in the order of their distance."""
-        cells = self.first.rank(query, self.candidates).cells
-        cells = tuple(dict.fromkeys(cells))
-        ranked = rank_by_edits(
-            read(self.city, query.text),
-            [self.city.graph(cell) for cell in cells],
-            centers=np.reshape([self.city.cells.center(c) for c in cells], (-1, 2)),
-            timeout=self.timeout,
-            plain=self.plain,
-        )
-        return places_of(self.city, (cells[i] for i in ranked.rows[:top]))
 
 
 def cell_centers(city: CityMap) -> Floats:
@@ -163,14 +151,8 @@ def matcher(
     """Matcher by its name in `MATCHERS`, ready for the queries of a setting."""
     if name in BAGS:
         return BagMatcher.of(city, bins, name, setting, seed)
-    if name in SLOW:
-        first = BagMatcher.of(city, bins, list(BAGS)[-1], setting, seed)
-        return EditMatcher(city, first, plain=name == EDIT_PLAIN)
-    if name == DENSE:
-        return RetrieveMatcher(city, "embedding", "dense", max(RANKS))
-    for by, called in TRANSFORMER.items():
-        if name == called:
-            return RetrieveMatcher(city, "transformer", by)
+    if name in PIPELINES:
+        return RetrieveMatcher(city, PIPELINES[name])
     return LocateMatcher(city, {"matcher": "fused"} if name == FUSED else {})
 
 

@@ -8,10 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph_lab.tables.bootstrap import Interval, paired_interval
-from placegraph_lab.tables.outdoor.matchers import FUSED, MATCHERS
+from placegraph_lab.tables.outdoor.matchers import (
+    COSINE,
+    DENSE,
+    FUSED,
+    LOGIT,
+    LOGIT_DENSE,
+    MATCHERS,
+    PAPER_EDITS,
+    PAPER_TRANSFORMER,
+    RELATIONAL,
+    SLOW,
+)
 from placegraph_lab.tables.outdoor.metrics import RADII
-from placegraph_lab.tables.outdoor.report import Protocol, mean_recall
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.outdoor.report import Protocol, mean_recall, of_answers
+from placegraph_lab.tables.tables import markdown, number, shares
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,66 +63,88 @@ def hits(row: Row, measure: str) -> list[bool]:
     return [bool((a.distance[:1] <= radius).any()) for a in row.answers]
 
 
-def best_single(rows: Sequence[Row], measure: str) -> str:
-    """Single matcher with the highest recall@1, mean of the cities."""
-    single = [m for m in methods(rows) if m != FUSED]
-    return max(single, key=lambda m: mean_recall(rows, m, measure)[0])
+COMPARED = (
+    (PAPER_TRANSFORMER, DENSE),
+    (LOGIT_DENSE, PAPER_TRANSFORMER),
+    (PAPER_TRANSFORMER, PAPER_EDITS),
+    (LOGIT, COSINE),
+    (RELATIONAL, PAPER_TRANSFORMER),
+    (RELATIONAL, LOGIT),
+    (FUSED, RELATIONAL),
+)
+"""Matchers whose recall@1 is set off against that of another, chosen before anything was measured."""
 
 
-def advantage(rows: Sequence[Row], other: str, measure: str, rng: Generator) -> Interval:
-    """Recall@1 of both fused minus that of another matcher, on the queries that both had."""
+def advantage(
+    rows: Sequence[Row], first: str, second: str, measure: str, rng: Generator
+) -> Interval:
+    """Recall@1 of one matcher minus that of another, on the queries that both had."""
     pairs = []
     for city in dict.fromkeys(r.city for r in rows):
         found = {r.method: hits(r, measure) for r in rows if r.city == city}
-        if FUSED in found and other in found:
-            n = min(len(found[FUSED]), len(found[other]))
-            pairs.append((found[FUSED][:n], found[other][:n]))
+        if first in found and second in found:
+            n = min(len(found[first]), len(found[second]))
+            pairs.append((found[first][:n], found[second][:n]))
     return paired_interval(pairs, rng)
 
 
 def advantages(rows: Sequence[Row], rng: Generator) -> list[dict[str, Any]]:
-    """By protocol and measure: the best single matcher, and how far both fused are ahead of it."""
-    table = []
-    for protocol, mine in _by_protocol(rows).items():
-        for measure in MEASURES:
-            if FUSED not in methods(mine) or len(methods(mine)) < 2:
-                continue
-            other = best_single(mine, measure)
-            table.append(
-                {
-                    "title": title(protocol),
-                    "measure": measure,
-                    "fused": mean_recall(mine, FUSED, measure)[0],
-                    "best_single": other,
-                    "single": mean_recall(mine, other, measure)[0],
-                    "difference": advantage(mine, other, measure, rng)._asdict(),
-                }
-            )
-    return table
+    """By protocol and measure: how far one of `COMPARED` is ahead of the other."""
+    return [
+        {
+            "title": title(protocol),
+            "measure": measure,
+            "first": first,
+            "second": second,
+            "difference": advantage(mine, first, second, measure, rng)._asdict(),
+        }
+        for protocol, mine in _by_protocol(rows).items()
+        for first, second in COMPARED
+        if {first, second} <= set(methods(mine))
+        for measure in (EXACT, "50 m")
+    ]
+
+
+def of_the_slow(rows: Sequence[Row]) -> list[Row]:
+    """All matchers on the queries that the slow ones had; none where these had none."""
+    had = {(r.city, r.protocol): len(r.answers) for r in rows if r.method in SLOW}
+    return [
+        of_answers(r.city, r.protocol, r.method, r.answers[: had[r.city, r.protocol]])
+        for r in rows
+        if (r.city, r.protocol) in had
+    ]
 
 
 def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
-    """Markdown: every setting at a glance, the lead of both fused, and what each city gives."""
-    grouped = _by_protocol(rows)
-    shown = methods(rows)
-    parts = []
-    for measure in (EXACT, "50 m"):
+    """Markdown: every setting at a glance, the slow matchers' queries, differences, each city."""
+    slow = of_the_slow(rows)
+    quick = [r for r in rows if r.method not in SLOW]
+    parts = [*_glance(quick, paper=True), *_glance(slow, paper=False)]
+    if table:
+        parts += ["#### Differences of recall@1", _lead(table)]
+    for protocol, mine in list(_by_protocol(rows).items())[:1]:
+        shown = methods(mine)
+        parts += [f"#### {title(protocol)}: mean of the cities, then each", _detail(mine, shown)]
+    return "\n\n".join(parts)
+
+
+def _glance(rows: Sequence[Row], *, paper: bool) -> list[str]:
+    """Recall of the mean of the cities by protocol; with the paper's figures or without."""
+    grouped, parts = _by_protocol(rows), []
+    cities = list(dict.fromkeys(r.city for r in rows))
+    asked = sorted({len(r.answers) for r in rows})
+    for measure in (EXACT, "50 m") if rows else ():
         lines = [
-            [m, *(shares(_mean(mine, m, measure)) for mine in grouped.values())] for m in shown
+            [m, *(shares(_mean(mine, m, measure)) for mine in grouped.values())]
+            for m in methods(rows)
         ]
-        if measure == EXACT:
+        if measure == EXACT and paper:
             empty = ["–"] * (len(grouped) - 1)
             lines += [[name, shares(values), *empty] for name, values in PAPER.items()]
         within = "the exact cell" if measure == EXACT else f"within {measure}"
-        parts += [
-            f"#### Recall@1/3/5, {within}, mean of the cities",
-            markdown(["", *map(title, grouped)], lines),
-        ]
-    if table:
-        parts += ["#### Recall@1 of both fused, and of the best single matcher", _lead(table)]
-    for protocol, mine in list(grouped.items())[:1]:
-        parts += [f"#### {title(protocol)}: mean of the cities, then each", _detail(mine, shown)]
-    return "\n\n".join(parts)
+        of = f"{'/'.join(map(str, asked))} queries a city, mean of {', '.join(cities)}"
+        parts += [f"#### Recall@1/3/5, {within}, {of}", markdown(["", *map(title, grouped)], lines)]
+    return parts
 
 
 def _by_protocol(rows: Sequence[Row]) -> dict[Protocol, list[Row]]:
@@ -126,24 +159,21 @@ def _mean(rows: Sequence[Row], method: str, measure: str) -> list[float]:
 
 
 def _lead(table: Sequence[dict[str, Any]]) -> str:
-    header = ["", "hit", "fused", "best single", "matcher", "difference", "95 % interval"]
     lines = []
     for row in table:
         d = row["difference"]
         interval = f"{d['low']:+.3f} to {d['high']:+.3f}"
-        figures = [share(row["fused"]), share(row["single"]), row["best_single"]]
-        lines.append([row["title"], row["measure"], *figures, f"{d['mean']:+.3f}", interval])
-    return markdown(header, lines)
+        who = f"{row['first']} minus {row['second']}"
+        lines.append([who, row["title"], row["measure"], f"{d['mean']:+.3f}", interval])
+    return markdown(["", "texts", "hit", "difference", "95 % interval"], lines)
 
 
 def _detail(rows: Sequence[Row], shown: Sequence[str]) -> str:
     header = ["", "queries", *(f"{m} @1/3/5" for m in MEASURES), "median", "p50", "p95"]
     lines = [_line(m, [r for r in rows if r.method == m]) for m in shown]
     for city in dict.fromkeys(r.city for r in rows):
-        lines += [
-            _line(f"{city}: {m}", [r for r in rows if (r.city, r.method) == (city, m)])
-            for m in shown
-        ]
+        mine = [r for r in rows if r.city == city]
+        lines += [_line(f"{city}: {r.method}", [r]) for m in shown for r in mine if r.method == m]
     return markdown(header, lines)
 
 

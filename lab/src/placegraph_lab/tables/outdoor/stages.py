@@ -39,7 +39,7 @@ class Run(NamedTuple):
 
 
 def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
-    """Rank the cells nearest by embedding; all cells where `candidates` is None."""
+    """Rank the cells nearest by embedding, by the cosine; all cells where `candidates` is None."""
     city = encoded.city
     clock = [time.perf_counter()]
     query = compile_query(read(city, text), city)
@@ -54,7 +54,7 @@ def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
         rows = np.searchsorted(city.cells.points, points[points >= 0])
     clock.append(time.perf_counter())
     found = matched(encoded, said, rows)
-    ranked = rows[np.argsort(-found.logit, kind="stable")]
+    ranked = rows[np.argsort(-found.cosine, kind="stable")]
     clock.append(time.perf_counter())
     return Run(dict(zip(STAGES, np.diff(clock).tolist(), strict=True)), ranked)
 
