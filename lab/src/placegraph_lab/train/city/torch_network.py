@@ -114,8 +114,10 @@ class Gps(nn.Module):
     def forward(self, x: Tensor, packing: Packing, mask: Tensor, relations: Tensor) -> Tensor:
         """Node states (N, d) after one exchange; `relations` (B, R, n, n) scaled by degree."""
         b, n = mask.shape
-        messages = relations @ packing.pad(self.message(x))[:, None]  # (b, R, n, d / 2)
-        local = self.along(packing.pack(messages.transpose(1, 2).reshape(b, n, -1)))
+        # one product a graph: a product a relation would copy the states for each
+        messages = relations.reshape(b, R * n, n) @ packing.pad(self.message(x))
+        messages = messages.reshape(b, R, n, -1).transpose(1, 2)
+        local = self.along(packing.pack(messages.reshape(b, n, -1)))
         q, k, v = packing.pad(self.qkv(x)).chunk(3, -1)
         seen = self.out(packing.pack(attend(q, k, v, mask, self.heads)))
         return self.feed(self.norm(x + local + seen))
