@@ -10,13 +10,14 @@ Interrupted, the same command goes on. Prints Markdown, writes JSON.
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.tables.bootstrap import paired_interval
+from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.outdoor.ablation import GIVEN, Task, evaluate, literal_alone, recall
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.journal import Journal
     from placegraph_lab.tables.outdoor.ablation import Hits
 
 OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
@@ -74,6 +76,41 @@ def trained(
         folder.mkdir(parents=True, exist_ok=True)
         train(cities, weights, folder=folder, pools=work / "pools", options=options, device=device)
     return GraphTransformer.open(weights)
+
+
+CODE = ("placegraph/outdoor/**/*.py", "placegraph_lab/tables/outdoor/*.py")
+"""What decides an answer, beside the weights."""
+
+
+@dataclass(frozen=True)
+class Judging:
+    """What networks are asked; answers are written down as they come."""
+
+    run: Run
+    cities: Mapping[str, CityMap]
+    measured: Sequence[str]
+    queries: int
+    seed: int
+    journal: Journal
+    tasks: dict[str, Task] = field(default_factory=dict)
+
+    def hits(self, network: GraphTransformer, as_what: str = "") -> list[Hits]:
+        """By city, what a network finds."""
+        found, code = [], fingerprint(CODE)
+        for city in self.measured:
+            key = f"{network.fingerprint}{as_what}, {city}, {self.queries}, {self.seed}, {code}"
+            if key not in self.journal:
+                hits = evaluate(self._task(city), network)
+                self.journal.put(key, {name: h.tolist() for name, h in hits.items()})
+            found.append({name: np.array(h, np.bool_) for name, h in self.journal[key].items()})
+        return found
+
+    def _task(self, name: str) -> Task:
+        if name not in self.tasks:
+            city, path = self.cities[name], self.run.osm / EXTRACTS[name]
+            asked = unseen_queries(name, city, path, n=self.queries, seed=self.seed)
+            self.tasks[name] = Task.of(city, load(path), asked)
+        return self.tasks[name]
 
 
 def averaged(runs: Sequence[Sequence[Hits]], name: str) -> list[Any]:
@@ -135,7 +172,7 @@ def outdoor_ablation(
 ) -> None:
     """What is each part of the network worth? Trainings of full length that differ in one thing."""
     names, work = list(TRAINED), run.cache / "ablation"
-    base = TrainOptions(epochs=epochs, descriptions=seed)
+    base = TrainOptions(epochs=epochs, descriptions=seed, check=100)
     measured = names_of(on)
     if quick:
         names, queries, only, seeds = names[2:3], 20, only or f"{OURS},no cross attention", "0"
@@ -143,22 +180,16 @@ def outdoor_ablation(
         work, measured = work / "quick", names
     wanted = {n: variants(base)[n] for n in known(parts(only), variants(base), "variant")}
     cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
-    tasks = []
-    for name in measured:
-        path = run.osm / EXTRACTS[name]
-        told = unseen_queries(name, cities[name], path, n=queries, seed=seed)
-        tasks.append(Task.of(cities[name], load(path), told))
+    judging = Judging(run, cities, measured, queries, seed, run.journal())
     shipped = GraphTransformer.default()
-    found: dict[str, list[list[Hits]]] = {}
-    others = {LITERAL: literal_alone(shipped), SHIPPED: shipped}
-    for name, network in others.items():
-        found[name] = [[evaluate(task, network) for task in tasks]]
+    found = {LITERAL: [judging.hits(literal_alone(shipped), LITERAL)]}
+    found[SHIPPED] = [judging.hits(shipped)]
     for name, options in wanted.items():
         for number_of in parts(seeds):
             run.say(f"{name}, seed {number_of}")
             mine = replace(options, seed=int(number_of))
             network = trained(name, mine, {n: cities[n] for n in names}, work, device)
-            found.setdefault(name, []).append([evaluate(task, network) for task in tasks])
+            found.setdefault(name, []).append(judging.hits(network))
     print(printed(found, seed))
     rows = [
         {
@@ -168,5 +199,5 @@ def outdoor_ablation(
         }
         for name, runs in found.items()
     ]
-    asked = {task_name: len(task.queries) for task_name, task in zip(measured, tasks, strict=True)}
+    asked = {c: len(hits["dense"]) for c, hits in zip(measured, found[SHIPPED][0], strict=True)}
     run.save({"asked": asked, "rows": rows}, whole=not only)
