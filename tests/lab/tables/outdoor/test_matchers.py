@@ -10,6 +10,8 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
+from placegraph_lab.tables.journal import Journal
+from placegraph_lab.tables.named.outdoor_matchers import Asking
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     in_held_out_tiles,
@@ -21,6 +23,8 @@ from placegraph_lab.tables.outdoor.matchers import (
     EDIT,
     FUSED,
     MATCHERS,
+    PAPER_EDITS,
+    PAPER_TRANSFORMER,
     RELATIONAL,
     Places,
     RetrieveMatcher,
@@ -30,6 +34,7 @@ from placegraph_lab.tables.outdoor.matchers import (
 )
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
+from placegraph_lab.tables.outdoor.report import Protocol
 from placegraph_lab.train.city.sample import evaluated
 
 
@@ -82,6 +87,24 @@ def test_a_text_finds_its_place(city, bins, town):
         matcher(RELATIONAL, city, bins),
     ):
         assert score(ask(found, city, asked)).within[50.0][5] > 0.4
+
+
+def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, tmp_path):
+    shown, told = (PAPER_EDITS, PAPER_TRANSFORMER), []
+    asking = Asking(
+        shown, 4, 2, ("monaco",), 0, Journal(tmp_path / "a.jsonl"), lambda: told.append(1)
+    )
+    protocols = [Protocol(anywhere=True), Protocol()]
+    rows = asking.rows("monaco", city, town, protocols)
+    assert [(r.method, r.protocol.anywhere, len(r.answers)) for r in rows] == [
+        (PAPER_EDITS, True, 2), (PAPER_TRANSFORMER, True, 4), (PAPER_TRANSFORMER, False, 4),
+    ]  # fmt: skip
+    assert len(told) == 4
+    other = replace(asking, journal=Journal(tmp_path / "a.jsonl"))
+    assert [r.to_dict() for r in other.rows("monaco", city, town, protocols)] == [
+        r.to_dict() for r in rows
+    ]
+    assert asking.asked("toronto", protocols[0], PAPER_EDITS) == 0
 
 
 def test_exact_is_the_cell_that_covers_the_truth(city):
