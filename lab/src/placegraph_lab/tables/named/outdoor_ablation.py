@@ -1,7 +1,7 @@
 """What is each part of the network worth? Trainings of full length that differ in one thing.
 
     placegraph-lab table outdoor_ablation
-    placegraph-lab table outdoor_ablation --only "ours,no cross attention" --seeds 0
+    placegraph-lab table outdoor_ablation --only "ours/1,no cross attention/0"
     placegraph-lab table outdoor_ablation --quick
 
 All are trained alike, on the same descriptions, and evaluated where nothing was trained on.
@@ -162,7 +162,7 @@ def outdoor_ablation(
     run: Run,
     queries: Annotated[int, option("Queries a city.")] = 200,
     epochs: Annotated[int, option("Epochs of a training.")] = 5,
-    only: Annotated[str, option("Names of variants with commas; all.")] = "",
+    only: Annotated[str, option("Variants, or VARIANT/SEED, with commas; all.")] = "",
     seeds: Annotated[str, option("Seeds of the trainings, with commas.")] = "0,1",
     on: Annotated[str, option("Cities to measure on, with commas; all.")] = "",
     *,
@@ -178,24 +178,26 @@ def outdoor_ablation(
         names, queries, only, seeds = names[2:3], 20, only or f"{OURS},no cross attention", "0"
         base = replace(base, epochs=1, examples=32, steps=4, batch=8, check=16)
         work, measured = work / "quick", names
-    wanted = {n: variants(base)[n] for n in known(parts(only), variants(base), "variant")}
+    every = variants(base)
+    asked_for = [entry.partition("/")[::2] for entry in parts(only) or every]
+    known([name for name, _ in asked_for], every, "variant")
+    wanted = [(n, s) for n, one in asked_for for s in ([one] if one else parts(seeds))]
     cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
     judging = Judging(run, cities, measured, queries, seed, run.journal())
     shipped = GraphTransformer.default()
     found = {LITERAL: [judging.hits(literal_alone(shipped), LITERAL)]}
     found[SHIPPED] = [judging.hits(shipped)]
-    for name, options in wanted.items():
-        for number_of in parts(seeds):
-            run.say(f"{name}, seed {number_of}")
-            mine = replace(options, seed=int(number_of))
-            network = trained(name, mine, {n: cities[n] for n in names}, work, device)
-            found.setdefault(name, []).append(judging.hits(network))
+    for name, its in wanted:
+        run.say(f"{name}, seed {its}")
+        options = replace(every[name], seed=int(its))
+        network = trained(name, options, {n: cities[n] for n in names}, work, device)
+        found.setdefault(name, []).append(judging.hits(network))
     print(printed(found, seed))
     rows = [
         {
             "name": name,
             "recall": [recall(r) for r in runs],
-            "options": asdict(wanted.get(name, base)),
+            "options": asdict(every.get(name, base)),
         }
         for name, runs in found.items()
     ]
