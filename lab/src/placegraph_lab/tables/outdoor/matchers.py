@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 RELATIONAL, FUSED = "relational (default)", "fused"
 DENSE = "dense candidates alone"
-PAPER_EDITS, PAPER_TRANSFORMER = "paper's pipeline, rule-based", "paper's pipeline, transformer"
+PAPER_EDITS, PAPER_TRANSFORMER = "paper's pipeline, rule-based", "paper's pipeline, our network"
 EDIT_PLAIN, EDIT = "edit distance, plain, sparse candidates", "edit distance, sparse candidates"
 LOGIT_DENSE = "transformer by logit, dense candidates"
 COSINE, LOGIT = (
