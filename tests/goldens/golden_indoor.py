@@ -69,8 +69,8 @@ def windows(worlds):
         x, y, z = worlds.truth(s)[at(s, 2)].odometry[0, :3, 3]
         prior = p.Prior(x + 0.4, y - 0.3, z=z, spread=0.8)
         yield f"prior {s}", worlds.capture(s)[at(s, 2)], COARSE | {"prior": prior}
-    refining = pg.RefineOptions.paper()
-    yield "refined as in the paper", worlds.capture(4)[5:7], {"refine": refining}
+    pnp = {"refine": pg.RefineOptions.paper(), "matcher": "guided"}
+    yield "refined as in the paper", worlds.capture(4)[5:7], pnp
     yield "sift", worlds.capture(2, labels=None)[9:12], {"matcher": "sift"}
 
 

@@ -234,8 +234,10 @@ class FilterOptions:
         """The paper's recipe as printed (Sec. 3.1-3.5).
 
         Uniform start, Eq. 2, strides 20/8/4 in boxes of 1.6 and 0.8 m around one MLE, about 2,500
-        particles (Sec. 5), no table, no injection, no fit. Where the paper gives no number: yaws
-        within 45 and 22.5 degrees of the MLE, halved as the boxes are; 0.1 and 0.95 for KLD.
+        particles (Sec. 5), no table, no injection, no fit. As these are the fewest, and all that
+        passes 2 and 3 draw, KLD-sampling adapts pass 1 alone. The first particle of a box is the MLE
+        itself. Where the paper gives no number: yaws within 45 and 22.5 degrees of the MLE, halved
+        as the boxes are; 0.1 and 0.95 for KLD.
         """
         return cls(
             start="uniform",

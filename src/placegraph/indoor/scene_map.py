@@ -98,8 +98,9 @@ class SceneMap(Scene):
         refine
             Fit the best mode to images and depth, to centimetres; `RefineOptions` say how.
         matcher
-            How images are matched with renderings: ``auto`` and ``guided`` need no extra; ``sift``,
-            ``xfeat``, ``roma``, ``romav2`` need theirs; or a `Matcher` of one's own.
+            How images are matched with renderings: ``guided`` needs no extra; ``sift``, ``xfeat``,
+            ``roma``, ``romav2`` need theirs; ``auto`` is the guided one, but for several
+            `RefineOptions.views` RoMa, or SIFT where that is not at hand; or a `Matcher` of one's own.
         seed, device, progress
             Seed of all randomness; ``auto``, ``cpu`` or ``cuda`` (extra ``gpu``); called with what is
             done, how far, and of how much.

@@ -1,6 +1,7 @@
 """`placegraph scene localize`: frames of a drawn room find their pose on the command line."""
 
 import json
+import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_po
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
 from placegraph.indoor.refine import RefineOptions
+from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import write_plan
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
@@ -137,7 +139,9 @@ def test_presets_reach_the_filter_and_the_refinement(run, world, monkeypatch):
     monkeypatch.setattr(SceneMap, "localize", localize)
     for more in (
         ["--preset", "paper", "--height", "1.4", "--no-depth"],
-        ["--preset", "published", "--no-refine"],
+        ["--preset", "coarse"],
+        ["--preset", "coarse", "--no-refine"],
+        ["--preset", "published"],
         [],
         ["--preset", "papers"],
     ):
@@ -145,9 +149,37 @@ def test_presets_reach_the_filter_and_the_refinement(run, world, monkeypatch):
     paper = replace(FilterOptions.paper(), heights=(1.4,), depth=False)
     assert asked == [
         (paper, RefineOptions.paper()),
+        (FilterOptions.coarse(), RefineOptions.paper()),
+        (FilterOptions.coarse(), False),
         (FilterOptions.published(), False),
-        (FilterOptions(), True),
+        (FilterOptions(), RefineOptions()),
     ]
+
+
+def test_the_papers_six_views_are_rendered_and_matched(run, world, monkeypatch):
+    """Sec. 3.6 from the command line: a matcher of features sees every frame's six renderings."""
+    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
+    monkeypatch.setitem(sys.modules, "romatch.models.model_zoo", None)
+    few = replace(FilterOptions(), answer="mle")  # the recipe's own start takes a minute
+    monkeypatch.setattr(FilterOptions, "paper", lambda: few)
+    seen, match = [], SiftMatcher.match
+
+    def counted(self, query, views, **more):
+        seen.append(len(views))
+        return match(self, query, views, **more)
+
+    monkeypatch.setattr(SiftMatcher, "match", counted)
+    ask = ("scene", "localize", world.map, world.walk, "--frames", "1:4", "--preset", "paper")
+    result = run(*ask, "--json")
+    assert (result.code, result.err) == (0, "")
+    assert seen == [6, 6, 6]
+    assert result.json["refinement"]["stats"]["matcher"] == "sift"
+
+
+def test_where_no_refinement_follows_a_matcher_is_refused(run, world):
+    for more in (["--preset", "published"], ["--no-refine"]):
+        result = run("scene", "localize", world.map, world.walk, "--matcher", "sift", *more)
+        fails(result, 7, "--matcher", *more)
 
 
 # --- the refinement ---

@@ -21,7 +21,8 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.filter import ParticleFilter
 from placegraph.indoor.pose.motion import propagate
 from placegraph.indoor.pose.particles import Particles, kld_bound, kld_count, resample
-from placegraph.indoor.pose.passes import everywhere
+from placegraph.indoor.pose.passes import _later, everywhere
+from placegraph.indoor.pose.polish import heaviest
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.window import Window
 from placegraph.indoor.scene_map import SceneMap
@@ -212,6 +213,32 @@ def test_an_estimate_is_carried_back(rng):
         for step in STEPS[1:]:
             there = theirs.plus(there, step)
         np.testing.assert_allclose(there[0, :3], pose[:3], atol=1e-9)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_boxes_of_later_passes(number, rng):
+    """Sec. 3.5: so many poses, even in a box around the MLE, which is one of ours itself."""
+    spec, mle = PAPER.passes[number], TRUE[0]
+    ours = _later(spec, mle[None], np.ones(1), rng)
+    other = theirs.boxed(mle, number, theirs.FEWEST, rng)
+    assert len(ours) == len(other)
+    np.testing.assert_array_equal(ours[0], mle)
+    for axis in range(4):
+        reach = theirs.TURNS[number] if axis == 3 else theirs.BOXES[number] / 2
+        away = ours[1:, axis] - mle[axis]
+        assert kstest(away, "uniform", (-reach, 2 * reach)).pvalue > 0.001
+        assert ks_2samp(ours[:, axis], other[:, axis]).pvalue > 0.001
+
+
+def test_the_mle(rng):
+    """Sec. 3.5: the heaviest particle carries over to the next pass, and is the answer of the last."""
+    poses = scattered(rng, 500)
+    particles, _ = Particles.even(poses).reweighted(-rng.exponential(1.0, 500))
+    expected = theirs.heaviest(poses, particles.weights)
+    (fit,) = heaviest(particles, PAPER.modes)
+    np.testing.assert_array_equal(fit.pose, expected)
+    filter_ = ParticleFilter(None, PAPER, rng, particles, 500)
+    np.testing.assert_array_equal(filter_.modes(), expected[None])
 
 
 # ------------------------------------------------------------------------------- whole runs

@@ -86,6 +86,7 @@ def test_later_passes_lie_in_boxes_and_give_every_mode_its_share(rng):
     of = np.linalg.norm(got[:, None, :3] - modes[:, :3], axis=2).argmin(axis=1)
     counts = np.bincount(of)
     np.testing.assert_allclose(counts, [1000 / 3 + 2250, 1000 / 3 + 750, 1000 / 3], atol=1)
+    assert counts.sum() == 4000, "they add up"
     offset = np.abs(got - modes[of])
     assert (offset <= [0.8, 0.8, 0.8, 0.4]).all()
     assert (offset.max(axis=0) > [0.75, 0.75, 0.75, 0.37]).all()

@@ -86,3 +86,11 @@ def test_the_papers_recipe_is_six_views_of_every_frame():
 def test_options_cannot_be_changed_by_accident():
     with pytest.raises(AttributeError):
         RefineOptions().views = 3
+
+
+def test_what_follows_the_presets_of_the_filter():
+    assert RefineOptions.preset("default") == RefineOptions()
+    assert RefineOptions.preset("paper") == RefineOptions.preset("coarse") == RefineOptions.paper()
+    assert RefineOptions.preset("published") is None
+    with pytest.raises(OptionError, match="'papers'"):
+        RefineOptions.preset("papers")

@@ -171,6 +171,19 @@ def test_auto_and_guided_need_no_extra():
     assert Refining.of(None, mine).matcher is mine
 
 
+def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch):
+    """RoMa where it is installed, else SIFT; where neither is, a sentence says what to install."""
+    monkeypatch.setitem(sys.modules, "romatch.models.model_zoo", None)
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    paper = RefineOptions.paper()
+    assert Refining.of(paper, "guided").matcher is None
+    with pytest.raises(MissingExtraError, match=r"placegraph\[sift\]"):
+        Refining.of(paper, "auto")
+    roma = "placegraph.indoor.refine.matching.roma.RomaMatcher"
+    monkeypatch.setattr(roma, lambda device: GuidedMatcher(radius={"cuda": 9}[device]))
+    assert Refining.of(paper, "auto", "cuda:0").matcher.radius == 9
+
+
 # ------------------------------------------------------------------------ from a rough pose
 
 

@@ -86,8 +86,9 @@ def localize(
         Option(
             help="Recipe of the filter: default (a table of what is visible from where, few "
             "particles, a fit of all frames), paper (SG2Loc as printed: particles everywhere, three "
-            "passes, one MLE, then its own refinement), published (what its code does otherwise), "
-            "coarse (its first pass alone). The paper's take many times as long.",
+            "passes, one MLE, then six views and PnP), coarse (its first pass alone, then the same), "
+            "published (what its code does otherwise; a filter only, nothing is refined). The paper's "
+            "take many times as long.",
             panel=USED,
         ),
     ] = "default",
@@ -136,15 +137,15 @@ def localize(
         record=any(file is not None for file in (png, gif, record)),
     )  # fmt: skip
     prior = _prior(near, radius, yaw_deg)
-    matching = _matching(matcher, weights, device, refine=refine)
+    refining = RefineOptions.preset(preset) if refine else None
+    matching = _matching(matcher, weights, device, refine=refining is not None)
     chosen = chosen_frames(open_capture(capture), frames)
     scene = SceneMap.open(map_file)
     title = f"{capture.name} {frames}" if frames else capture.name
     with progress_of(hidden=quiet or as_json) as tell:
         estimate = scene.localize(
             chosen, prior=prior, description=description, encoder=encoder, options=options,
-            refine=RefineOptions.paper() if refine and preset == "paper" else refine,
-            matcher=matching, seed=seed, device=device, progress=tell,
+            refine=refining or False, matcher=matching, seed=seed, device=device, progress=tell,
         )  # fmt: skip
         tell("drawing", 0, 1)
         Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
@@ -177,7 +178,8 @@ def _options(
 def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:
     if not refine and (matcher != "auto" or weights is not None):
         raise OptionError(
-            "--matcher and --weights belong to the refinement; leave out --no-refine, or these."
+            "--matcher and --weights belong to the refinement; leave out --no-refine or --preset "
+            "published, or these."
         )
     return matcher_of(matcher, weights, device)
 

@@ -39,7 +39,8 @@ MatcherName = Annotated[
     str,
     Option(
         help="What matches images with renderings of the map where depth does not fix the pose: "
-        "auto or guided (nothing to install), sift, xfeat, roma, romav2.",
+        "guided (nothing to install), sift, xfeat, roma, romav2, or auto: guided, but for the paper's "
+        "six views roma, or sift where that is not at hand.",
         panel=REFINED,
     ),
 ]

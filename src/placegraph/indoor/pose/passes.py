@@ -83,11 +83,12 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
 def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
     """First particles of a later pass: in a box around each mode (K, 4), by their masses (K,).
 
-    However light a mode is, it gets a quarter of what an even split would give it.
+    However light a mode is, it gets a quarter of what an even split would give it; the numbers add
+    up to `spec.particles`. The first particle of each box is the mode itself.
     """
     share = 0.25 / len(modes) + 0.75 * masses / masses.sum()
-    count = np.maximum(1, (spec.particles * share).astype(np.int64))
-    return around(modes, count, spec.box, spec.turn, rng)
+    ends = np.rint(spec.particles * np.cumsum(share)).astype(np.int64)
+    return around(modes, np.maximum(1, np.diff(ends, prepend=0)), spec.box, spec.turn, rng)
 
 
 def _start(window: Window, spec: Pass, modes: Floats, rng: Generator) -> Floats:

@@ -57,8 +57,9 @@ class RefineOptions:
     """All frames in one robust optimisation, of a pose that is not `LOST`, and which must stay near
     it; else the frame with most inliers decides, as in the paper, wherever that is."""
     views: int = 1
-    """Rendered views a frame is matched with, by matchers that know no neighbourhood. From starts
-    within 10 degrees more than one cost time and gain nothing (benchmark; paper: 6)."""
+    """Rendered views a frame is matched with, by matchers that know no neighbourhood: of several,
+    ``auto`` takes RoMa or SIFT. From starts within 10 degrees more than one cost time and gain
+    nothing (benchmark; paper: 6)."""
     spread: float = 0.7853981633974483
     """Half width in yaw of these views [rad] (paper: 45 degrees)."""
     frames: int | None = None
@@ -106,9 +107,22 @@ class RefineOptions:
             raise OptionError(f"reach is {self.reach}; a way to {_FAR:g} m and a turn to pi.")
 
     @classmethod
+    def preset(cls, name: str) -> RefineOptions | None:
+        """What follows the filter's recipe of that name (`FilterOptions.preset`).
+
+        None after ``published``: that is a filter only, whose code ends in another refinement.
+        """
+        paper = cls.paper()
+        follows = {"default": cls(), "paper": paper, "published": None, "coarse": paper}
+        if name not in follows:
+            raise OptionError(f"preset is {name!r}; there are {', '.join(follows)}.")
+        return follows[name]
+
+    @classmethod
     def paper(cls) -> RefineOptions:
         """The paper's recipe: six views of every frame, PnP frame by frame, most inliers decide.
 
-        Its matcher is RoMa (`matcher="roma"`); the guided one knows where to look, and gets one view.
+        Its matcher is RoMa; ``auto`` takes SIFT where RoMa is not at hand. The guided one, if named,
+        knows where to look, and gets one view.
         """
         return cls(depth=False, images=True, joint=False, check=False, views=6, frames=1000)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import MissingExtraError, OptionError
+from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.geometry import split_pose
 from placegraph.indoor.pose.verdict import evidence_at
@@ -48,10 +48,15 @@ class Refining:
                     f"matcher is {matcher!r}; give a name, or an object with name and match."
                 )
             return cls(options, matcher)
-        if matcher in {"auto", "guided"}:
+        if matcher == "guided" or (matcher == "auto" and options.views == 1):
             return cls(options, None)
         on = "cuda" if device.startswith("cuda") else "cpu"
-        return cls(options, matcher_named(matcher, device=on))
+        if matcher != "auto":
+            return cls(options, matcher_named(matcher, device=on))
+        try:  # several views are for a matcher that knows no neighbourhood
+            return cls(options, matcher_named("roma", device=on))
+        except (MissingExtraError, ServiceError):
+            return cls(options, matcher_named("sift"))
 
 
 def refined(

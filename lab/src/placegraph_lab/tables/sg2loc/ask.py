@@ -50,13 +50,14 @@ class Recipe:
 
 def recipes() -> dict[str, Recipe]:
     """By name: the paper's, its ablations, what its authors published, and ours."""
-    paper, pnp = FilterOptions.paper(), RefineOptions.paper()
+    paper = FilterOptions.paper()
     semantic = paper.only(semantic=True)
     finest = replace(paper.passes[-1], stride=1.0)
     return {
-        "paper": Recipe(paper, pnp),
-        "published": Recipe(FilterOptions.published()),
-        "coarse": Recipe(FilterOptions.coarse(), pnp),
+        **{
+            name: Recipe(FilterOptions.preset(name), RefineOptions.preset(name) or False)
+            for name in ("paper", "published", "coarse")
+        },
         "ours": Recipe(FilterOptions(), refine=True),
         "semantic": Recipe(semantic),
         "semantic+depth": Recipe(paper.only(semantic=True, depth=True)),
