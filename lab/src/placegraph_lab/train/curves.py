@@ -11,6 +11,7 @@ from PIL import ImageColor
 from placegraph.view.draw.painter import SUPERSAMPLE
 from placegraph.view.draw.sheet import XY, Sheet
 from placegraph.view.draw.style import PALETTE
+from placegraph_lab.train.city.options import LOSSES, PRINTED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
 
 WIDTH, HEIGHT = 1180, 460
-LOSSES = ("match", "similarity", "embedding", "fusion", "loss")
+SERIES = (*LOSSES, *PRINTED, "loss")
 """Series that are losses."""
 RECALL = "recall@1 within 50 m, tiles held out"
 COLORS = {
@@ -40,8 +41,8 @@ def draw_curves(
     """
     sheet = Sheet(WIDTH, HEIGHT)
     names = list(dict.fromkeys(name for row in rows for name in row if name != "epoch"))
-    losses = [_series(rows, name) for name in names if name in LOSSES]
-    recall = [_series(rows, name) for name in names if name not in LOSSES]
+    losses = [_series(rows, name) for name in names if name in SERIES]
+    recall = [_series(rows, name) for name in names if name not in SERIES]
     _Panel(sheet, (70.0, 64.0), "loss", losses).draw()
     _Panel(sheet, (650.0, 64.0), good_for, recall).draw()
     if not rows:

@@ -6,14 +6,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
 
 from placegraph_lab.train.city.objective import (  # noqa: E402
-    LOSSES,
-    PRINTED,
     Scores,
     Temperatures,
     Truth,
     contrastive,
     losses,
 )
+from placegraph_lab.train.city.options import LOSSES, PRINTED  # noqa: E402
 
 
 def tensor(numbers):

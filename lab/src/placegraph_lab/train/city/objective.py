@@ -21,11 +21,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
+from placegraph_lab.train.city.options import LOSSES
+
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-LOSSES = ("match", "similarity", "embedding", "fusion")
-PRINTED = ("eq17", "eq18")
 NEVER = -1e9
 
 

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.city import CityMap
 
+LOSSES = ("match", "similarity", "embedding", "fusion")
+PRINTED = ("eq17", "eq18")
+"""Losses (`objective`): those that teach, and the paper's as printed (Eq. 17-18)."""
+
 
 @dataclass(frozen=True)
 class TrainOptions:
@@ -30,7 +34,7 @@ class TrainOptions:
     rate: float = 2e-3
     """Largest learning rate; a cosine leads to nearly nothing."""
     decay: float = 1e-3
-    losses: tuple[str, ...] = ("match", "similarity", "embedding", "fusion")
+    losses: tuple[str, ...] = LOSSES
     """Which are added up (`objective`); ``eq17`` and ``eq18`` are the paper's as printed."""
     seed: int = 0
     descriptions: int | None = None
@@ -68,7 +72,7 @@ def check(cities: Mapping[str, CityMap], options: TrainOptions) -> None:
         raise OptionError(
             f"rate is {options.rate}, share {options.share}; choose above 0 and at most 1."
         )
-    known = ("match", "similarity", "embedding", "fusion", "eq17", "eq18")
+    known = (*LOSSES, *PRINTED)
     if not set(options.losses) <= set(known) or not options.losses:
         raise OptionError(f"losses are {options.losses}; choose among {', '.join(known)}.")
     try:
