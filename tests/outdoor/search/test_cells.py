@@ -221,7 +221,10 @@ def test_locating_by_any_matcher_and_way(harbour, encoded, text):
         for by in ("auto", *WAYS):
             if matcher.startswith("edit-distance") and by in ("all", "both", "auto"):
                 continue
-            found = harbour.locate(text, matcher=matcher, by=by, candidates=8, encoded=encoded)
+            options = {"matcher": matcher, "by": by, "encoded": encoded}
+            if Matching(matcher=matcher, by=by).counted:
+                options["candidates"] = 8
+            found = harbour.locate(text, **options)
             total = sum(mode.probability for mode in found.modes)
             assert 0.0 < total <= 1.0 + 1e-6
             assert found.best.cell in harbour.cells
@@ -384,6 +387,9 @@ def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
         ({"by": "magic"}, "auto, sparse"),
         ({"candidates": 0}, "candidates is 0"),
         ({"candidates": 2.5}, "candidates is 2.5"),
+        ({"candidates": 5}, "candidates is 5, but relational by sparse"),
+        ({"preset": "paper", "matcher": "fused", "candidates": 5}, "but fused by sparse"),
+        ({"matcher": "embedding", "by": "all", "candidates": 5}, "but embedding by all"),
     ],
 )
 def test_locate_refuses_what_it_does_not_know(harbour, text, options, says):
@@ -431,6 +437,9 @@ def test_presets_give_way_to_what_is_said():
     assert Matching.preset("paper", score="logit").score == "logit"
     rules = Matching.preset("paper", matcher="edit-distance-plain", candidates=5)
     assert (rules.score, rules.by, rules.candidates) == (None, "dense", 5)
+    other = Matching.preset("paper", matcher="relational")  # it looks at viewpoints, not at cells
+    assert vars(other) == vars(Matching())
+    assert Matching.preset("paper", matcher="fused", by="both", candidates=7).candidates == 7
     with pytest.raises(OptionError, match=r"preset is 'mine'.*paper"):
         Matching.preset("mine")
     with pytest.raises(OptionError, match="the transformer alone"):

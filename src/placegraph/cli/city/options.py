@@ -61,7 +61,11 @@ CandidatesBy = Annotated[
 ]
 Candidates = Annotated[
     int | None,
-    Option(help="How many cells are judged; 50 if nothing is said.", panel=JUDGED),
+    Option(
+        help="How many cells are judged; 50 if nothing is said. Relational and fused matching count "
+        "cells only where embeddings propose them (dense, both).",
+        panel=JUDGED,
+    ),
 ]
 Store = Annotated[
     str | None,

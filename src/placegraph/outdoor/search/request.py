@@ -37,6 +37,7 @@ By = Literal["sparse", "dense", "both", "all"]
 MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
 SCORES: tuple[Score, ...] = get_args(Score)
 WAYS: tuple[By, ...] = get_args(By)
+_OF_VIEWPOINTS = ("fused", "relational")
 
 
 class MatchingOptions(TypedDict, total=False):
@@ -76,7 +77,9 @@ class Matching:
     places; ``auto`` takes both where a store is given, else the inverted index. Embeddings alone
     are fast in maps of any size, find less, and are never sure (`OK`)."""
     candidates: int = 50
-    """How many cells embeddings propose (the paper's n of Eq. 12)."""
+    """How many cells embeddings propose (the paper's n of Eq. 12), or the inverted index to matchers
+    of cells. Relational and fused matching look at viewpoints: the index gives them as many as it
+    takes, and a count given to `preset` or `CityMap.locate` is refused there, and by ``all``."""
     store: VectorStore | None = None
     """Where embeddings are searched, such as a Milvus server; the map's own if not given."""
     region: Region | None = None
@@ -102,13 +105,29 @@ class Matching:
 
     @classmethod
     def preset(cls, name: Preset, **options: Unpack[MatchingOptions]) -> Matching:
-        """Options of a preset (`PRESETS`), but for those given; raises as `Matching` does."""
+        """Options of a preset (`PRESETS`), but for those given.
+
+        Raises
+        ------
+        OptionError
+            As `Matching` does; or `candidates` are given where nothing counts cells.
+
+        """
         if name not in PRESETS:
             raise OptionError(f"preset is {name!r}; choose among {', '.join(PRESETS)}.")
         chosen: dict[str, Any] = {**PRESETS[name], **options}
-        if chosen.get("matcher") != "transformer" and "score" not in options:
-            chosen.pop("score", None)  # a preset's score goes with its matcher
-        return cls(**chosen)
+        matcher = chosen.get("matcher")
+        # what a preset says goes with its matcher: a score is the transformer's, cells are not
+        # what relational matching looks at
+        gone = {"score"} if matcher != "transformer" else set()
+        gone |= {"by", "candidates"} if matcher in _OF_VIEWPOINTS else set()
+        found = cls(**{k: v for k, v in chosen.items() if k in options or k not in gone})
+        if "candidates" in options and not found.counted:
+            raise OptionError(
+                f"candidates is {found.candidates}, but {found.matcher} by {found.way} does not "
+                "count cells; find them by dense or both, or leave it out."
+            )
+        return found
 
     @property
     def way(self) -> By:
@@ -118,9 +137,14 @@ class Matching:
         return "sparse" if self.store is None else "both"
 
     @property
+    def counted(self) -> bool:
+        """Whether `candidates` says how many cells are looked at."""
+        return self.way in ("dense", "both") or (self.way == "sparse" and self.of_cells)
+
+    @property
     def of_cells(self) -> bool:
         """Whether the matcher ranks cells, as in the paper, and not viewpoints."""
-        return self.matcher not in ("fused", "relational")
+        return self.matcher not in _OF_VIEWPOINTS
 
     def read(self, city: City) -> EncodedCity:
         """The city as the network reads it."""
