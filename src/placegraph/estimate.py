@@ -84,7 +84,8 @@ class Place:
     latitude: float
     """Degrees, WGS84, as the longitude."""
     probability: float
-    """Probability over the whole city that the place lies within 50 m of this mode."""
+    """Probability over the whole city that the place lies within 50 m of this mode; where places
+    are only ranked (`CityEstimate.ranked`) that of the prior."""
     cell: str
     """Id of the map's cell that holds the mode."""
     covariance: NDArray[np.float64]
@@ -250,6 +251,9 @@ class CityEstimate(Estimate[Place]):
     """What was understood of the query, and what was ignored."""
     support: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) float64: longitude, latitude [deg], probability; the posterior's heaviest points."""
+    ranked: bool = False
+    """Whether modes were only ranked, by scores that are no probabilities (cosines, edits): theirs
+    is then the prior's, of cells among all of the map."""
 
     def next_question(self, city: CityMap) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""

@@ -459,9 +459,49 @@ def test_locating_as_the_paper_does(harbour, encoded, text):
     )
 
 
-@pytest.mark.parametrize("matcher", ["transformer", "embedding", "edit-distance"])
-def test_ranks_are_no_probabilities(harbour, encoded, text, matcher):
-    assert harbour.locate(text, matcher=matcher, encoded=encoded).status is not Status.OK
+RANKING = [
+    {"preset": "paper"},
+    {"preset": "published"},
+    {"preset": "paper", "matcher": "edit-distance-plain"},
+    {"matcher": "edit-distance", "candidates": 5},
+]
+
+
+@pytest.mark.parametrize("options", [*RANKING, {"matcher": "transformer"}])
+def test_ranks_are_no_probabilities(harbour, encoded, text, options):
+    assert harbour.locate(text, encoded=encoded, **options).status is not Status.OK
+
+
+@pytest.mark.parametrize("options", RANKING)
+def test_what_is_ranked_keeps_the_probability_of_the_prior(harbour, encoded, text, options):
+    found = harbour.locate(text, encoded=encoded, **options)
+    query = compile_query(text, harbour)
+    plain = {k: v for k, v in options.items() if k != "preset"}
+    matching = Matching.preset(options.get("preset", "default"), encoded=encoded, **plain)
+    rows, scores = cells.rank_cells(Request(harbour, query, matching=matching))
+    share = 1.0 / len(harbour.cells)
+    assert found.ranked
+    assert found.best.cell in {harbour.cells.id_of(r) for r in rows}
+    best = harbour.cells.centers(rows[scores == scores.max()])
+    at = harbour.plane.to_plane(np.array([[found.best.longitude, found.best.latitude]]))
+    assert np.hypot(*(best - at).T).min() <= 50.0
+    for mode in found.modes:
+        assert 0.0 < mode.probability <= len(rows) * share
+
+
+@pytest.mark.parametrize("options", [*RANKING, {"matcher": "transformer"}])
+def test_one_candidate_is_not_sure(harbour, encoded, text, options):
+    one = harbour.locate(text, encoded=encoded, **options | {"candidates": 1})
+    assert one.status is Status.AMBIGUOUS
+    assert one.best.probability <= 1.0 / len(harbour.cells)
+
+
+def test_matching_log_odds_are_shared_with_what_was_not_looked_at(harbour, encoded, text):
+    every = harbour.locate(text, matcher="transformer", by="all", encoded=encoded)
+    some = harbour.locate(text, matcher="transformer", candidates=5, encoded=encoded)
+    assert not every.ranked
+    assert some.support[:, 2].sum() < 0.97 - 1e-3
+    assert every.support[:, 2].sum() == pytest.approx(0.97, abs=1e-3)
 
 
 def test_a_share_that_may_be_missing_is_kept_for_the_rest(harbour, text):

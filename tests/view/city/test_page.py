@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -67,6 +68,16 @@ def test_a_page_needs_no_network(page):
         assert tag not in {"link", "iframe", "object", "embed", "base", "form", "img"}
     [policy] = [a["content"] for _, a in reader.elements if a.get("http-equiv")]
     assert policy.startswith("default-src 'none'")
+
+
+def test_what_is_only_ranked_shows_no_percentage(city, estimate, tmp_path):
+    for ranked in (False, True):
+        path = write_page(city, replace(estimate, ranked=ranked), tmp_path / "here.html")
+        page, reader = read(path)
+        labels = [a["aria-label"] for _, a in reader.elements if a.get("role") == "button"]
+        shown = bool(estimate.modes) and not ranked
+        assert any("%" in label for label in labels) is shown
+        assert ('class="share"' in page) is shown
 
 
 def test_names_and_texts_are_only_text(page):

@@ -12,7 +12,7 @@ from placegraph.geometry import angle_between
 from placegraph.outdoor.language.description import LISTENER, SPEAKER
 from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.search.evidence import evidence_at
-from placegraph.outdoor.search.posterior import modes, status_of
+from placegraph.outdoor.search.posterior import modes, ranked, status_of
 from placegraph.outdoor.search.viewpoints import SPACING
 
 if TYPE_CHECKING:
@@ -36,16 +36,19 @@ CONTRADICTS = "The description contradicts itself: {}"
 def estimate(asked: Request, found: Posterior, top: int, understood: Description) -> CityEstimate:
     """Modes of a posterior; a matcher whose scores are no probabilities is never sure of them."""
     city, query, matching = asked.city, asked.query, asked.matching
-    peaks = modes(found, top, city.cells.size if matching.of_cells else SPACING)
+    spacing = city.cells.size if matching.of_cells else SPACING
+    peaks = (ranked if matching.ranks else modes)(found, top, spacing)
     status, reason = status_of(found, peaks)
-    if status is Status.OK and matching.of_cells:
+    if peaks and (matching.ranks or (matching.of_cells and status is Status.OK)):
         status, reason = Status.AMBIGUOUS, RANKS_ONLY.format(matching.matcher)
     places = tuple(
         place(mode, city, partial(evidence_at, mode.position, city, query)) for mode in peaks
     )
     if places and understood.conflicts and not _resolved(places[0], query):
         status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
-    return CityEstimate(status, places, reason, understood, support(found, city))
+    return CityEstimate(
+        status, places, reason, understood, support(found, city), ranked=matching.ranks
+    )
 
 
 def place(mode: Mode, city: City, explain: Callable[[], tuple[Evidence, ...]]) -> Place:

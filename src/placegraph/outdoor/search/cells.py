@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.map.city import City
 
-SHARPNESS = 20.0
-"""What a cosine is multiplied by to be a log-likelihood, as log odds and minus edits are."""
 TIMEOUT = 0.1
 """Of one edit distance [s]."""
 
@@ -78,15 +76,25 @@ def retrieve(
 
 
 def search_cells(asked: Request) -> Posterior:
-    """Posterior over the centres of cells that one of the paper's matchers has ranked."""
+    """Posterior over the centres of cells, best first, that one of the paper's matchers has ranked.
+
+    Log odds of matching are taken as log-likelihood ratios, and a cell that was not looked at fits
+    as well as the lightest third of those that were: few candidates make nobody sure. A cosine or
+    a number of edits is neither; there every cell keeps the probability of the prior.
+    """
     rows, scores = rank_cells(asked)
     if not len(rows):
         return Posterior(np.zeros((0, 2)), np.zeros(0), 1.0)
-    centers, known = asked.city.cells.centers(rows), asked.known
-    log_prior = known.log(centers) if known.informative else np.full(len(rows), -np.log(len(rows)))
-    cosines = asked.matching.score == "cosine" or asked.matching.matcher == "embedding"
-    log_odds = (SHARPNESS if cosines else 1.0) * (scores - scores.max())
-    return posterior(centers, log_odds + np.log(len(rows)), log_prior, -np.inf)
+    best = np.argsort(-scores, kind="stable")
+    rows, fits = rows[best], np.zeros(len(rows)) if asked.matching.ranks else scores[best]
+    centers = asked.city.cells.centers(np.arange(len(asked.city.cells)))
+    log_prior = asked.known.log(centers)
+    log_prior -= np.logaddexp.reduce(log_prior, initial=-700.0)  # where all of it is forbidden
+    tail = fits[2 * len(rows) // 3 :]
+    left = max(1e-12, 1.0 - float(np.exp(log_prior[rows]).sum()))
+    rest = np.log(left) + np.logaddexp.reduce(tail) - np.log(len(tail))
+    total = np.logaddexp(np.logaddexp.reduce(fits + log_prior[rows]), rest)
+    return posterior(centers[rows], fits - total, log_prior[rows], rest - total)
 
 
 def rank_cells(

@@ -146,6 +146,11 @@ class Matching:
         """Whether the matcher ranks cells, as in the paper, and not viewpoints."""
         return self.matcher not in _OF_VIEWPOINTS
 
+    @property
+    def ranks(self) -> bool:
+        """Whether the matcher's scores only rank: cosines and edits, but not the log odds of Eq. 17."""
+        return self.of_cells and (self.matcher != "transformer" or self.score == "cosine")
+
     def read(self, city: City) -> EncodedCity:
         """The city as the network reads it."""
         if self.encoded is not None:

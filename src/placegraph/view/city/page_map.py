@@ -110,7 +110,8 @@ def page_map(city: CityMap, estimate: CityEstimate) -> PageMap:
         names=_names(svg, city, estimate, kept),
         evidence=[_evidence(svg, city, mode) for mode in estimate.modes],
         pins="".join(
-            _pin(svg, city, mode, k) for k, mode in reversed([*enumerate(estimate.modes)])
+            _pin(svg, city, mode, k, ranked=estimate.ranked)
+            for k, mode in reversed([*enumerate(estimate.modes)])
         ),
         box=everything,
         start=_box(svg, _start(city, estimate, bounds)),
@@ -287,11 +288,11 @@ def _beside(witness: Witness, at: Floats) -> Text:
     return Text(witness.at, words, 14.0, ink, 0.0, "l", (9.0, 0.0))
 
 
-def _pin(svg: Svg, city: CityMap, mode: Place, k: int) -> str:
+def _pin(svg: Svg, city: CityMap, mode: Place, k: int, *, ranked: bool) -> str:
     """Write a mode: its ellipse and its number."""
     ring = svg.mark(Stroke(ellipse(city, mode), "mode", 1.6, (6.0, 4.0)))
     at = place_of(city, mode)
-    words = clean(f"Place {k + 1}, {mode.probability:.0%}")
+    words = clean(f"Place {k + 1}" if ranked else f"Place {k + 1}, {mode.probability:.0%}")
     return (
         f'{ring}<g class="k pin" data-mode="{k}" role="button" tabindex="0" aria-label="{words}" '
         f'style="{svg.place(at)}"><circle r="13"/><text dy="5">{k + 1}</text></g>'

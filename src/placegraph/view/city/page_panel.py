@@ -41,7 +41,9 @@ def panel(estimate: CityEstimate, question: str | None, at: Callable[[float, flo
         parts.append(f'<section class="ask"><h2>To tell more, I would ask</h2><p>{clean(question)}</p>'
                      "</section>")  # fmt: skip
     if estimate.modes:
-        rows = "".join(_mode(mode, k) for k, mode in enumerate(estimate.modes))
+        rows = "".join(
+            _mode(mode, k, ranked=estimate.ranked) for k, mode in enumerate(estimate.modes)
+        )
         parts.append(f'<section><h2>Places</h2><ol class="modes">{rows}</ol></section>')
         parts += [_evidence(mode, k, at) for k, mode in enumerate(estimate.modes)]
     if estimate.understood:
@@ -63,16 +65,19 @@ def _said(description: Description | None) -> str:
     return f"<blockquote>{''.join(out)}{clean(text[rest:])}</blockquote>"
 
 
-def _mode(mode: Place, k: int) -> str:
-    """Write one mode as a button."""
+def _mode(mode: Place, k: int, *, ranked: bool) -> str:
+    """Write one mode as a button; its probability, but where modes are only ranked."""
     spread = float(np.sqrt(np.linalg.eigvalsh(mode.covariance)[-1]))
     share = f"{100 * mode.probability:.0f}" if mode.probability >= 0.01 else "&lt;1"
+    bar = (
+        f'<span class="share"><b>{share} %</b>'
+        f'<span class="bar"><i style="width:{100 * min(1.0, mode.probability):.1f}%"></i></span></span>'
+    )
     return (
         f'<li><button type="button" data-mode="{k}" aria-pressed="{"true" if k == 0 else "false"}">'
         f'<span class="number">{k + 1}</span>'
-        f'<span class="share"><b>{share} %</b>'
-        f'<span class="bar"><i style="width:{100 * min(1.0, mode.probability):.1f}%"></i></span></span>'
-        f'<span class="where">{mode.latitude:.5f}, {mode.longitude:.5f} · ± {spread:.0f} m · '
+        f'{"" if ranked else bar}<span class="where">'
+        f"{mode.latitude:.5f}, {mode.longitude:.5f} · ± {spread:.0f} m · "
         f"cell {clean(mode.cell)}</span></button></li>"
     )
 

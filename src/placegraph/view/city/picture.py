@@ -167,7 +167,8 @@ def _panel(
     _furniture(sheet, frame, (left, top))
     if mode and estimate.status is Status.AMBIGUOUS:
         number = 1 + next(k for k, other in enumerate(estimate.modes) if other is mode)
-        sheet.label((left + 12, top + 12), f"{number}   {mode.probability:.0%}", 15)
+        share = "" if estimate.ranked else f"   {mode.probability:.0%}"
+        sheet.label((left + 12, top + 12), f"{number}{share}", 15)
     elif mode:
         _card(sheet, mode.evidence, (left + 12, top + 12), right - left)
 
