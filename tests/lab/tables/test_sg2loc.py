@@ -6,11 +6,14 @@ import re
 import numpy as np
 import pytest
 
+from placegraph.errors import InputError
 from placegraph.geometry import Camera
-from placegraph_lab.tables.run import load, names
-from placegraph_lab.tables.sg2loc.ask import recipes
-from placegraph_lab.tables.sg2loc.paper import PRINTED
-from placegraph_lab.tables.sg2loc.sets import LAYOUT
+from placegraph.indoor.likelihood import visibility
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.run import Run, load, names
+from placegraph_lab.tables.sg2loc.ask import Asking, How, recipes
+from placegraph_lab.tables.sg2loc.paper import figures
+from placegraph_lab.tables.sg2loc.sets import LAYOUT, Set, Walk
 from placegraph_lab.tables.sg2loc.spec import SPECS
 from placegraph_lab.worlds.home.home import changed, home, record, scene_of, visit
 
@@ -92,7 +95,7 @@ def test_one_table_of_a_users_3rscan(table):
 @pytest.mark.all
 @pytest.mark.parametrize("name", TABLES)
 def test_every_table_of_a_users_folder(table, name):
-    options = ["--frames", "5"]
+    options = [] if name in {"sg2loc-3", "sg2loc-5"} else ["--frames", "5"]
     if name in {"sg2loc-6", "sg2loc-11"}:
         options += ["--lengths", "5"]  # of 100 and 50 frames there is no time here
     text, rows, _ = table(name, *options)
@@ -114,6 +117,57 @@ def test_what_is_missing_is_told(measure, tmp_path):
     assert " ".join(LAYOUT.split())[:60] in " ".join(measure("sg2loc-3", "--help").output.split())
 
 
+REFUSED = [
+    ("sg2loc-1 --lengths abc", "lengths are whole numbers"),
+    ("sg2loc-1 --lengths 5,0", "lengths are whole numbers"),
+    ("sg2loc-1 --frames -3", "Invalid value for '--frames'"),
+    ("sg2loc-6 --pace -1", "pace is 0 or more"),
+    ("sg2loc-6 --pace nan", "pace is 0 or more"),
+    ("sg2loc-1 --only x", "'x' is no row"),
+    ("sg2loc-1 --pace 1", "No such option"),
+    ("sg2loc-3 --only x", "No such option"),
+    ("sg2loc-3 --lengths 5", "No such option"),
+    ("sg2loc-5 --frames 5", "No such option"),
+    ("sg2loc-1 --sets homes --lengths 200", "no window of 200 frames in homes"),
+    ("sg2loc-4 --sets homes --lengths 200", "no window of 200 frames in homes"),
+    ("sg2loc-5 --sets house", "2 rooms or more; house shows 1"),
+    ("sg2loc-11 --sets house", "3 rooms or more; house shows 1"),
+]
+
+
+@pytest.mark.parametrize(("given", "why"), REFUSED)
+def test_what_a_table_cannot_do_is_refused(measure, tmp_path, given, why):
+    name, *options = given.split()
+    (tmp_path / "data/house").mkdir(parents=True)
+    told = measure(name, "--data", tmp_path, "--cache", tmp_path, *options)
+    assert told.exit_code in {1, 2}
+    assert why in f"{told.output} {told.exception}"
+    assert isinstance(told.exception, InputError | SystemExit)
+
+
+def test_lengths_that_one_set_has_are_asked_there(table):
+    """Of a set without windows so long nothing is asked, and that is said."""
+    options = ("--sets", "3RScan", "--lengths", "200,5", "--frames", "5")
+    _, rows, told = table("sg2loc-4", *options, "--only", "placegraph's default")
+    assert "no window of 200 frames in 3RScan" in told
+    assert rows[-1]["windows"] == 1
+
+
+@pytest.mark.parametrize("name", ["paper", "published", "ours"])
+def test_a_map_is_made_ready_before_time_is_taken(name, tmp_path, monkeypatch):
+    """What is visible from where is mapping (Table 4), of every recipe and of every scene."""
+    (scene, capture, truth), _ = room(0)
+    of = Set("one", (Walk("w", "m", lambda: (capture, truth)),), lambda _: scene, {"m": "m"}, 5.0)
+    asking = Asking(Run("sg2loc-4", tmp_path, tmp_path), How(5, "", "sift", 0, "cpu"), fresh=False)
+    built, steps = visibility.build_table, []
+    monkeypatch.setattr(visibility, "build_table", lambda *a: (steps.append("map"), built(*a))[1])
+    monkeypatch.setattr(SceneMap, "localize", lambda *_, **__: 1 / 0)
+    (_, window), *_ = of.windows(5, 5, 0)
+    with pytest.raises(ZeroDivisionError):
+        asking.ask(of, recipes()[name], scene, window, "m")
+    assert steps == ["map"]
+
+
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
@@ -123,12 +177,11 @@ def test_the_papers_figures_stand_in_the_paper(shared):
     text = re.sub(r" ?(?:×|\\times) ?10\^\{?(\d+)\}?", r"e\1", text)
     told = [[float(n) for n in NUMBER.findall(line)] for line in text.splitlines()]
     lines, by_columns = [], []
-    for line in PRINTED.strip().splitlines():
-        table, name, figures = line.split(";")
-        numbers = [float(n) for n in figures.replace("|", " ").split() if n != "-"]
-        if int(table) == 11:
+    for table, (name, by_length) in ((t, row) for t in SPECS for row in figures(t)):
+        numbers = [n for part in by_length for n in part if n is not None]
+        if table == 11:
             numbers[0] = round(100 * numbers[0], 1)
-        (by_columns if int(table) == 6 else lines).append((name, numbers))
+        (by_columns if table == 6 else lines).append((name, numbers))
     lines += [("Table 6", list(pair)) for pair in zip(*(n for _, n in by_columns), strict=True)]
     for name, numbers in lines:
         size = len(numbers)

@@ -131,7 +131,7 @@ class Asking:
 
         def ask(i: int) -> dict[str, Any]:
             walk, window = asked[i]
-            if recipe not in self._warm:  # what is timed is compiled
+            if recipe not in self._warm:  # what is timed is compiled; `ask` readies each map
                 self._warm.add(recipe)
                 short = replace(window, capture=window.capture[:2])
                 self.ask(of, its, of.scene(walk.map), short, walk.map)
@@ -155,10 +155,12 @@ class Asking:
         self, of: Set, recipe: Recipe, scene: SceneMap, window: Window, name: str
     ) -> dict[str, Any]:
         """What `Reply.from_dict` reads; `name`: the right one of merged scenes."""
-        how, start = self.how, time.perf_counter()
+        how = self.how
         matcher = how.matcher if isinstance(recipe.refine, RefineOptions) else "auto"
+        encoder = self.ready(of, recipe, scene, window)
+        start = time.perf_counter()
         estimate = scene.localize(
-            window.capture, encoder=self.encoder(of, scene, window), options=recipe.options,
+            window.capture, encoder=encoder, options=recipe.options,
             refine=recipe.refine, matcher=matcher, seed=how.seed, device=how.device,
         )  # fmt: skip
         seconds, told, coarse, refining = (
@@ -177,6 +179,11 @@ class Asking:
             "refining": refining,
             "right": best is not None and (len(scene.scenes) == 1 or best.scene == name),
         }
+
+    def ready(self, of: Set, recipe: Recipe, scene: SceneMap, window: Window) -> MapEncoder:
+        """Make what a map needs before it is asked, its mapping in Table 4; returns its encoder."""
+        scene.visibility(recipe.options)  # whose panoramas every start needs; casts rays, too
+        return self.encoder(of, scene, window)
 
     def encoder(self, of: Set, scene: SceneMap, window: Window) -> MapEncoder:
         """What patches show of a map: 30 % wrong where frames bring labels, or said of images."""

@@ -114,7 +114,7 @@ def of_homes(cache: Path, walked: int = WALKED, frames: int = FRAMES) -> Set:
         for later in (False, True)
     ]
     scene = kept(lambda name: scene_of(drawn[name][1], name=name))
-    return Set("homes", tuple(walks), scene, {name: name for name in drawn}, 5.0)
+    return Set("homes", tuple(walks), scene, {name: name for name in drawn}, 5.0, frames=frames)
 
 
 def _recorded(path: Path, rows: slice = slice(None)) -> tuple[Capture, Floats]:

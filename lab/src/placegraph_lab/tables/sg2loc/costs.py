@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.retrieval.retrieval_places import FIRST, HOMES, Place, Walk, homes
 from placegraph_lab.tables.retrieval.retrieval_report import figures, main_table
 from placegraph_lab.tables.retrieval.retrieval_study import Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import NOISY
-from placegraph_lab.tables.sg2loc.paper import PRINTED
+from placegraph_lab.tables.sg2loc.ask import recipes
+from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
@@ -45,20 +45,18 @@ def storage(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
 
 
 def seconds(spec: Spec, asking: Asking, of: Sequence[Set]) -> Made:
-    """Table 4: seconds of mapping (ray tracing and embeddings), of a frame, of the final fit."""
+    """Table 4: seconds of mapping (rays, panoramas, embeddings), of a frame, of the final fit."""
     heads = ("mapping [s]", "a frame [s]", "final fit [s]")
     rows = _printed(4, heads)
     for its in of:
         for name, recipe, _ in spec.rows:
             replies = [r for n in spec.lengths for r in asking.replies(its, recipe, n)]
-            walk, window = its.windows(spec.lengths[0], 1, 0)[0]
+            walk, window = its.windows(min(spec.lengths), 1, 0)[0]
             mapping = []
             for _again in range(3):  # the first compiles
                 scene = _filed(its.scene(walk.map))[0]
                 start = time.perf_counter()
-                _ = scene.caster, asking.encoder(its, scene, window)
-                if recipe == "ours":
-                    scene.visibility(FilterOptions())
+                asking.ready(its, recipes()[recipe], scene, window)
                 mapping.append(time.perf_counter() - start)
             told = (
                 min(mapping),
@@ -74,8 +72,6 @@ def retrieval(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
     """Table 5: which scene it is, by the paper's sum and by ours, with the time it takes."""
     text, rows = [], []
     for its in of:
-        if len(set(its.rooms.values())) < 2:
-            continue
         if its.name == "homes":  # the fifty and more of `scene_retrieval`, a walk in each
             made = list(homes(range(FIRST, FIRST + HOMES), asking.run.cache))
             places = [place for place, _ in made]
@@ -100,12 +96,9 @@ def _filed(scene: SceneMap) -> tuple[SceneMap, int]:
 
 
 def _printed(table: int, heads: Sequence[str]) -> list[dict[str, Any]]:
-    lines = [[part.strip() for part in line.split(";")] for line in PRINTED.strip().splitlines()]
     return [
-        {"row": f"*paper, {row}*"}
-        | {h: None if w == "-" else float(w) for h, w in zip(heads, text.split(), strict=True)}
-        for of, row, text in lines
-        if int(of) == table
+        {"row": f"*paper, {row}*"} | dict(zip(heads, numbers, strict=True))
+        for row, (numbers,) in said(table)
     ]
 
 

@@ -3,7 +3,7 @@
 Errors are in metres and degrees, recalls are shares. Sequence lengths are set off by bars.
 """
 
-PRINTED = """
+_PRINTED = """
 1; 3RScan: HLoc; 2.05e12 46.68 .18 6.32 | 5.1e10 36.85 .13 4.15 | 1030.9 22.74 .08 2.44 | 732.2 16.09 .07 2.06
 1; 3RScan: SG2Loc; 2.43 21.24 .20 3.27 | 2.30 20.50 .18 2.96 | 6.15 22.93 .14 2.73 | 9.48 27.43 .10 2.62
 1; ScanNet: HLoc; 6.16e4 14.30 .09 2.63 | 603.05 10.48 .08 2.45 | 492.00 7.27 .06 2.12 | 1348.28 7.12 .07 1.94
@@ -49,3 +49,16 @@ PRINTED = """
 14; ScanNet: SG2Loc w/ SLAM poses; .16 2.63 .36
 """
 """Number of a table, row, figures by sequence length; table 5 stands in `retrieval_report.PAPER`."""
+
+
+def figures(table: int) -> list[tuple[str, list[list[float | None]]]]:
+    """Rows of a table: name, and figures by sequence length; None where there is none."""
+    lines = [line.split(";") for line in _PRINTED.strip().splitlines()]
+    return [
+        (
+            row.strip(),
+            [[None if w == "-" else float(w) for w in p.split()] for p in text.split("|")],
+        )
+        for of, row, text in lines
+        if int(of) == table
+    ]

@@ -45,7 +45,7 @@ def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
     """Of a sequence, as many frames as there is time for, at the pace of short sequences."""
     for length in spec.lengths:
         for name, recipe, whole in spec.rows:
-            if not of.windows(length, 1, 0):
+            if length > of.longest:
                 continue
             pace = spec.pace or _pace(asking, of, recipe)
             step = max(1, math.ceil(pace * of.rate))
@@ -60,8 +60,7 @@ def _pace(asking: Asking, of: Set, recipe: str) -> float:
 
 
 def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
-    rooms = len(set(of.rooms.values()))
-    for count in (n for n in MERGED.get(of.name, ()) if n <= rooms):
+    for count in MERGED[of.name]:
         for length in spec.lengths:
             for title, frames in (("SGL, one frame", 1), ("Seq. SGL", length)):
                 found = _retrieved(asking, of, length, frames, count)

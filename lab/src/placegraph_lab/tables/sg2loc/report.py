@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph_lab.tables.indoor.metrics import rounded, score
 from placegraph_lab.tables.indoor.report import errors
-from placegraph_lab.tables.sg2loc.paper import PRINTED
+from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.tables import markdown, number, shares
 
 if TYPE_CHECKING:
@@ -28,19 +28,12 @@ _STATES = {False: "unchanged", True: "changed", None: ""}
 def printed(table: int, columns: Sequence[str], lengths: Sequence[int]) -> list[dict[str, Any]]:
     """Rows of a table of the paper, one a sequence length."""
     rows: list[dict[str, Any]] = []
-    for line in PRINTED.strip().splitlines():
-        of, name, text = (part.strip() for part in line.split(";"))
-        if int(of) != table:
-            continue
-        for length, part in zip(lengths, text.split("|"), strict=False):
-            words = iter(part.split())
-            said = {c: [_figure(next(words)) for _ in range(COLUMNS[c])] for c in columns}
-            rows.append({"set": "paper", "row": name, "frames": length} | said)
+    for name, by_length in said(table):
+        for length, part in zip(lengths, by_length, strict=False):
+            left = iter(part)
+            told = {c: [next(left) for _ in range(COLUMNS[c])] for c in columns}
+            rows.append({"set": "paper", "row": name, "frames": length} | told)
     return rows
-
-
-def _figure(word: str) -> float | None:
-    return None if word == "-" else float(word)
 
 
 def measured(name: str, row: str, replies: Sequence[Reply], *, whole: bool) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 from zlib import crc32
 
@@ -51,6 +51,13 @@ class Set:
     """Frames a second of a recording."""
     own_ids: bool = False
     """Instances of its label images are ids of the map's objects."""
+    frames: int = 0
+    """Of a walk, where that is known before one is opened."""
+
+    @cached_property
+    def longest(self) -> int:
+        """Frames of the longest walk."""
+        return self.frames or max((len(walk.open()[0]) for walk in self.walks), default=0)
 
     def windows(
         self, length: int, frames: int, seed: int, drift: tuple[float, float] = DRIFT

@@ -15,6 +15,8 @@ class Spec(NamedTuple):
     """Name, recipe, and whether what comes after the filter counts."""
     pace: float = 0.0
     """Seconds in which a frame is done with (Table 6); 0: as measured."""
+    rooms: int = 1
+    """Fewest rooms that a set shows."""
 
 
 FULL = (
@@ -46,7 +48,7 @@ SPECS = {
     2: Spec("How many poses of 5 to 50 frames are right?", (NEAR,), LENGTHS, FULL),
     3: Spec("How many bytes does the map of a scene take?"),
     4: Spec("How long do mapping, localizing and the final fit take?", rows=FULL),
-    5: Spec("Which scene of 10 or 50 was a sequence taken in, and how long does it take?"),
+    5: Spec("Which scene of 10 or 50 was a sequence taken in, and how long does it take?", rooms=2),
     6: Spec(
         "What remains of 100 frames that come as fast as they were taken?",
         (*ERRORS, NEAR), (100,), FULL[::2],
@@ -57,7 +59,7 @@ SPECS = {
     10: Spec("What are the signals worth, by length? Recall.", (TWO,), LENGTHS[:3], (SEMANTIC, ALL, FULL[0])),
     11: Spec(
         "Is the pose found in several scenes that are one map?",
-        ("R@1", *ERRORS, TWO), (50,), FULL[::2],
+        ("R@1", *ERRORS, TWO), (50,), FULL[::2], rooms=3,
     ),
     12: Spec("What does one coarse pass cost? Errors.", ERRORS, (5, 25), COARSE),
     13: Spec("What does one coarse pass cost? Recall.", (NEAR,), (5, 25), COARSE),
