@@ -236,11 +236,8 @@ class Estimate(Generic[Mode]):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""
-        return {
-            "status": self.status.name,
-            "reason": self.reason,
-            "modes": [m.to_dict() for m in self.modes],
-        }
+        modes = [m.to_dict() for m in self.modes]
+        return {"status": self.status.name, "reason": self.reason, "modes": modes}
 
 
 @dataclass(frozen=True)
@@ -252,8 +249,7 @@ class CityEstimate(Estimate[Place]):
     support: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) float64: longitude, latitude [deg], probability; the posterior's heaviest points."""
     ranked: bool = False
-    """Whether modes were only ranked, by scores that are no probabilities (cosines, edits): theirs
-    is then the prior's, of cells among all of the map."""
+    """Whether modes were only ranked (by cosines, edits); their probability is then the prior's."""
 
     def next_question(self, city: CityMap) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""
