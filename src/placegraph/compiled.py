@@ -180,6 +180,7 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
         for file in self.files(sig):
             # cut short by a crash; or of arguments whose class has moved since
             with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
+                # numba's own form of compiled code, which is run: no more is trusted than that
                 code = pickle.loads(file.read_bytes())  # noqa: S301
                 return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None

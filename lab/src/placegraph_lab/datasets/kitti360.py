@@ -2,8 +2,7 @@
 
 All drives share one frame, x east, y north [m]. It is a Mercator projection, scaled to the latitude
 of one published origin, "a lake in Karlsruhe", which it begins at: `convertPoseToOxts.py` and
-`utils.py` in `kitti360scripts/devkits/convertOxtsPose/python` of autonomousvision/kitti360Scripts
-(announced in issue 9 there). KITTI360Pose keeps that frame.
+`utils.py` of KITTI-360's development kit, in `convertOxtsPose`. KITTI360Pose keeps that frame.
 """
 
 from __future__ import annotations
