@@ -80,7 +80,8 @@ class CityMap(City):
         answers
             Answers to earlier questions of `CityEstimate.next_question`.
         matching
-            `preset` (`Matching.preset`), and what overrides it: `matcher`, `score`, `by`,
+            `language` of the text ("de"), told from its words where not given; `preset`
+            (`Matching.preset`), and what overrides it: `matcher`, `score`, `by`,
             `candidates`, `store`, `region`, `encoded`; see `Matching`.
 
         Returns
@@ -101,7 +102,8 @@ class CityMap(City):
         from placegraph.outdoor.locate import Hints, locate
         from placegraph.outdoor.search.request import Matching
 
-        hints = Hints(near, radius, heading, listener, answers)
+        language = matching.pop("language", None)
+        hints = Hints(near, radius, heading, listener, answers, language)
         chosen = Matching.preset(matching.pop("preset", "default"), **matching)
         by = replace(chosen, shipped=lambda: self.encoded)
         return locate(self, text, top=top, hints=hints, matching=by)

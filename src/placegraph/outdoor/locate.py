@@ -36,6 +36,7 @@ class Hints:
     heading: float | None = None
     listener: Sequence[float] | None = None
     answers: Sequence[Answer] = ()
+    language: str | None = None
 
 
 def locate(
@@ -66,7 +67,7 @@ def understand(
         raise OptionError(f"heading is {hints.heading!r}; give an angle in radians.")
     heading = None if hints.heading is None else number(hints.heading)
     listener = None if hints.listener is None else position(city, hints.listener, "listener")
-    description = read(city, text, heading=heading)
+    description = read(city, text, heading=heading, language=hints.language)
     for answer in hints.answers:
         if not hasattr(answer, "added_to"):
             raise OptionError(

@@ -11,6 +11,7 @@ from rapidfuzz import fuzz
 from placegraph.errors import DescriptionError
 from placegraph.language.measures import metres
 from placegraph.outdoor.language import describe, normalise, tokens
+from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.words import scan
 
 
@@ -130,13 +131,13 @@ def test_names_meet_in_their_normal_form(one, other):
     ],
 )  # fmt: skip
 def test_distances(text, expected):
-    words = [word for sentence in scan(f"{text} north") for word in sentence]
+    words = [word for sentence in scan(f"{text} north", english()) for word in sentence]
     assert [word.metres for word in words if word.kind == "measure"] == [pytest.approx(expected)]
 
 
 def test_a_block_alone_is_no_distance():
     assert metres("a block", "a") == pytest.approx(100)
-    words = [w.kind for w in scan("on a block with trees")[0]]
+    words = [w.kind for w in scan("on a block with trees", english())[0]]
     assert "measure" not in words
 
 
@@ -150,7 +151,7 @@ def test_a_block_alone_is_no_distance():
     ],
 )
 def test_sentences(text, sentences):
-    assert len(scan(text)) == sentences
+    assert len(scan(text, english())) == sentences
 
 
 def test_a_heading_turns_with_the_speaker():

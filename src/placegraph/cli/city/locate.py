@@ -52,6 +52,12 @@ def locate(
     listener: Annotated[
         str | None, Option(help="LON,LAT of 'you' in the text, where that is known.", panel=KNOWN)
     ] = None,
+    language: Annotated[
+        str | None,
+        Option(
+            help="Language of the text, as de; told from its words if nothing is said.", panel=KNOWN
+        ),
+    ] = None,
     preset: Preset = "default",
     matcher: Matcher = None,
     score: Score = None,
@@ -77,7 +83,7 @@ def locate(
     city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
-    how_judged = {"preset": preset, "matcher": matcher, "score": score}
+    how_judged = {"language": language, "preset": preset, "matcher": matcher, "score": score}
     how_found = {"by": candidates_by, "candidates": candidates}
     with matching(city, store, weights, **how_judged, **how_found) as how:
 

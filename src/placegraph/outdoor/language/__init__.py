@@ -9,6 +9,7 @@ from placegraph.outdoor.language.build import Builder
 from placegraph.outdoor.language.chunk import Chunker
 from placegraph.outdoor.language.clauses import clauses
 from placegraph.outdoor.language.description import Description, conflicts
+from placegraph.outdoor.language.languages import language as read_language
 from placegraph.outdoor.language.model import LanguageModelDescriber
 from placegraph.outdoor.language.parse import parse
 from placegraph.outdoor.language.words import NameFinder, Words, labels, normalise, scan, tokens
@@ -47,22 +48,27 @@ def describe(
     vocabulary: Words | None = None,
     names: NameFinder | None = None,
     heading: float | None = None,
+    language: str | None = None,
 ) -> Description:
     """Read a text: what stands where, as seen from whom.
 
     Parameters
     ----------
     text
-        English sentences; the words for things may be of any language of the vocabulary.
+        Sentences; the words for things may be of any language of the vocabulary.
     vocabulary
         What words may mean on a map; the one that comes with placegraph if None.
     names
         Proper names of a map.
     heading
         Bearing in which the speaker faces [rad, clockwise from north], for "left of me".
+    language
+        Code of the language of the text ("en"); English if None.
 
     Raises
     ------
+    OptionError
+        If there is no such language; lists those that there are.
     DescriptionError
         If the text is empty, too long, or no text. A text of which nothing is understood is no
         error: it gives a description without statements.
@@ -72,14 +78,15 @@ def describe(
         from placegraph.outdoor.language.vocabulary import Vocabulary
 
         vocabulary = Vocabulary.default()
-    chunker = Chunker(text, vocabulary, names)
+    tongue = read_language(language or "en")
+    chunker = Chunker(text, tongue, vocabulary, names)
     sentences = [
-        chunker.chunks(sentence) for sentence in scan(text, labels(text, vocabulary, names))
+        chunker.chunks(sentence) for sentence in scan(text, tongue, labels(text, vocabulary, names))
     ]
     directive = any(map(_leads_the_way, sentences))
-    builder = Builder(text, vocabulary, heading, directive=directive)
+    builder = Builder(text, tongue, vocabulary, heading, directive=directive)
     for sentence in sentences:
-        for part in clauses(sentence):
+        for part in clauses(sentence, tongue):
             opens = part.opens
             for clause, left_out in parse(part.chunks):
                 builder.take(clause, part.certainty, opens=opens)
@@ -96,6 +103,7 @@ def describe(
         tuple(builder.relator.statements),
         tuple(builder.ignored),
         conflicts(builder.relator.statements, builder.refer.heads, builder.relator.goals),
+        tongue.code,
     )
 
 

@@ -16,6 +16,7 @@ from placegraph.outdoor.language.walk import Walk
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.parse import Clause, Items
     from placegraph.outdoor.language.words import Words
 
@@ -34,6 +35,8 @@ class Builder:
     ----------
     text
         The text.
+    language
+        In which it is.
     vocabulary
         To mend misspelt words.
     heading
@@ -43,10 +46,16 @@ class Builder:
     """
 
     def __init__(
-        self, text: str, vocabulary: Words, heading: float | None, *, directive: bool
+        self,
+        text: str,
+        language: Language,
+        vocabulary: Words,
+        heading: float | None,
+        *,
+        directive: bool,
     ) -> None:
         self.text, self.directive = text, directive
-        self.refer = Referents(text, vocabulary)
+        self.refer = Referents(text, language, vocabulary)
         self.relator = Relator(self.refer, heading, directive=directive)
         self.walk = Walk(self.relator)
         self.ignored = self.relator.ignored

@@ -9,11 +9,12 @@ from placegraph.language.islands import Chunk
 from placegraph.language.measures import COUNTS
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.parse import Noun
-from placegraph.outdoor.language.words import english, fold, shouting, tokens
+from placegraph.outdoor.language.words import fold, shouting, tokens
 
 if TYPE_CHECKING:
     from placegraph.language.phrases import Terminal
     from placegraph.language.words import Word
+    from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.words import NameFinder, Words
 
     Known = tuple[int, tuple[Terminal, ...]]
@@ -41,16 +42,19 @@ class Chunker:
     ----------
     text
         The text.
+    language
+        In which it is.
     vocabulary
         Common nouns.
     names
         Proper names, or None where there is no map.
     """
 
-    def __init__(self, text: str, vocabulary: Words, names: NameFinder | None) -> None:
+    def __init__(
+        self, text: str, language: Language, vocabulary: Words, names: NameFinder | None
+    ) -> None:
         self.text, self.vocabulary, self.names = text, vocabulary, names
-        self.lexicon = english()
-        self.lists = self.lexicon.lists
+        self.lexicon, self.lists = language, language.lists
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Chunks of a sentence, in order; what says nothing about a place is left out."""

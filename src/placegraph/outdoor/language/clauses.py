@@ -11,6 +11,8 @@ from placegraph.outdoor.language.settle import JOINTS, VERBS, settled
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from placegraph.outdoor.language.languages import Language
+
 _STARTS = VERBS - {"BE", "SEE", "HAVE"}
 """Verbs that open a clause of their own even without a joint before them."""
 _SUBJECTS = frozenset(("ME", "YOU", "IT", "SPOT", "THIS"))
@@ -29,9 +31,9 @@ class Part(NamedTuple):
     """Whether it opens its sentence."""
 
 
-def clauses(sentence: list[Chunk]) -> list[Part]:
+def clauses(sentence: list[Chunk], language: Language) -> list[Part]:
     """Cut the chunks of a sentence into clauses."""
-    chunks = list(settled(sentence))
+    chunks = list(settled(sentence, language))
     cutter = _Cutter()
     for chunk, verb_ahead in zip(chunks, _verb_before_joint(chunks), strict=True):
         cutter.take(chunk, verb_ahead=verb_ahead)

@@ -109,6 +109,8 @@ class Description:
     ignored: tuple[Ignored, ...] = ()
     conflicts: tuple[str, ...] = field(default=())
     """Sentences that say which statements contradict each other."""
+    language: str = "en"
+    """Code of the language in which it was read."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""

@@ -59,7 +59,7 @@ class Place:
     end: int
     targets: tuple[Thing, ...] = ()
     word: str = ""
-    """Which preposition: ``ON IN AT TO``, or a relation of lexicon.toml."""
+    """Which preposition: ``ON IN AT TO``, or a relation of the language."""
     direction: Direction = NORTH
     """Of directions."""
     distance: float | None = None

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 from placegraph.outdoor.language.chunk import LONGEST_NOUN
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Mention, Sense
-from placegraph.outdoor.language.words import english, normalise, tokens
+from placegraph.outdoor.language.words import normalise, tokens
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.parse import Thing
     from placegraph.outdoor.language.words import Words
 
@@ -29,12 +30,14 @@ class Referents:
     ----------
     text
         The text.
+    language
+        In which it is.
     vocabulary
         To mend misspelt words.
     """
 
-    def __init__(self, text: str, vocabulary: Words) -> None:
-        self.text, self.vocabulary = text, vocabulary
+    def __init__(self, text: str, language: Language, vocabulary: Words) -> None:
+        self.text, self.vocabulary, self.lists = text, vocabulary, language.lists
         self.mentions: list[Mention] = [Mention(SPEAKER, "I"), Mention(LISTENER, "you")]
         self.heads: list[str] = ["", ""]
         """Common noun of every mention, in the singular."""
@@ -77,7 +80,7 @@ class Referents:
             return _lemma(words), whole
         rest, _, last = words.rpartition(" ")
         found = self.vocabulary.closest(last, cutoff=TYPING_ERROR)
-        if found is None and rest and last in english().lists["generic"]:
+        if found is None and rest and last in self.lists["generic"]:
             found = (rest.rpartition(" ")[2], GENERIC)
         if found is None:
             return _lemma(last), ()
@@ -102,7 +105,7 @@ class Referents:
                 return n
         if thing.exact:
             return None
-        if head in english().lists["roads"]:
+        if head in self.lists["roads"]:
             if self.street is not None and self.street not in skipped:
                 return self.street
             return next((n for n in nodes if self.is_road(n)), None)
@@ -129,8 +132,8 @@ class Referents:
 
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""
-        lists = english().lists
         name = tokens(self.mentions[node].name)
+        lists = self.lists
         return self.heads[node] in lists["roads"] or bool(name and name[-1] in lists["road_words"])
 
     def is_line(self, node: int) -> bool:
@@ -138,12 +141,12 @@ class Referents:
         if node <= LISTENER:
             return False
         key, value = self._first_label(node)
-        lists = english().lists
+        lists = self.lists
         return self.is_road(node) or (key in lists["line_keys"] and value not in lists["no_lines"])
 
     def is_area(self, node: int) -> bool:
         """Tell whether a mention is a park, a square or another area, on which one is inside."""
-        return self._first_label(node)[0] in english().lists["area_keys"]
+        return self._first_label(node)[0] in self.lists["area_keys"]
 
     def _first_label(self, node: int) -> tuple[str, str]:
         senses = self.mentions[node].senses

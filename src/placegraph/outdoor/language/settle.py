@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import pi
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.language.words import LOOSE_SIGMA, SHARP_SIGMA, Direction, english
+from placegraph.outdoor.language.words import LOOSE_SIGMA, SHARP_SIGMA, Direction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from placegraph.language.islands import Chunk
+    from placegraph.outdoor.language.languages import Language
 
 VERBS = frozenset(
     ("BE", "EXISTS", "SEE", "HAVE", "MEET", "GO", "PASS", "CROSS", "FOLLOW", "REACH", "TOOFAR")
@@ -26,7 +27,7 @@ _DETERMINED = frozenset(("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR
 _THINGS = frozenset(("NOUN", "NAME"))
 
 
-def settled(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
+def settled(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
     """Decide what the ambiguous chunks of a sentence are; drop those that say nothing."""
     before, hedge, hedged_at = "", "", 0
     for i, chunk in enumerate(chunks):
@@ -37,6 +38,8 @@ def settled(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
                 yield replace(chunk, type="UNSURE")
             continue
         rule = _RULES.get(chunk.type)
+        if chunk.type == "WORD":
+            rule = partial(_word, language=language)
         for kept in rule(chunk, before, chunks[i + 1 :]) if rule else (chunk,):
             if kept.type == "DIR" and hedge and i - hedged_at <= 2:
                 kept.value, hedge = _hedged(kept.value, hedge), ""
@@ -196,11 +199,13 @@ def _lets(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...
     return (replace(chunk, type="MEET"),)
 
 
-def _word(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+def _word(
+    chunk: Chunk, before: str, rest: Sequence[Chunk], *, language: Language
+) -> tuple[Chunk, ...]:
     """Mend a misspelt direction where only one can stand; set aside an unknown verb."""
     after = _next(rest)
     if after in ("OF", "PART") or before in ("DET", "MY", "YOUR", "ITS", "GO"):
-        direction = misspelt(chunk.words, certain=after == "OF")
+        direction = misspelt(chunk.words, language, certain=after == "OF")
         if direction is not None:
             return (replace(chunk, type="DIR", value=direction),)
     if after in _DETERMINED and before not in _DETERMINED:
@@ -229,18 +234,17 @@ _RULES = {
     "BE": _be,
     "CALLED": _called,
     "LETS": _lets,
-    "WORD": _word,
 }
 
 
 @lru_cache(maxsize=4096)
-def misspelt(word: str, *, certain: bool) -> Direction | None:
+def misspelt(word: str, language: Language, *, certain: bool) -> Direction | None:
     """Direction that a misspelt word means, or None; short words need to be `certain`."""
     from rapidfuzz import process
     from rapidfuzz.distance import OSA
 
-    compass = english().compass
-    if len(word) < 4 or word in english().lists["no_compass"]:
+    compass = language.compass
+    if len(word) < 4 or word in language.lists["no_compass"]:
         return None
     found = process.extractOne(word, compass.keys(), scorer=OSA.distance, score_cutoff=1)
     if found is None or (len(word) < 5 and not certain and sorted(word) != sorted(found[0])):

@@ -68,14 +68,26 @@ class Query:
         return table
 
 
-def read(city: City, text: str | Description, *, heading: float | None = None) -> Description:
+def read(
+    city: City,
+    text: str | Description,
+    *,
+    heading: float | None = None,
+    language: str | None = None,
+) -> Description:
     """Understand a text in the words of a city (Eq. 3): its names count, whatever the vocabulary says."""
     if isinstance(text, Description):
         return text
     from placegraph.outdoor.language import describe
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
-    return describe(text, vocabulary=Vocabulary.default(), names=city.name_index, heading=heading)
+    return describe(
+        text,
+        vocabulary=Vocabulary.default(),
+        names=city.name_index,
+        heading=heading,
+        language=language,
+    )
 
 
 def compile_query(description: Description, city: City, *, on_a_way: bool = False) -> Query:

@@ -41,9 +41,10 @@ _OF_VIEWPOINTS = ("fused", "relational")
 
 
 class MatchingOptions(TypedDict, total=False):
-    """`preset` and fields of `Matching`, as a user names them in `CityMap.locate`."""
+    """`preset`, the `language` of the text, and fields of `Matching`, as `CityMap.locate` takes them."""
 
     preset: Preset
+    language: str | None
     matcher: Matcher
     score: Score | None
     by: By | Literal["auto"]

@@ -12,6 +12,7 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.measures import metres
+from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.words import scan
 from placegraph.outdoor.track.phrases import (
     AFTER,
@@ -77,7 +78,7 @@ def ways(text: str) -> list[Leg | str]:
     if not STEMS.search(text):
         return [text]
     parts: list[Leg | str] = []
-    for sentence in scan(text):
+    for sentence in scan(text, english()):
         spans = list(_clauses(sentence))
         for part in _of_sentence(text, spans):
             if isinstance(part, str) and parts and isinstance(parts[-1], str):
