@@ -78,10 +78,9 @@ class Chunker:
         """Words in the form of names, without the marks between them."""
         if self.names is None:
             return
-        at = [i for i, word in enumerate(self.words) if word.kind == "word"]
-        self.name_words = [fold(self.lower[i]) for i in at]
-        self.name_at = {i: k for k, i in enumerate(at)}
-        self.name_ends = at
+        self.name_ends = [i for i, word in enumerate(self.words) if word.kind == "word"]
+        self.name_words = [fold(self.lower[i]) for i in self.name_ends]
+        self.name_at = {i: k for k, i in enumerate(self.name_ends)}
 
     def _senses(self, phrase: str) -> tuple[Sense, ...]:
         """Senses of a phrase; none if it is longer than any that names a thing."""
@@ -110,8 +109,7 @@ class Chunker:
     def _word(self, i: int, found: list[Chunk]) -> int:
         """Append what begins at word i, and return how many words it takes."""
         known = self.lexicon.longest(self.lower, i)
-        n_known = known[0] if known else 0
-        noun = None
+        n_known, noun = known[0] if known else 0, None
         before = found[-1].type if found else ""
         if known is None or known[1][0].type in _OPEN:
             noun = self.vocabulary.longest_match(self.lower, i)
@@ -206,8 +204,8 @@ class Chunker:
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
         if known and known[1][0].type == "DET" and not spelt:  # "the bench" is no "The Bench"
-            n_noun = 1 + (self.vocabulary.longest_match(self.lower, i + 1) or (0, ()))[0]
-            mapped = mapped if mapped > n_noun else 0
+            noun = self.vocabulary.longest_match(self.lower, i + 1)
+            mapped = mapped if mapped > 1 + (noun[0] if noun else 0) else 0
         if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
             return spelt
         return max(mapped, spelt)
@@ -285,6 +283,8 @@ class Chunker:
     def _kind_of_name(self, name: str) -> tuple[Sense, ...]:
         """What a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
         words = [word.lower() for word in name.split()]
+        while len(words) > 2 and words[-1] in self.lexicon.compass:
+            words.pop()  # "King Street West" is a street
         for n in (2, 1) if len(words) > 2 else (1,):
             senses = self._senses(" ".join(words[-n:]))
             if senses:

@@ -34,6 +34,8 @@ KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""
 LOOSELY = 0.1
 """Weight of a word's other senses where it is a tag's own value ("path" for a footway)."""
+COMMON, COMMON_ROADS = 0.01, 0.1
+"""Share of all things in sight that the kind of an unknown name, or of an unknown street, has at least."""
 MOST_FAR = 400
 """Mentions of more objects than this are only looked for in sight, on a way as well."""
 RARE = 12
@@ -59,6 +61,12 @@ class Query:
     """None where everything is said of things in sight."""
     by_kind: frozenset[int]
     """Mentions with a name that the map does not know; they are looked for by their kind."""
+
+    @property
+    def unknown_names(self) -> tuple[str, ...]:
+        """Names that were said and that the map does not know, as written, in the order of speech."""
+        names = [self.description.mentions[node].name for node in sorted(self.by_kind)]
+        return tuple(dict.fromkeys(names))
 
     def words(self, n_tokens: int) -> NDArray[np.float32]:
         """How well a token fits a mention, (n_tokens, M) float32."""
@@ -102,6 +110,10 @@ def compile_query(description: Description, city: City, *, on_a_way: bool = Fals
     )
     views = city.views
     share = [views.frequency(tokens, weights) for tokens, weights in mentions]
+    for node in by_kind:  # that few of its kind are on the map says nothing of the one that is not
+        share[node - 2] = max(
+            share[node - 2], _common(description.mentions[node], mentions[node - 2][1])
+        )
     used: list[Statement] = []
     unused: list[tuple[Statement, str]] = []
     heard: set[tuple[object, ...]] = set()
@@ -230,6 +242,12 @@ def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np
     for name, weight in city.name_index.named(mention.name or mention.words).items():
         weights[name + shift] = weight
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
+
+
+def _common(mention: Mention, weights: NDArray[np.float32]) -> float:
+    """How common the kind of an unknown name is at least, whatever map this is."""
+    road = any(sense.label.startswith("highway=") for sense in mention.senses[:1])
+    return (COMMON_ROADS if road else COMMON) * float(weights.max(initial=0.0))
 
 
 def is_tag(words: str, label: str) -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.place.osm import LINE, LeftOut, OsmElement, read_osm
+from placegraph.formats.place.osm import LINE, POINT, LeftOut, OsmElement, read_osm
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
@@ -111,9 +111,12 @@ def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]
     tags = element.tags
     if "name" not in tags or element.kind == LINE or not tags.keys().isdisjoint(NOT_THINGS):
         return ()
-    senses = vocabulary.senses(tags["name"])
+    roads = {s.label for s in vocabulary.senses("road")} if element.kind == POINT else set()
     best = [
-        sense.label for sense in senses if sense.weight >= 0.9 and not sense.label.endswith("*")
+        sense.label
+        for sense in vocabulary.senses(tags["name"])
+        if sense.weight >= 0.9 and not sense.label.endswith("*")
+        if sense.label not in roads  # a place called "Avenues" is no avenue
     ]
     return tuple(best[:3]) or (UNKNOWN,)
 

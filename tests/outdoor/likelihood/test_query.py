@@ -1,0 +1,39 @@
+"""Descriptions compiled against a map: what it knows of the names said."""
+
+import pytest
+
+from placegraph.outdoor.likelihood.query import compile_query, read
+
+BENCHES = [(40.0 * i, 40.0 * j, {"amenity": "bench"}) for i in range(50) for j in range(50)]
+LANDMARKS = [(10.0, 5.0, {"name": "Avenues"}), (120.0, 85.0, {"amenity": "bank", "name": "Dubs"})]
+
+
+ENDS = [(200.0, 3.0, {}), (230.0, 3.0, {})]
+STREET = ([0, 1], {"highway": "residential", "name": "The Street"})
+
+
+@pytest.fixture
+def city(build_world):
+    return build_world([*ENDS, *BENCHES, *LANDMARKS], [STREET])
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown"),
+    [
+        ("I am on King Street West. A bench is north of me.", ("King Street West",)),
+        ("I am at Dubs. A bench is north of Dubs.", ()),
+        ("I am by the Dubs and Avenues.", ()),
+        ("A bench is north of the bank.", ()),
+        ("Marble Bank is north of me, on Elm St. I see Marble Bank.", ("Marble Bank", "Elm St")),
+    ],
+)
+def test_names_that_the_map_lacks_are_told(text, unknown, city):
+    assert compile_query(read(city, text), city).unknown_names == unknown
+
+
+def test_what_stands_in_for_an_unknown_name_gets_no_credit_for_being_rare(city, score, at):
+    """One landmark called "Avenues" was every street, one bank any bank."""
+    for text in ("I am on King Street West.", "I am next to Marble Bank."):
+        here = read(city, text)
+        for place in (*LANDMARKS, (210.0, 5.0)):
+            assert score(city, here, at(city, place[:2]))[0][0] < 4.0, text
