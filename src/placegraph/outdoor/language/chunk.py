@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
 from placegraph.language.measures import COUNTS
-from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.parse import Noun
-from placegraph.outdoor.language.words import fold, shouting, tokens
+from placegraph.outdoor.language.proper import LONGEST_NOUN, ProperNames
+from placegraph.outdoor.language.words import shouting
 
 if TYPE_CHECKING:
     from placegraph.language.phrases import Terminal
     from placegraph.language.words import Word
+    from placegraph.outdoor.language.description import Sense
     from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.words import NameFinder, Words
 
-    Known = tuple[int, tuple[Terminal, ...]]
-    """Words of a phrase that the grammar knows, and its terminals."""
-
-NAMED_KIND = 0.5
-"""Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
-MISSPELT_NAME = 0.9
-"""Similarity from which a name is a misspelt one of the map."""
-LONGEST_NOUN = 80
-"""Characters of a phrase that may name a kind of thing."""
-_ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
 _OPEN = frozenset(
     ("WORD", "GO", "PASS", "CROSS", "PART", "ADVERB", "PREP", "FACE", "SEE", "BE", "REACH", "SPOT")
 )
@@ -53,7 +43,8 @@ class Chunker:
     def __init__(
         self, text: str, language: Language, vocabulary: Words, names: NameFinder | None
     ) -> None:
-        self.text, self.vocabulary, self.names = text, vocabulary, names
+        self.text, self.vocabulary = text, vocabulary
+        self.proper = ProperNames(text, language, vocabulary, names)
         self.lexicon, self.lists = language, language.lists
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
@@ -61,7 +52,7 @@ class Chunker:
         self.words = sentence
         self.lower = [word.lower for word in sentence]
         self.shouting = shouting(sentence)
-        self._fold_names()
+        self.proper.take(sentence, shouting=self.shouting)
         found: list[Chunk] = []
         i = 0
         while i < len(sentence):
@@ -73,14 +64,6 @@ class Chunker:
                 found.append(self._mark(i, word))
             i += n
         return found
-
-    def _fold_names(self) -> None:
-        """Words in the form of names, without the marks between them."""
-        if self.names is None:
-            return
-        self.name_ends = [i for i, word in enumerate(self.words) if word.kind == "word"]
-        self.name_words = [fold(self.lower[i]) for i in self.name_ends]
-        self.name_at = {i: k for k, i in enumerate(self.name_ends)}
 
     def _senses(self, phrase: str) -> tuple[Sense, ...]:
         """Senses of a phrase; none if it is longer than any that names a thing."""
@@ -95,16 +78,12 @@ class Chunker:
         name, joined = written.replace("_", " "), "_" in written
         senses = self._senses(word.lower)
         if word.capital:
-            common = bool(senses) and not joined and not self._is_name(name)
+            common = bool(senses) and not joined and not self.proper.is_one(name)
         else:
             common = bool(senses) or not (joined or name[0].isdigit())  # "479._Sokak"
         if common:
             return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
-        return self._chunk("NAME", i, 1, Noun(senses or self._kind_of_name(name), name))
-
-    def _is_name(self, name: str) -> bool:
-        words = tokens(name)
-        return bool(words and self.names and self.names.longest_name(words, 0) == len(words))
+        return self._chunk("NAME", i, 1, Noun(senses or self.proper.kind(name), name))
 
     def _word(self, i: int, found: list[Chunk]) -> int:
         """Append what begins at word i, and return how many words it takes."""
@@ -114,10 +93,10 @@ class Chunker:
         if known is None or known[1][0].type in _OPEN:
             noun = self.vocabulary.longest_match(self.lower, i)
         n_noun = noun[0] if noun else 0
-        n_name = self._name(i, known, n_known, n_noun)
+        n_name = self.proper.length(i, known, n_known, n_noun)
         if n_name:
             written = self.text[self.words[i].start : self.words[i + n_name - 1].end]
-            noun_of = Noun(self._kind_of_name(written), self._spelt_as_on_the_map(written))
+            noun_of = Noun(self.proper.kind(written), self.proper.as_on_the_map(written))
             found.append(self._chunk("NAME", i, n_name, noun_of))
             return n_name
         if noun is None and (known is None or known[1][0].type in ("PART", "GO", "CROSS")):
@@ -134,20 +113,6 @@ class Chunker:
             )
             return n_known
         return self._other(i, found)
-
-    def _spelt_as_on_the_map(self, name: str) -> str:
-        """Return the map's spelling of a misspelt name, or the name as written."""
-        if self.names is None or self._is_name(name):
-            return name
-        close = self.names.closest_name(name)
-        if close is None or close[1] < MISSPELT_NAME:
-            return name
-        # "4th Street" is not "14th Street", and "East Street" is no misspelt "West Street"
-        telling = [
-            {word for word in tokens(one) if word in self.lexicon.compass or not word.isalpha()}
-            for one in (name, close[0])
-        ]
-        return close[0] if telling[0] == telling[1] else name
 
     def _noun_here(self, i: int, before: str) -> tuple[int, tuple[Sense, ...]] | None:
         """Return an ordinary word or phrase that names a thing where only a noun can stand."""
@@ -190,106 +155,6 @@ class Chunker:
                 return 1
         found.append(self._chunk("WORD", i, 1))
         return 1
-
-    def _name(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
-        """How many words of a proper name begin at word i: on the map, or by its capitals."""
-        spelt = self._capitals(i, known, n_noun) or self._small_street(i, known, n_noun)
-        if self.names is None:
-            return spelt
-        k = self.name_at[i]
-        mapped = self.names.longest_name(self.name_words, k)
-        if mapped:
-            mapped = self.name_ends[k + mapped - 1] - i + 1
-        capital = self.words[i].capital and not self.shouting
-        if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
-            return spelt
-        if known and known[1][0].type == "DET" and not spelt:  # "the bench" is no "The Bench"
-            noun = self.vocabulary.longest_match(self.lower, i + 1)
-            mapped = mapped if mapped > 1 + (noun[0] if noun else 0) else 0
-        if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
-            return spelt
-        return max(mapped, spelt)
-
-    def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
-        """How many words of a name written with capitals begin at word i."""
-        word = self.words[i]
-        if self.shouting or not (word.capital or word.lower[0].isdigit()):
-            return 0
-        if not word.capital and not self._numbered(i):
-            return 0
-        following = self.words[i + 1] if i + 1 < len(self.words) else None
-        continues = following is not None and following.kind == "word" and following.capital
-        if known is not None:
-            kind = known[1][0].type
-            name_like = kind in ("DIR", "SHORT", "WORD", "PART") or (
-                i > 0 and kind not in ("ME", "YOU", "IT", "DET", "AND")
-            )
-            if not (continues and name_like):
-                return 0
-        end = self._span(i)
-        if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
-            return 0  # "Find the", "Disregard the"
-        if end == i + 1 and word.lower in COUNTS:
-            return 0
-        if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
-            return 0  # "Bakery north of me", "the Cathedral"
-        after_article = i == 0 or self.lower[i - 1] in self.lists["articles"]
-        return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
-
-    def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
-        """How many words of a street's name begin at word i, written small: "smallman street"."""
-        at = i
-        if known is not None:
-            if known[1][0].type != "DIR" or known[0] != 1:
-                return 0
-            at = i + 1  # "east carson street", "west avenue"
-        if at + 1 < len(self.words) and self.lower[at] not in self.lists["street_suffixes"]:
-            plain = (known is None and n_noun) or self.lexicon.longest(self.lower, at)
-            at = len(self.words) if plain else at + 1
-        before = self.lower[i - 1] if i else ""
-        if at >= len(self.words) or self.lower[at] not in self.lists["street_suffixes"]:
-            return 0
-        return 0 if at == i or before in self.lists["articles"] else at + 1 - i
-
-    def _numbered(self, i: int) -> bool:
-        """Tell whether a name begins with the number at word i: "16th Street", "7-Eleven"."""
-        if i + 1 >= len(self.words):
-            return False
-        following = self.words[i + 1]
-        if not _ORDINAL.fullmatch(self.lower[i]):
-            return following.capital and self.text[self.words[i].end : following.start] == "-"
-        return following.capital or following.lower in self.lists["suffixes"]
-
-    def _span(self, i: int) -> int:
-        """End of the words with capitals, and small ones between them, that begin at word i."""
-        end = i + 1
-        while end < len(self.words):
-            at = end
-            while (
-                at < min(end + 2, len(self.words)) and self.lower[at] in self.lists["connectives"]
-            ):
-                at += 1
-            if at >= len(self.words) or self.words[at].kind != "word":
-                break
-            word = self.words[at]
-            number = at == end and word.lower.isdecimal()
-            if not (word.capital or number) or word.lower in self.lists["persons"]:
-                break
-            end = at + 1
-        if end < len(self.words) and self.lower[end] in self.lists["suffixes"]:
-            end += 1
-        return end
-
-    def _kind_of_name(self, name: str) -> tuple[Sense, ...]:
-        """What a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
-        words = [word.lower() for word in name.split()]
-        while len(words) > 2 and words[-1] in self.lexicon.compass:
-            words.pop()  # "King Street West" is a street
-        for n in (2, 1) if len(words) > 2 else (1,):
-            senses = self._senses(" ".join(words[-n:]))
-            if senses:
-                return tuple([Sense(s.label, NAMED_KIND * s.weight) for s in senses])
-        return ()
 
     def _chunk(self, kind: str, i: int, n: int, value: object = None) -> Chunk:
         words = self.lower[i] if n == 1 else " ".join(self.lower[i : i + n])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.language.chunk import LONGEST_NOUN
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Mention, Sense
+from placegraph.outdoor.language.proper import LONGEST_NOUN
 from placegraph.outdoor.language.words import normalise, tokens
 
 if TYPE_CHECKING:
