@@ -21,6 +21,15 @@ _UNITS = {
 }
 """Metres in a unit, by the last word of its name."""
 
+
+class Blocks(float):
+    """Metres of a distance in blocks, of 100 m each; the map at hand may know better."""
+
+    def of(self, length: float) -> float:
+        """Metres where a block has this length [m]."""
+        return self / _UNITS["block"] * length
+
+
 _NUMBERS = {
     "one": 1.0, "two": 2.0, "three": 3.0, "four": 4.0, "five": 5.0, "six": 6.0, "seven": 7.0,
     "eight": 8.0, "nine": 9.0, "ten": 10.0, "twelve": 12.0, "fifteen": 15.0, "twenty": 20.0,
@@ -59,9 +68,9 @@ _LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
 
 
 def metres(text: str, number: str | None) -> float:
-    """Length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
+    """Length [m] of a distance matched by `MEASURE`, and of its group ``number``; see `Blocks`."""
     text = text.lower()
-    unit = _UNITS[_LAST_UNIT.findall(re.sub(r"(?<=\d)(?=[a-z])", " ", text))[-1]]
+    unit = _LAST_UNIT.findall(re.sub(r"(?<=\d)(?=[a-z])", " ", text))[-1]
     half = 0.5 if re.search(r"half|½|1/2", text) else 0.0
     words = _NUMERAL.findall((number or "").lower().replace("1/2", ""))
     values = [_NUMBERS.get(w) or float(w.replace(",", ".")) for w in words if _is_number(w)]
@@ -69,7 +78,8 @@ def metres(text: str, number: str | None) -> float:
         values = [100.0 * values[0]]
     if not values:  # "a block", "half a mile"
         values = [0.0 if number is None else 1.0]
-    return unit * (sum(values) / len(values) + half)
+    length = _UNITS[unit] * (sum(values) / len(values) + half)
+    return Blocks(length) if unit.startswith("block") else length
 
 
 def _is_number(word: str) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from placegraph.errors import MapError
 from placegraph.geometry import LocalPlane
+from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex, tokens_of
 from placegraph.outdoor.map.names import NameIndex
@@ -150,6 +151,11 @@ class City:
     def name_index(self) -> NameIndex:
         """Proper names of the map; derived on first use."""
         return NameIndex.build(self.objects)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """How long a block is; derived on first use."""
+        return Blocks.measured(self.objects)
 
     @cached_property
     def label_index(self) -> dict[str, list[int]]:
