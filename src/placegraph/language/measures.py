@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Self
 
 _UNITS = {
     name: metres
@@ -14,7 +15,8 @@ _UNITS = {
         "yd yds yard yards": 0.9144,
         "mi mile miles": 1609.344,
         "block blocks": 100.0,
-        "pace paces": 0.75,
+        "pace paces step steps": 0.75,
+        "door doors": 8.0,  # along a street of shops
         "walk walking distance": 80.0,  # a minute's walk
     }.items()
     for name in names.split()
@@ -22,17 +24,26 @@ _UNITS = {
 """Metres in a unit, by the last word of its name."""
 
 
-class Blocks(float):
-    """Metres of a distance in blocks, of 100 m each; the map at hand may know better."""
+class Measure(float):
+    """A distance as said [m], a block being 100 m."""
 
-    def of(self, length: float) -> float:
-        """Metres where a block has this length [m]."""
-        return self / _UNITS["block"] * length
+    blocks: float = 0.0
+    """How many blocks, where it is told in blocks: the map at hand may know their length."""
+    at_most: bool = False
+    """Whether it is that or less: "within 50 m"."""
+
+    @classmethod
+    def within(cls, metres: float, *, blocks: float = 0.0) -> Self:
+        """A distance that is this or less, or that many blocks or less."""
+        measure = cls(metres or blocks * _UNITS["block"])
+        measure.blocks, measure.at_most = blocks, True
+        return measure
 
 
 _NUMBERS = {
     "one": 1.0, "two": 2.0, "three": 3.0, "four": 4.0, "five": 5.0, "six": 6.0, "seven": 7.0,
-    "eight": 8.0, "nine": 9.0, "ten": 10.0, "twelve": 12.0, "fifteen": 15.0, "twenty": 20.0,
+    "eight": 8.0, "nine": 9.0, "ten": 10.0, "eleven": 11.0, "twelve": 12.0, "thirteen": 13.0,
+    "fourteen": 14.0, "fifteen": 15.0, "sixteen": 16.0, "twenty": 20.0,
     "thirty": 30.0, "fifty": 50.0, "hundred": 100.0,
     "couple": 2.0, "few": 3.0, "several": 3.0, "quarter": 0.25,
 }  # fmt: skip
@@ -41,14 +52,15 @@ COUNTS = {word: int(n) for word, n in _NUMBERS.items() if n >= 1 and word != "hu
 
 _NUMBER = r"""(?:
     \d+\s*(?:[-–]|to\b|or\b)\s*\d+ | \d+\s+1/2 | \d+(?:[.,]\d+)?\s*½? | ½
-  | (?:one|two|three|four|five|six|seven|eight|nine|ten|twelve|fifteen|twenty|thirty|fifty)
-      (?:\s+(?:or|to)\s+(?:two|three|four|five|six))?(?:\s+hundred)?
-  | (?:a\s+)?(?:couple(?:\s+of)?|few|hundred|quarter(?:\s+of\s+an?)?) | several | an?(?:\s+single)?
+  | (?:one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|thirteen|fourteen|fifteen
+      |sixteen|twenty|thirty|fifty)(?:\s+(?:or|to)\s+(?:two|three|four|five|six))?(?:\s+hundred)?
+  | (?:an?\s+)?(?:couple(?:\s+of)?|few|hundred|quarter(?:\s+of\s+an?)?) | several | an?(?:\s+single)?
 )"""
 _UNIT = r"""(?:
     m | met(?:er|re)s? | cm | centimet(?:er|re)s? | km | kilomet(?:er|re)s?
   | ft | feet | foot | yds? | yards? | miles? | mi
   | (?:city\s+|long\s+|short\s+|more\s+)?blocks? | paces?
+  | (?:steps?|doors?)(?=\s+(?:of|from|away|down|up|along|further)\b)
   | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
 )"""
 _HALF = r"(?:\s*(?:&|\band\b)\s*(?:an?\s+|one\s+)?half)?"
@@ -63,12 +75,13 @@ MEASURE = rf"""\b(?:(?:about|around|roughly|approximately|some|within|almost|nea
       | (?:an?\s+)?half(?:\s+of)?(?:\s+an?)?\s+{_UNIT}(?![\w']))"""
 """Pattern of a distance (verbose, case ignored), with a group ``number``."""
 
+_AT_MOST = ("within", "less than")
 _NUMERAL = re.compile(r"\d+(?:[.,]\d+)?|[a-z]+")
 _LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
 
 
-def metres(text: str, number: str | None) -> float:
-    """Length [m] of a distance matched by `MEASURE`, and of its group ``number``; see `Blocks`."""
+def metres(text: str, number: str | None) -> Measure:
+    """Length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
     text = text.lower()
     unit = _LAST_UNIT.findall(re.sub(r"(?<=\d)(?=[a-z])", " ", text))[-1]
     half = 0.5 if re.search(r"half|½|1/2", text) else 0.0
@@ -78,8 +91,11 @@ def metres(text: str, number: str | None) -> float:
         values = [100.0 * values[0]]
     if not values:  # "a block", "half a mile"
         values = [0.0 if number is None else 1.0]
-    length = _UNITS[unit] * (sum(values) / len(values) + half)
-    return Blocks(length) if unit.startswith("block") else length
+    count = sum(values) / len(values) + half
+    measure = Measure(_UNITS[unit] * count)
+    measure.blocks = count if unit.startswith("block") else 0.0
+    measure.at_most = text.startswith(_AT_MOST)
+    return measure
 
 
 def _is_number(word: str) -> bool:

@@ -18,7 +18,7 @@ from placegraph.outdoor.search.answer import estimate
 from placegraph.outdoor.search.cells import search_cells
 from placegraph.outdoor.search.request import Matching, Request, is_count, within
 from placegraph.outdoor.search.viewpoints import search
-from placegraph.outdoor.search.whereabouts import Whereabouts, number, position
+from placegraph.outdoor.search.whereabouts import Way, Whereabouts, number, position
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,14 +79,14 @@ def understand(
     query = compile_query(replace(description, statements=rest), city, on_a_way=to_somebody)
     matching.check(city)
     inside = None if matching.region is None else partial(within, city, region=matching.region)
-    known = replace(known, listener=listener, bearings=way, inside=inside)
+    known = replace(known, listener=listener, ways=way, inside=inside)
     return description, Request(city, query, known, matching)
 
 
 def _split(
     description: Description, *, known: bool
-) -> tuple[tuple[tuple[float, float, float], ...], tuple[Statement, ...]]:
-    """Split off what is said of the way from the listener: bearing, sigma, certainty.
+) -> tuple[tuple[Way, ...], tuple[Statement, ...]]:
+    """Split off what is said of the way from the listener.
 
     Whatever the speaker stands at lies where the speaker does.
     """
@@ -95,10 +95,10 @@ def _split(
     for s in description.statements:
         if known and s.relation is Relation.DIRECTION and s.bearing is not None and not s.negated:
             if s.source in here and s.target == LISTENER:
-                way.append((s.bearing, s.bearing_sigma, s.certainty))
+                way.append(Way(s.bearing, s.bearing_sigma, s.certainty, s.distance))
                 continue
             if s.target in here and s.source == LISTENER:
-                way.append((s.bearing + np.pi, s.bearing_sigma, s.certainty))
+                way.append(Way(s.bearing + np.pi, s.bearing_sigma, s.certainty, s.distance))
                 continue
         rest.append(s)
     return tuple(way), tuple(rest)
@@ -106,7 +106,7 @@ def _split(
 
 def _why_nothing(asked: Request, description: Description) -> str:
     """Why what was said does not do to find a place; an empty string where it does."""
-    if asked.positive or asked.known.bearings:
+    if asked.positive or asked.known.ways:
         return ""
     if asked.query.used:
         return "Only what is absent was said; say what is there as well."

@@ -30,7 +30,7 @@ def statement(description, s):
     if s.bearing is not None:
         line += f" {round(degrees(s.bearing)) % 360}°"
     if s.distance is not None:
-        line += f" {s.distance:.0f}m"
+        line += f" {'<' if s.within else ''}{s.distance:.0f}m"
     if s.far:
         line += " far"
     return line if s.certainty == 1.0 else f"{line} ~{s.certainty:g}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import pi, radians
+from math import cos, pi, radians, sin
 
 import pytest
 from rapidfuzz import fuzz
@@ -11,6 +11,7 @@ from rapidfuzz import fuzz
 from placegraph.errors import DescriptionError
 from placegraph.language.measures import metres
 from placegraph.outdoor.language import describe, normalise, tokens
+from placegraph.outdoor.language.description import SPEAKER
 from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.words import scan
 
@@ -160,6 +161,39 @@ def test_a_heading_turns_with_the_speaker():
         assert statement.bearing == pytest.approx((radians(degrees) - pi / 2) % (2 * pi))
 
 
+def lengths(bearing):
+    """Blocks of a town where streets run 80 m apart and avenues 250 m."""
+    along = bearing is not None and abs(cos(bearing)) > 0.7
+    return 80.0 if along else 250.0
+
+
+@pytest.mark.parametrize(
+    ("text", "target", "east", "north"),
+    [
+        ("From where you are it's 9 blocks west, then 4 blocks north.", "you", -2250, 320),
+        ("Go two blocks west, then turn left and walk three blocks.", "you", -500, -240),
+        (
+            "It is 16 blocks south and a block and a half west from where you are.",
+            "you",
+            -375,
+            -1280,
+        ),
+        ("From the station walk north for 300 metres, then 100 m east.", "the station", 100, 300),
+        ("Walk until you reach the church, then go 2 blocks east.", "the church", 500, 0),
+        ("Starting at the church, go 2 blocks east.", "the church", 500, 0),
+        ("I'm two blocks south of the church.", "the church", 0, -160),
+    ],
+)
+def test_legs_make_one_way_in_blocks_of_the_map(text, target, east, north):
+    description = describe(text, block_length=lengths)
+    ways = [s for s in description.statements if s.distance is not None]
+    assert [description.mentions[s.target].words for s in ways] == [target]
+    (way,) = ways
+    assert way.source == SPEAKER
+    assert way.distance * sin(way.bearing) == pytest.approx(east, abs=1.0)
+    assert way.distance * cos(way.bearing) == pytest.approx(north, abs=1.0)
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -182,6 +216,8 @@ def test_contradictions_are_told(text):
         "A church is north of me. A church is south of me.",
         "There are no trees to my north. There is a tree to my south.",
         "The bench is on the north of the bench.",
+        "The building is on the east of the road. The building is on the west of the road.",
+        "A bench is north of the bank. A bench is south of the bank.",
         "Head north, then south.",
         "There is no bank. There is a church.",
     ],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.outdoor.search.whereabouts import Whereabouts
+from placegraph.outdoor.search.whereabouts import Way, Whereabouts
 
 
 @pytest.fixture
@@ -48,11 +48,11 @@ def test_near_beyond_the_map_is_mostly_off_it(positions):
 
 def test_the_way_from_a_listener(positions):
     listener = positions.mean(axis=0)
-    north = Whereabouts(listener=listener, bearings=((0.0, 0.5, 1.0),)).log(positions)
+    north = Whereabouts(listener=listener, ways=(Way(0.0, 0.5, 1.0),)).log(positions)
     delta = positions - listener
     ahead = (delta[:, 1] > 100) & (np.abs(delta[:, 0]) < 50)
     behind = (delta[:, 1] < -100) & (np.abs(delta[:, 0]) < 50)
     assert north[ahead].min() > north[behind].max() + 1
-    unsure = Whereabouts(listener=listener, bearings=((0.0, 0.5, 0.2),)).log(positions)
+    unsure = Whereabouts(listener=listener, ways=(Way(0.0, 0.5, 0.2),)).log(positions)
     assert np.ptp(unsure) < np.ptp(north)
     assert np.isfinite(north).all()

@@ -16,6 +16,7 @@ from placegraph.outdoor.language.words import NameFinder, Words, labels, normali
 
 if TYPE_CHECKING:
     from placegraph.language.islands import Chunk
+    from placegraph.outdoor.language.statements import BlockLength
 
 __all__ = [
     "Describer",
@@ -49,6 +50,7 @@ def describe(
     names: NameFinder | None = None,
     heading: float | None = None,
     language: str | None = None,
+    block_length: BlockLength | None = None,
 ) -> Description:
     """Read a text: what stands where, as seen from whom.
 
@@ -62,6 +64,9 @@ def describe(
         Proper names of a map.
     heading
         Bearing in which the speaker faces [rad, clockwise from north], for "left of me".
+    block_length
+        Length of a block [m] in the direction of a bearing [rad], or in any (None), on the map at
+        hand; 100 m if not given.
     language
         Code of the language of the text ("en"); English if None.
 
@@ -84,7 +89,9 @@ def describe(
         chunker.chunks(sentence) for sentence in scan(text, tongue, labels(text, vocabulary, names))
     ]
     directive = any(map(_leads_the_way, sentences))
-    builder = Builder(text, tongue, vocabulary, heading, directive=directive)
+    builder = Builder(
+        text, tongue, vocabulary, heading, directive=directive, block_length=block_length
+    )
     for sentence in sentences:
         for part in clauses(sentence, tongue):
             opens = part.opens
@@ -102,7 +109,12 @@ def describe(
         tuple(builder.refer.mentions),
         tuple(builder.relator.statements),
         tuple(builder.ignored),
-        conflicts(builder.relator.statements, builder.refer.heads, builder.relator.goals),
+        conflicts(
+            builder.relator.statements,
+            builder.refer.heads,
+            builder.relator.goals,
+            builder.refer.kinds,
+        ),
         tongue.code,
     )
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.parse import Clause, Items
+    from placegraph.outdoor.language.statements import BlockLength
     from placegraph.outdoor.language.words import Words
 
 MENTIONED = 0.7
@@ -43,6 +44,8 @@ class Builder:
         Bearing in which the speaker faces [rad], or None.
     directive
         Whether the text tells somebody the way; "it" is then the place they are told to find.
+    block_length
+        See `Statements`.
     """
 
     def __init__(
@@ -53,10 +56,11 @@ class Builder:
         heading: float | None,
         *,
         directive: bool,
+        block_length: BlockLength | None = None,
     ) -> None:
         self.text, self.directive = text, directive
         self.refer = Referents(text, language, vocabulary)
-        self.relator = Relator(self.refer, heading, directive=directive)
+        self.relator = Relator(self.refer, heading, directive=directive, block_length=block_length)
         self.walk = Walk(self.relator)
         self.ignored = self.relator.ignored
         self.heads: list[int] = [SPEAKER]
@@ -74,6 +78,8 @@ class Builder:
             self._on_the_way(clause, said)
         elif clause.verb:
             getattr(self, f"_{clause.verb}")(clause, said, opens)
+            if clause.verb != "goes":
+                self.walk.join(before[0])
         else:
             self.relator.reason = "not understood"
         if (len(self.relator.statements), len(self.ignored)) == before and clause.verb != "too_far":
@@ -127,6 +133,10 @@ class Builder:
             return  # "I'm buying flowers"
         node, subject = self.refer.resolve(thing), heads[0]
         if node is None or node == subject:
+            return
+        said_of = self.refer.mentions[subject]
+        if subject > LISTENER and not (said_of.senses or said_of.name):  # "the nearest one is ..."
+            self.relator.add(said, Relation.VISIBLE, node, SPEAKER)
             return
         self.relator.add(said, Relation.SAME, subject, node)
         if subject in self.relator.goals and not said.negated:
@@ -216,7 +226,8 @@ class Builder:
 
     def _fragment(self, clause: Clause, said: Said, opens: bool) -> None:
         items = clause.before
-        if isinstance(items[0], Place) and self.walking and not opens:  # "then west"
+        goes_on = self.walking or (self.walk.way.row is not None and _is_leg(items[0]))
+        if isinstance(items[0], Place) and goes_on and not opens:  # "then west"
             self.walk.go(items, "GO", said)
         elif isinstance(items[0], Place):  # "..., but not near the church"
             self._say(items, [SPEAKER] if opens else self.heads, said)
@@ -273,6 +284,13 @@ class Builder:
 
 def _is_person(item: Thing | Place) -> bool:
     return isinstance(item, Thing) and item.kind != "thing"
+
+
+def _is_leg(item: Thing | Place) -> bool:
+    """Tell whether a place may be a further leg of a way: "then 500 m north"."""
+    if not isinstance(item, Place) or item.distance is None:
+        return False
+    return item.how in ("towards", "away") and not item.targets
 
 
 def _has_no(item: Thing | Place) -> bool:

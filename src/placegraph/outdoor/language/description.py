@@ -88,6 +88,8 @@ class Statement:
     """How loosely the direction is meant [rad]."""
     distance: float | None = None
     """How far, where said [m]."""
+    within: bool = False
+    """Whether the distance is the most: "within 50 m", "on the same block"."""
     negated: bool = False
     """"no trees here", "not near a church"."""
     certainty: float = 1.0
@@ -127,7 +129,10 @@ _HERE = (Relation.VISIBLE, Relation.NEAR, Relation.DIRECTION)
 
 
 def conflicts(
-    statements: Sequence[Statement], nouns: Sequence[str], here: Collection[int]
+    statements: Sequence[Statement],
+    nouns: Sequence[str],
+    here: Collection[int],
+    kinds: Collection[int] = (),
 ) -> tuple[str, ...]:
     """Say which statements contradict each other.
 
@@ -139,9 +144,13 @@ def conflicts(
         Common noun of every mention.
     here
         Nodes that stand where the speaker stands.
+    kinds
+        Nodes that are spoken of by a label of the map: any thing of that kind serves, and another
+        one in the next sentence.
     """
     sure = [s for s in statements if s.certainty >= SURE]
-    found = [*_opposite(sure, here), *_denied(sure, nouns, here)]
+    of_one = [s for s in sure if s.source not in kinds and s.target not in kinds]
+    found = [*_opposite(of_one, here), *_denied(sure, nouns, here)]
     return tuple(dict.fromkeys(found))
 
 

@@ -199,6 +199,7 @@ class _Build:
     possessed = partialmethod(_place, how="possessed")
     at = partialmethod(_place, how="at")
     prep = partialmethod(_place, how="prep")
+    bare = partialmethod(_place, how="bare")
     across = partialmethod(_place, how="across")
     between = partialmethod(_place, how="between")
     faces = partialmethod(_place, how="faces")

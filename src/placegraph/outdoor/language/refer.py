@@ -45,6 +45,8 @@ class Referents:
         """Words before the noun."""
         self.negative: set[int] = set()
         """Mentions of what is said not to be there."""
+        self.kinds: set[int] = set()
+        """Mentions by a label as a map has it, which stands for any thing of its kind."""
         self.topic: int | None = None
         """What "it" means."""
         self.street: int | None = None
@@ -124,6 +126,8 @@ class Referents:
         self.mentions.append(Mention(node, words, senses, thing.name, count, definite))
         self.heads.append(head)
         self.modifiers.append(_modifiers(thing))
+        if thing.exact and not thing.name:
+            self.kinds.add(node)
         if thing.determiner == "NO":
             self.negative.add(node)
         if self.is_road(node):

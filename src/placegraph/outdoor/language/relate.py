@@ -7,10 +7,12 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.check import Ignored
+from placegraph.language.measures import Measure
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
+from placegraph.outdoor.language.parse import Thing
 from placegraph.outdoor.language.statements import (
-    BLOCK,
     LISTENER_HEADING,
+    NEEDS_HEADING,
     NO_TARGET,
     PASSED,
     ROUTE,
@@ -23,6 +25,9 @@ from placegraph.outdoor.language.words import Direction
 if TYPE_CHECKING:
     from placegraph.outdoor.language.parse import Place
 
+BLOCK = Measure.within(0.0, blocks=1.0)
+SHORT_WAY = Measure.within(120.0)
+"""How far "round the corner" and "down the road" are at most [m]."""
 _SIMPLE = {
     "near": (Relation.NEAR, 1.0, None),
     "along": (Relation.ALONG, 1.0, None),
@@ -30,6 +35,7 @@ _SIMPLE = {
     "opposite": (Relation.ACROSS, 1.0, None),
     "behind": (Relation.NEAR, WEAK, None),
     "same_block": (Relation.NEAR, 0.8, BLOCK),
+    "short_way": (Relation.NEAR, 0.8, SHORT_WAY),
     "on_top": (Relation.SAME, 1.0, None),
 }
 """Relation, certainty and distance of prepositions that always mean the same."""
@@ -45,11 +51,11 @@ class Relator(Directions):
         """
         before, self.reason = len(self.statements), "says nothing about where things stand"
         changed: int | None = getattr(self, f"_{place.how}")(place, source, said)
-        if len(self.statements) == before:
+        if len(self.statements) == before or self.reason == NEEDS_HEADING:
             left_out = Ignored(self.refer.text[place.start : place.end], self.reason)
             if left_out not in self.ignored[-1:]:
                 self.ignored.append(left_out)
-        elif place.negated:
+        if place.negated:
             self.statements[before:] = [replace(s, negated=True) for s in self.statements[before:]]
         return source if changed is None else changed
 
@@ -117,7 +123,9 @@ class Relator(Directions):
             return None
         if word in ("front", "behind") and target == SPEAKER:
             seen = self._bearing(Direction(pi if word == "behind" else 0.0, facing=True))
-            if seen is not None:
+            if seen is None:
+                self._at_hand(source, target, said)
+            else:
                 self.add(
                     said, Relation.DIRECTION, source, target,
                     direction=seen, distance=place.distance,
@@ -144,6 +152,14 @@ class Relator(Directions):
             if relation is Relation.SAME and source in self.goals:
                 return target
         return None
+
+    def _bare(self, place: Place, source: int, said: Said) -> int | None:
+        """Relate "a bank opposite", of the speaker where nothing more is said."""
+        if source in self.goals:
+            self.reason = NO_TARGET
+            return None
+        me = Thing("ME", place.start, place.end)
+        return self._prep(replace(place, targets=(me,)), source, said)
 
     def _across(self, place: Place, source: int, said: Said) -> None:
         between: int | None = None

@@ -6,22 +6,28 @@ from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING
 
+from placegraph.language.measures import Measure
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation, Statement
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from placegraph.language.check import Ignored
     from placegraph.outdoor.language.parse import Place, Thing
     from placegraph.outdoor.language.refer import Referents
     from placegraph.outdoor.language.words import Direction
 
-BLOCK = 100.0
-"""Metres in a block."""
+    BlockLength = Callable[[float | None], float]
+    """Length of a block [m] in the direction of a bearing [rad], or in any (None)."""
+
 SIDE_SIGMA = 0.6
 """How loosely "on the north side of" is meant [rad]."""
 FROM_YOU = 0.8
 """Certainty that a direction of which nothing more is said is seen from the listener."""
 LEGS = (0.5, 0.25, 0.15)
 """Certainty that the place lies in the direction of the first, second, third leg of a walk."""
+WALKED = 0.7
+"""Certainty that the place is where the legs of a walk end whose lengths were said."""
 ROUTE = 0.4
 """Certainty of what only lies on the way."""
 PASSED = 0.6
@@ -61,10 +67,20 @@ class Statements:
         Bearing in which the speaker faces [rad], or None.
     directive
         Whether the text tells somebody the way: directions are then seen from them.
+    block_length
+        Length of a block [m] in a direction [rad], or in any; 100 m if None.
     """
 
-    def __init__(self, refer: Referents, heading: float | None, *, directive: bool) -> None:
+    def __init__(
+        self,
+        refer: Referents,
+        heading: float | None,
+        *,
+        directive: bool,
+        block_length: BlockLength | None = None,
+    ) -> None:
         self.refer, self.heading, self.directive = refer, heading, directive
+        self.block_length = block_length
         self.statements: list[Statement] = []
         self.ignored: list[Ignored] = []
         self.goals = {SPEAKER}
@@ -88,6 +104,7 @@ class Statements:
         if source == target or (source in self.goals and target in self.goals):
             self.reason = "relates a thing to itself"
             return
+        bearing = None if direction is None else direction.bearing % (2.0 * pi)
         negated = said.negated or not self.refer.negative.isdisjoint((source, target, target2))
         self.statements.append(
             Statement(
@@ -95,9 +112,10 @@ class Statements:
                 source,
                 target,
                 target2=target2,
-                bearing=None if direction is None else direction.bearing % (2.0 * pi),
+                bearing=bearing,
                 bearing_sigma=0.5 if direction is None else direction.sigma,
-                distance=distance,
+                distance=self.length(distance, bearing),
+                within=isinstance(distance, Measure) and distance.at_most,
                 negated=negated,
                 certainty=round(
                     certainty * said.certainty * (direction.certainty if direction else 1.0), 3
@@ -106,6 +124,12 @@ class Statements:
                 text=said.text,
             )
         )
+
+    def length(self, distance: float | None, bearing: float | None) -> float | None:
+        """Metres of a distance in a direction [rad], or in any: blocks are as long as on the map."""
+        if isinstance(distance, Measure) and distance.blocks and self.block_length is not None:
+            return distance.blocks * self.block_length(bearing)
+        return None if distance is None else float(distance)
 
     def _implied(self, source: int, said: Said) -> int | None:
         """What a direction is seen from where nothing is said of it."""
@@ -122,6 +146,11 @@ class Statements:
             self.reason = NEEDS_HEADING
             return None
         return direction._replace(bearing=direction.bearing + self.heading, facing=False)
+
+    def _at_hand(self, source: int, target: int | None, said: Said) -> None:
+        """Say that what is to the left, or behind, is there at all, where the heading is not known."""
+        if target == SPEAKER and self.reason == NEEDS_HEADING:
+            self.add(said, Relation.VISIBLE, source, target)
 
     def _target(self, thing: Thing, source: int) -> int | None:
         node = self.refer.resolve(thing)
@@ -158,6 +187,7 @@ class Directions(Statements):
         target = self._target(thing, source) if thing else self._implied(source, said)
         seen = self._bearing(direction)
         if target is None or seen is None:
+            self._at_hand(source, target, said)
             return
         sure = 1.0 if thing is not None or target == SPEAKER else FROM_YOU
         if sure < 1.0 and (said.walked or self.from_listener()):
@@ -204,7 +234,9 @@ class Directions(Statements):
             self.reason = LISTENER_HEADING
             return
         seen = self._bearing(place.direction)
-        if target is not None and seen is not None:
+        if target is None or seen is None:
+            self._at_hand(source, target, said)
+        else:
             self.add(
                 said, Relation.DIRECTION, source, target, direction=seen, distance=place.distance
             )

@@ -54,10 +54,13 @@ def direction_fit(table, ux, uy, dx, dy, blurred):
 def distance_fit(said, d):
     """How well a distance d fits what was said [m]; 1 where nothing was said.
 
-    What is much nearer than was said fits by the ratio: nobody calls 5 m "about 60 m".
+    What is much nearer than was said fits by the ratio: nobody calls 5 m "about 60 m". A negative
+    number is the most that it may be: "within 50 m", "on the same block".
     """
-    if said <= 0.0:
+    if said == 0.0:
         return 1.0
+    if said < 0.0:
+        return 1.0 / (1.0 + np.exp((d + said) / (5.0 - 0.15 * said)))
     nearer = np.log((said + 5.0) / (d + 5.0)) / 0.5
     farther = (d - said) / (0.35 * said + 5.0)
     z = nearer if d < said else farther
@@ -67,7 +70,7 @@ def distance_fit(said, d):
 @kernel(fastmath=True, inline="always")
 def _close(said, d):
     """How well "near" fits a distance d [m]."""
-    if said > 0.0:
+    if said != 0.0:
         return distance_fit(said, d)
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
 

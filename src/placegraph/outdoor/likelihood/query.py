@@ -95,6 +95,7 @@ def read(
         names=city.name_index,
         heading=heading,
         language=language,
+        block_length=city.block_length,
     )
 
 
@@ -195,8 +196,8 @@ def _meaning(statement: Statement, description: Description) -> tuple[object, ..
         return (mention.words.lower(), mention.name, mention.senses)
 
     ends = (statement.source, statement.target, statement.target2)
-    plain = (statement.relation, statement.bearing, statement.distance, statement.negated)
-    return (*plain, *(thing(node) for node in ends))
+    plain = (statement.relation, statement.bearing, statement.distance, statement.within)
+    return (*plain, statement.negated, *(thing(node) for node in ends))
 
 
 def standing_at(statements: Sequence[Statement]) -> frozenset[int]:

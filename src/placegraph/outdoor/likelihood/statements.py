@@ -64,7 +64,7 @@ class Statements(NamedTuple):
     table: NDArray[np.float32]
     """(S, TABLE) P(the direction was said | cosine of the angle to it)."""
     distance: NDArray[np.float32]
-    """Stated distance [m], 0 where unsaid."""
+    """Stated distance [m], 0 where unsaid; negative where it is the most."""
     negated: NDArray[np.bool_]
     number: NDArray[np.float32]
     """Stated number of sources, 0 where unsaid."""
@@ -133,7 +133,8 @@ def columns_of(
         nodes = [*ends(statement)]
         if statement.relation is Relation.BETWEEN:
             nodes.append(statement.target2 or SPEAKER)
-        chance = GEOMETRY[statement.relation]
+        # what is in sight is within most of the distances that people say
+        chance = 1.0 if statement.within else GEOMETRY[statement.relation]
         for node in nodes:
             chance *= 1.0 if node == SPEAKER else share[node - 2]
         background[i] = max(chance, FLOOR)
@@ -145,7 +146,9 @@ def columns_of(
         target2=np.array([mention(s.target2) for s in used], np.int64),
         bearing=bearing,
         table=table,
-        distance=np.array([s.distance or 0.0 for s in used], np.float32),
+        distance=np.array(
+            [(-1.0 if s.within else 1.0) * (s.distance or 0.0) for s in used], np.float32
+        ),
         negated=np.array([s.negated for s in used], np.bool_),
         number=np.array(counts, np.float32),
         noise=np.array(

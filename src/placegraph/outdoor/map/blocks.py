@@ -64,8 +64,7 @@ class Blocks(NamedTuple):
             return cls(0.0, usual, usual)
         first = np.abs(np.cos(angle - axis)) >= np.sqrt(0.5)
         lengths = [
-            _usual(length[rows]) if rows.sum() >= ENOUGH else usual
-            for rows in (first, ~first)
+            _usual(length[rows]) if rows.sum() >= ENOUGH else usual for rows in (first, ~first)
         ]
         return cls(axis, *lengths)
 
@@ -78,7 +77,7 @@ def _followed(objects: CityObjects) -> tuple[NDArray[np.float64], NDArray[np.int
     rows = np.flatnonzero((objects.kind == LINE) & named & np.isin(label, list(streets)))
     points, names = [np.zeros((0, 2))], [np.zeros(0, np.int32)]
     for row in rows:
-        for line in objects.parts(row):
+        for line in objects.parts(int(row)):
             along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
             at = np.arange(0.0, along[-1] + STEP, STEP)
             points.append(np.column_stack([np.interp(at, along, axis) for axis in line.T]))

@@ -157,6 +157,10 @@ class City:
         """How long a block is; derived on first use."""
         return Blocks.measured(self.objects)
 
+    def block_length(self, bearing: float | None) -> float:
+        """Length of a block [m] in a direction [rad], or in any where that is None."""
+        return self.blocks.length(bearing)
+
     @cached_property
     def label_index(self) -> dict[str, list[int]]:
         """Rows of `objects.labels` by label and by ``key=*``."""

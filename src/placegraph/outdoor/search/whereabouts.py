@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -23,6 +23,30 @@ WALK = 800.0
 """Scale of the distance from a listener to the place they are told of [m]."""
 
 
+class Way(NamedTuple):
+    """What was said of the way from the listener to the speaker."""
+
+    bearing: float
+    """[rad]"""
+    sigma: float
+    """[rad]"""
+    certainty: float
+    distance: float | None = None
+    """[m], where said."""
+
+    def fits(self, delta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How much likelier it makes positions (W, 2) [m] from the listener than they were."""
+        sigma = 1.2 * self.sigma
+        off = np.exp(-0.5 * (angle_between(bearing(delta), self.bearing) / sigma) ** 2)
+        if self.distance is None:
+            return 2.0 * off
+        # on the ring at that distance, against all around within a walk
+        far, width = np.hypot(*delta.T), 0.25 * self.distance + 60.0
+        ring = off * np.exp(-0.5 * ((far - self.distance) / width) ** 2)
+        area = 2.0 * np.pi * sigma * width * np.maximum(far, width)
+        return np.asarray(ring / area * 1e6 / _walk(far))
+
+
 @dataclass(frozen=True, eq=False)
 class Whereabouts:
     """What is known of the place before a word is heard; all of it is optional."""
@@ -33,8 +57,8 @@ class Whereabouts:
     """... and the radius that holds half of the probability [m]."""
     listener: NDArray[np.float64] | None = None
     """(2,) east, north [m] of "you" ..."""
-    bearings: tuple[tuple[float, float, float], ...] = ()
-    """... and what was said of the way from there: bearing [rad], sigma [rad], certainty."""
+    ways: tuple[Way, ...] = ()
+    """... and what was said of the way from there."""
     inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
     """Whether the speaker may be at positions (K, 2) [m]; anywhere if not given."""
 
@@ -82,10 +106,9 @@ class Whereabouts:
             delta = positions - self.listener
             area = n * STRIDE**2 / 1e6
             prior += np.log(_walk(np.hypot(*delta.T)) * area + 1e-3)
-            for said, sigma, certainty in self.bearings:
-                off = angle_between(bearing(delta), said)
-                fits = np.exp(-0.5 * (off / (1.2 * sigma)) ** 2) * 2.0
-                prior += np.log(certainty * fits + (1.0 - certainty) + 0.05)
+            for way in self.ways:
+                fits = way.fits(delta)
+                prior += np.log(way.certainty * fits + (1.0 - way.certainty) + 0.05)
         return prior
 
     def log_of_views(self, views: ViewIndex) -> NDArray[np.float64]:
