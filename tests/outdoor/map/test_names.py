@@ -60,15 +60,62 @@ def test_named(written, name, index):
     assert index.named(written) == {row(name): 1.0}
 
 
-@pytest.mark.parametrize("written", ["", " ", "—", "Canada", "the", "Place", "Carson", "😀"])
+@pytest.mark.parametrize("written", ["", " ", "—", "the", "Place", "Cat", "Avenue", "😀"])
 def test_not_named(written, index):
     assert index.named(written) == {}
 
 
 def test_not_every_pub_is_the_pub():
     index = NameIndex.build(Objects("The Pub"))
-    assert index.named("pub") == {}
+    assert index.longest_name(["pub"], 0) == 0
     assert index.named("The Pub") == {0: 1.0}
+
+
+TOWN = [
+    "Starbucks", "HSBC", "The Crown Inn", "MetLife Building", "Tiffany & Co.", "West 43rd Street",
+    "East 43rd Street", "West Houston Street", "Kips Bay Tower North", "Kips Bay Tower South",
+    "Kips Bay Deli", "Kips Bay", "Carson", "Ulica Floriańska", "Sloterdijk Station", "Hauptstraße",
+    "5th Avenue", "New York Public Library", "Wood Street Garage", "Bank of America",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("written", "names"),
+    [
+        ("Starbucks Cafe", "Starbucks"),
+        ("Starbucks coffee shop", ""),  # two words more may be a name of their own
+        ("HSBC UK", "HSBC"),
+        ("Bank of America ATM", "Bank of America"),
+        ("the Crown", "The Crown Inn"),
+        ("Met Life", "MetLife Building"),
+        ("MetLife", "MetLife Building"),
+        ("Tiffany's", "Tiffany & Co."),
+        ("West 43 Street", "West 43rd Street"),
+        ("West 43th St.", "West 43rd Street"),
+        ("W 43rd", "West 43rd Street"),
+        ("44th Street", ""),
+        ("Houston Street", "West Houston Street"),
+        ("Kips Bay Towers", "Kips Bay Tower North, Kips Bay Tower South"),
+        ("Kips Bay", "Kips Bay"),
+        ("Carson Street", ""),  # "Carson" is a shop
+        ("Wood Street", ""),  # nor is a garage a street
+        ("ulicy Floriańskiej", "Ulica Floriańska"),
+        ("Sloterdijk", "Sloterdijk Station"),
+        ("Hauptstr.", "Hauptstraße"),
+        ("Fifth Ave", "5th Avenue"),
+        ("New York library", "New York Public Library"),
+        ("Hudson Library", ""),
+    ],
+)
+def test_names_in_part(written, names):
+    found = NameIndex.build(Objects(*TOWN)).named(written)
+    assert {TOWN[i] for i in found} == set(filter(None, names.split(", ")))
+
+
+def test_a_part_of_many_names_means_each_of_them_less():
+    index = NameIndex.build(Objects("Rex Tower", "Elm House", *(f"Elm {i}" for i in range(9))))
+    (one,), several = index.named("Rex").values(), index.named("Elm").values()
+    assert max(several) < one < 1.0
 
 
 def test_one_name_of_several_objects_and_spellings():

@@ -102,6 +102,7 @@ def describe(
                     if clause.verb and chunk.type == "WORD":
                         builder.ignored.append(Ignored(chunk.words, "unknown word"))
     builder.finish()
+    builder.ignored += builder.refer.unknown()
     if not (builder.relator.statements or builder.ignored):
         builder.ignored.append(Ignored(text.strip(), "says nothing about where things stand"))
     return Description(

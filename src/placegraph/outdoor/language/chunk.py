@@ -80,7 +80,7 @@ class Chunker:
         if word.capital:
             common = bool(senses) and not joined and not self.proper.is_one(name)
         else:
-            common = bool(senses) or not (joined or name[0].isdigit())  # "479._Sokak"
+            common = bool(senses) or not (name[0].isdigit() or self.proper.is_one(name))
         if common:
             return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
         return self._chunk("NAME", i, 1, Noun(senses or self.proper.kind(name), name))

@@ -114,6 +114,12 @@ class Description:
     language: str = "en"
     """Code of the language in which it was read."""
 
+    @property
+    def unknown_words(self) -> tuple[str, ...]:
+        """Things spoken of of whose words nothing is known, as written."""
+        known = self.mentions[LISTENER + 1 :]
+        return tuple(m.words for m in known if not m.senses and not m.name)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""
         return asdict(self)

@@ -86,6 +86,8 @@ class ProperNames:
         mapped = self.names.longest_name(self.name_words, k)
         if mapped:
             mapped = self.name_ends[k + mapped - 1] - i + 1
+        if mapped > 1 and mapped >= max(n_known, n_noun) and self._all_capital(i, mapped):
+            return max(mapped, spelt)
         capital = self.words[i].capital and not self.shouting
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
@@ -95,6 +97,16 @@ class ProperNames:
         if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
             return spelt
         return max(mapped, spelt)
+
+    def _all_capital(self, i: int, n: int) -> bool:
+        """Tell whether n words are written as names are: "The Salvation Army"."""
+        small = self.lists["connectives"]
+        names = [w for w in self.words[i : i + n] if w.kind == "word" and w.lower not in small]
+        return (
+            bool(names)
+            and not self.shouting
+            and all(w.capital or w.lower[0].isdigit() for w in names)
+        )
 
     def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
         """How many words of a name written with capitals begin at word i."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Mention, Sense
 from placegraph.outdoor.language.proper import LONGEST_NOUN
 from placegraph.outdoor.language.words import normalise, tokens
@@ -133,6 +134,14 @@ class Referents:
         if self.is_road(node):
             self.street = node
         return node
+
+    def unknown(self) -> list[Ignored]:
+        """Return things spoken of of which nothing is known, each with the reason."""
+        return [
+            Ignored(mention.words, self.vocabulary.unknown(self.heads[mention.id]))
+            for mention in self.mentions
+            if mention.id > LISTENER and not mention.senses and not mention.name
+        ]
 
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""

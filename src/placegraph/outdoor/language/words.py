@@ -41,10 +41,16 @@ class Words(Protocol):
     def longest_match(
         self, tokens: Sequence[str], start: int = 0
     ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Longest phrase that begins at `start`: number of words and senses."""
+        """Longest phrase that begins at `start`: number of words and senses.
+
+        There are none for a word that is known and that no map draws.
+        """
 
     def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
         """Most similar known phrase and its similarity in [0, 1]."""
+
+    def unknown(self, phrase: str) -> str:
+        """Say why a phrase has no senses."""
 
 
 class NameFinder(Protocol):
@@ -66,7 +72,7 @@ _SPELLINGS = {
         # "St" is a saint as often as a street: on both sides of a comparison it reads the same
         "st": "street saint str",
         "ave": "avenue av",
-        "blvd": "boulevard boul",
+        "blvd": "boulevard boul bd bulvari bulvar",
         "rd": "road",
         "dr": "drive doctor",
         "ln": "lane",
@@ -78,12 +84,28 @@ _SPELLINGS = {
         "mt": "mount",
         "ft": "fort",
         "bldg": "building",
+        "center": "centre ctr cntr",
+        "university": "univ uni",
+        "company": "co",
+        "brothers": "bros",
+        "saints": "sts",
+        "heights": "hts",
+        "junction": "jct jctn",
+        "international": "intl",
+        "national": "natl",
+        "hospital": "hosp",
+        "apartments": "apts",
+        "caddesi": "cad cd",
+        "sokak": "sok sk sokagi",
+        "улица": "ул",
+        "вулиця": "вул",
+        "проспект": "пр просп",
+        "площадь": "пл площа",
         "north": "n",
         "south": "s",
         "east": "e",
         "west": "w",
         "theater": "theatre",
-        "center": "centre",
         "and": "et und",
         "1st": "first",
         "2nd": "second",
@@ -95,9 +117,36 @@ _SPELLINGS = {
         "8th": "eighth",
         "9th": "ninth",
         "10th": "tenth",
+        "11th": "eleventh",
+        "12th": "twelfth",
+        "13th": "thirteenth",
+        "14th": "fourteenth",
+        "15th": "fifteenth",
+        "16th": "sixteenth",
+        "17th": "seventeenth",
+        "18th": "eighteenth",
+        "19th": "nineteenth",
+        "20th": "twentieth",
     }.items()
     for other in others.split()
 }
+COMPASS = frozenset(
+    ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
+)
+"""Points of the compass, as `tokens` writes them: "East Street" is not "West Street"."""
+ROADS = frozenset(
+    ("st", "ave", "rd", "blvd", "ln", "dr", "hwy", "pl", "ter", "alley", "pkwy", "sokak", "caddesi")
+)
+"""What names of roads end with, as `tokens` writes it."""
+# fmt: off
+SMALL = frozenset((
+    "the", "a", "an", "of", "and", "at", "in", "on", "for", "by", "de", "la", "le", "les", "du",
+    "des", "d", "l", "del", "della", "di", "da", "do", "dos", "el", "los", "las", "y", "e", "der",
+    "die", "das", "dem", "den", "von", "vom", "zu", "zum", "zur", "am", "im", "van", "het",
+))
+# fmt: on
+"""Words of names that tell no two names apart."""
+_ORDINAL = re.compile(r"(\d+)(?:st|nd|rd|th|d)")
 _NAME_WORD = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|&")
 
 
@@ -109,7 +158,18 @@ def fold(word: str) -> str:
     if not word.isalnum() or not word.isascii():
         parts = unicodedata.normalize("NFKD", word).casefold()
         word = "".join([c for c in parts if c.isalnum()])
+    if word[0:1].isdigit() and (number := _ORDINAL.fullmatch(word)):
+        return ordinal(int(number[1]))  # "43th"
+    if word.endswith("strasse") and len(word) > 7:
+        return word[:-4]  # "Hauptstr."
     return _SPELLINGS.get(word, word)
+
+
+def ordinal(number: int) -> str:
+    """Write a number as streets are counted: "2nd", "11th", "43rd"."""
+    tens, ones = divmod(number, 10)
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens % 10 != 1 else "th"
+    return f"{number}{ending}"
 
 
 def tokens(text: str) -> list[str]:
@@ -119,7 +179,11 @@ def tokens(text: str) -> list[str]:
     spelling for what is often shortened: ``"Ripley's_Aquarium"`` -> ``["ripleys", "aquarium"]``,
     ``"E Carson Street"`` -> ``["east", "carson", "st"]``.
     """
-    return [word for written in _NAME_WORD.findall(text) if (word := fold(written))]
+    found = [word for written in _NAME_WORD.findall(text) if (word := fold(written))]
+    for i, word in enumerate(found[1:]):
+        if word in ("st", "ave") and len(found[i]) < 4 and found[i].isdecimal():
+            found[i] = ordinal(int(found[i]))  # "East 40 Street"
+    return found
 
 
 def normalise(text: str) -> str:

@@ -83,15 +83,14 @@ def read(
     heading: float | None = None,
     language: str | None = None,
 ) -> Description:
-    """Understand a text in the words of a city (Eq. 3): its names count, whatever the vocabulary says."""
+    """Understand a text in the words of a city (Eq. 3): its names and tag values count as well."""
     if isinstance(text, Description):
         return text
     from placegraph.outdoor.language import describe
-    from placegraph.outdoor.language.vocabulary import Vocabulary
 
     return describe(
         text,
-        vocabulary=Vocabulary.default(),
+        vocabulary=city.vocabulary,
         names=city.name_index,
         heading=heading,
         language=language,
@@ -106,9 +105,7 @@ def compile_query(description: Description, city: City, *, on_a_way: bool = Fals
     are out of sight.
     """
     mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
-    by_kind = frozenset(
-        m.id for m in description.mentions[2:] if m.name and not city.name_index.named(m.name)
-    )
+    by_kind = frozenset(m.id for m in description.mentions[2:] if m.name and not _named(m, city))
     views = city.views
     share = [views.frequency(tokens, weights) for tokens, weights in mentions]
     for node in by_kind:  # that few of its kind are on the map says nothing of the one that is not
@@ -240,9 +237,16 @@ def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np
     if literal:
         weights = {label: w if label in literal else LOOSELY * w for label, w in weights.items()}
     shift = len(city.objects.labels)
-    for name, weight in city.name_index.named(mention.name or mention.words).items():
+    for name, weight in _named(mention, city).items():
         weights[name + shift] = weight
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
+
+
+def _named(mention: Mention, city: City) -> dict[int, float]:
+    """Names that a mention with a name may mean: "New York" library, or "New York library"."""
+    if not mention.name:
+        return {}
+    return city.name_index.named(mention.name) or city.name_index.named(mention.words)
 
 
 def _common(mention: Mention, weights: NDArray[np.float32]) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from placegraph.errors import MapError
 from placegraph.geometry import LocalPlane
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex, tokens_of
@@ -160,6 +161,11 @@ class City:
     def block_length(self, bearing: float | None) -> float:
         """Length of a block [m] in a direction [rad], or in any where that is None."""
         return self.blocks.length(bearing)
+
+    @cached_property
+    def vocabulary(self) -> Vocabulary:
+        """What words mean on this map: the shipped vocabulary, and every tag value of the map."""
+        return Vocabulary.default().of_map(self.objects.labels)
 
     @cached_property
     def label_index(self) -> dict[str, list[int]]:

@@ -1,14 +1,18 @@
-"""Proper names of a map, as people write them."""
+"""Proper names of a map, as people write them: whole, in part, inflected or misspelt."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
+from math import log
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.language.words import COMPASS, ROADS, SMALL, tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from placegraph.outdoor.map.objects import CityObjects
 
@@ -16,6 +20,16 @@ LONGEST = 8
 """Names are found in running text up to this many words."""
 CLOSE = 0.86
 """Similarity from which a misspelt name counts as meant."""
+SAID, KNOWN = 0.7, 0.25
+"""Shares of what a phrase tells, and of what a name tells, that the two must have in common."""
+SAME = 0.75
+"""From this share of a name on, it is another spelling of one that is whole on the map."""
+PART = 0.5
+"""Weight of a name of which only a part was said, beside one that was said as a whole."""
+ALMOST = 0.9
+"""A name that has less of the phrase than this share of the best is not meant."""
+MANY = 60
+"""A part of more names than this means none of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +41,7 @@ class NameIndex:
     first: dict[str, int]
     """First word of a name to the number of words of the longest name that begins so."""
     close: dict[str, tuple[str, float] | None] = field(default_factory=dict)
+    meant: dict[str, dict[int, float]] = field(default_factory=dict)
 
     @classmethod
     def build(cls, objects: CityObjects) -> NameIndex:
@@ -66,9 +81,137 @@ class NameIndex:
         return self.close[words]
 
     def named(self, phrase: str) -> dict[int, float]:
-        """Rows of `CityObjects.names` that a phrase means, and how surely."""
+        """Rows of `CityObjects.names` that a phrase means, and how surely.
+
+        A name that was said as a whole weighs 1. One of which a part was said weighs the less the
+        more was left out, and the more names the part belongs to.
+        """
         words = tokens(phrase)
-        rows = self.by_words.get(" ".join(words))
-        if rows is None and words and words[0] == "the":
-            rows = self.by_words.get(" ".join(words[1:]))
-        return dict.fromkeys(rows or (), 1.0)
+        if words[:1] == ["the"] and " ".join(words) not in self.by_words:
+            words = words[1:]
+        said = " ".join(words)
+        if said not in self.meant:
+            found = dict.fromkeys(self.by_words.get(said, ()), 1.0)
+            for name, fit in self._in_part(words, whole=bool(found)):
+                for row in self.by_words[name]:
+                    found.setdefault(row, fit)
+            rest = words[:-1]
+            road = _is_road(words) or _is_road(rest)
+            if not found and rest and not road and not _tells_apart(words[-1]):
+                # "Starbucks Cafe" is Starbucks, "HSBC UK" HSBC
+                found = dict.fromkeys(self.by_words.get(" ".join(rest), ()), PART)
+            self.meant[said] = found
+        return self.meant[said]
+
+    def _in_part(self, words: Sequence[str], *, whole: bool) -> Iterator[tuple[str, float]]:
+        """Names that have so much in common with a phrase that it may mean them."""
+        said = [self._written(word) for word in self._joined(words)]
+        told = {word: self._tells(word) for word in said}
+        known = [word for word in told if word in self._postings and word not in SMALL]
+        if not known or sum(told.values()) <= 0.0:
+            return
+        rarest = max(known, key=lambda word: told[word])
+        names = self._postings[rarest]
+        if len(names) > MANY:
+            return
+        shares = {name: self._shares(said, told, name, whole=whole) for name in names}
+        most = ALMOST * max(share for share, _ in shares.values())
+        fits = {name: share * of for name, (share, of) in shares.items() if share >= most > 0.0}
+        weight = (PART if whole else 1.0) / max(1, len(fits)) ** 0.5
+        for name, fit in fits.items():
+            yield name, weight * fit
+
+    def _shares(
+        self, said: Sequence[str], told: dict[str, float], name: str, *, whole: bool
+    ) -> tuple[float, float]:
+        """Shares of what a phrase and a name tell that they have in common; 0 if it means another."""
+        words = [_stem(word) for word in name.split()]
+        common = set(said) & set(words)
+        missing = [word for word in said if word not in common]
+        if (
+            any(_tells_apart(word) for word in missing)
+            or _is_road(said) > _is_road(words)
+            or (whole and words == list(said))  # the phrase itself
+        ):
+            return 0.0, 0.0
+        tells = {word: self._tells(word) for word in words}
+        share = sum(told[word] for word in common) / sum(told.values())
+        of_name = sum(tells[word] for word in common) / max(sum(tells.values()), 1e-9)
+        enough = share >= (SAME if whole else SAID) and of_name >= (SAME if whole else KNOWN)
+        return (share, of_name) if enough else (0.0, 0.0)
+
+    def _tells(self, word: str) -> float:
+        """How telling a word is: the rarer in names, the more."""
+        if word in SMALL:
+            return 0.0
+        return log(1.0 + len(self.by_words) / (1.0 + self._counts.get(word, 0)))
+
+    def _joined(self, words: Sequence[str]) -> list[str]:
+        """Words of a phrase; two that names write as one are one: "Met Life" is "MetLife"."""
+        found: list[str] = []
+        at = 0
+        while at < len(words):
+            pair = _stem("".join(words[at : at + 2]))
+            two = at + 1 < len(words) and pair in self._counts and len(pair) > 4
+            found.append(pair if two else _stem(words[at]))
+            at += 1 + two
+        return found
+
+    def _written(self, word: str) -> str:
+        """A word as names write it, where it is inflected or misspelt."""
+        if word in self._counts or len(word) < 5 or not word.isalpha():
+            return word
+        at = bisect_left(self._alphabetic, word)
+        near = [w for w in self._alphabetic[max(0, at - 3) : at + 3] if _inflected(word, w)]
+        if near:
+            return near[0]
+        if len(word) < 6:
+            return word
+        from rapidfuzz import process
+        from rapidfuzz.distance import OSA
+
+        found = process.extractOne(
+            word, self._alphabetic, scorer=OSA.distance, score_cutoff=1 + (len(word) >= 8)
+        )
+        return found[0] if found and found[0][:2] == word[:2] else word
+
+    @cached_property
+    def _counts(self) -> Counter[str]:
+        """In how many names a word stands, by its stem."""
+        return Counter({word: len(names) for word, names in self._postings.items()})
+
+    @cached_property
+    def _alphabetic(self) -> list[str]:
+        return sorted(word for word in self._postings if len(word) >= 5 and word.isalpha())
+
+    @cached_property
+    def _postings(self) -> dict[str, list[str]]:
+        """Names by the stems of their words."""
+        found: dict[str, list[str]] = {}
+        for name in self.by_words:
+            for word in dict.fromkeys(map(_stem, name.split())):
+                found.setdefault(word, []).append(name)
+        return found
+
+
+def _stem(word: str) -> str:
+    """A word without the ending of plurals and possessives: "Macy's", "Macys" and "Macy"."""
+    return word[:-1] if len(word) > 3 and word[-1] == "s" and word[-2] not in "su" else word
+
+
+def _inflected(one: str, other: str) -> bool:
+    """Whether two words are forms of one: "ulicy" and "ulica", "Floriańskiej" and "Floriańska"."""
+    from rapidfuzz.distance import Prefix
+
+    stem = Prefix.similarity(one, other)
+    ending = max(len(one), len(other)) - stem
+    return stem >= 4 and ending <= (1 if stem < 6 else 3) and "" not in (one[stem:], other[stem:])
+
+
+def _tells_apart(word: str) -> bool:
+    """Whether a name that lacks this word is another one: "4th Street" is not "Street"."""
+    return word in COMPASS or any(c.isdigit() for c in word)
+
+
+def _is_road(words: Sequence[str]) -> bool:
+    return bool(words) and words[-1] in ROADS

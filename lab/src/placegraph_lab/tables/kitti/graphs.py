@@ -224,6 +224,10 @@ class _DataWords:
         del phrase, cutoff
         return None
 
+    def unknown(self, phrase: str) -> str:
+        """Say that a phrase is none of the data's labels."""
+        return f"{phrase!r} is no label"
+
 
 def _plain(phrase: str) -> str:
     return " ".join(phrase.lower().replace("-", " ").split())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary.tables import find, rows
-from placegraph.outdoor.language.vocabulary.text import normal
+from placegraph.outdoor.language.vocabulary.text import normal, singular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -84,7 +84,7 @@ class ObjectTable:
         roles = {key: {rule.role for rule in values.values()} for key, values in own.items()}
         self.keys = frozenset(key for key in own if OBJECT in roles[key])
         self.detail_keys = frozenset(key for key in own if roles[key] & {KIND, DETAIL}) - self.keys
-        self._rules = own
+        self._rules, self._common = own, common
         self._values = {key: _Values(key, values, common) for key, values in own.items()}
 
     def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
@@ -122,6 +122,13 @@ class ObjectTable:
             for value, rule in values.items()
             if value != "*" and rule.role in (OBJECT, KIND)
         ]
+
+    @cached_property
+    def undrawn(self) -> frozenset[str]:
+        """Values, in normal form, that are words for things no map draws: skipped, but said."""
+        everywhere = [self._common, *self._rules.values()]
+        skipped = [(v, r.said) for rules in everywhere for v, r in rules.items() if r.role == SKIP]
+        return frozenset(singular(normal(value)) for value, said in skipped if said != "{}")
 
     def by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
         """Nameable labels, those of specific keys first."""

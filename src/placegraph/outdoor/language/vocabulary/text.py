@@ -145,6 +145,8 @@ def folded(phrase: str) -> str:
 
 
 _ENDINGS = ("ed", "ing", "ly", "er", "est", "es", "s", "al", "ive")
+ALIKE = 0.85
+"""Similarity (Jaro-Winkler) from which a known word is worth suggesting."""
 LONG = 8
 """Letters of words in which two letters may differ."""
 
@@ -166,6 +168,16 @@ def corrected(form: str, choices: Sequence[str]) -> tuple[str, float] | None:
         key=lambda found: found[1],
         default=None,
     )
+
+
+def similar(form: str, choices: Sequence[str]) -> list[str]:
+    """At most two choices that a word looks like, the likest first."""
+    from rapidfuzz import process
+    from rapidfuzz.distance import JaroWinkler
+
+    scorer = JaroWinkler.similarity
+    near = process.extract(form, choices, scorer=scorer, score_cutoff=ALIKE, limit=8)
+    return list(dict.fromkeys(word for word, *_ in near))[:2]
 
 
 def _slip(typed: str, meant: str) -> bool:

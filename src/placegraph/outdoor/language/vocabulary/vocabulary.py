@@ -7,21 +7,21 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, read_lexicon
-from placegraph.outdoor.language.vocabulary.objects import KIN, read_objects
-from placegraph.outdoor.language.vocabulary.tables import find, user_folder
+from placegraph.outdoor.language.vocabulary.objects import KIN
+from placegraph.outdoor.language.vocabulary.sources import SHORTEST, Sources
+from placegraph.outdoor.language.vocabulary.tables import user_folder
 from placegraph.outdoor.language.vocabulary.text import (
     ARTICLES,
     beginnings,
     corrected,
     folded,
     normal,
+    similar,
     singular,
 )
-from placegraph.outdoor.language.vocabulary.words import read_words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 LONGEST = 5
@@ -34,12 +34,10 @@ _ASIDE = 0.6
 """Factor for tags of a word's name that its row in words.tsv does not list."""
 _CLEAR = 0.75
 """Weight that the best sense of a lone English word of a text must have: more than a term's."""
-_CALLED = 0.8
-"""Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
 _GUESS = 0.6
 """Weight of ``shop=x`` for "x shop", where nothing is known of x."""
-_SHORTEST = 4
-"""Letters of the shortest word that is corrected."""
+UNKNOWN = "unknown word"
+NOT_DRAWN = "known, but no city map draws it"
 _TAG = re.compile(r"([\w:]+)=(\*|[\w:.+-]+)")
 _MEMORY = 1 << 14
 """Phrases remembered, so that a word is looked up once."""
@@ -61,27 +59,28 @@ class Vocabulary:
         Ordinary English words that `longest_match` and `closest` leave alone.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self._folder = folder
-        self._objects = read_objects(folder)
-        self._words = read_words(self._objects, folder)
-        self._english = read_lexicon(find("english.tsv", folder))
-        self.keys = self._objects.keys
-        self.detail_keys = self._objects.detail_keys
-        self.stops = self._words.stops
-        self._listed = {
-            normal(label.partition("=")[2]): {label: 1.0} for label in self._objects.listed()
-        }
-        self._called: dict[str, dict[str, float]] = {}
-        for (language, label), name in self._words.spoken.items():
-            if language == "en" and not label.endswith("*"):
-                self._called.setdefault(folded(normal(name)), {})[label] = _CALLED
+    def __init__(self, sources: Sources | None = None, labels: Iterable[str] = ()) -> None:
+        sources = sources or Sources()
+        self._sources, self._objects, self._words = sources, sources.objects, sources.words
+        self._english = sources.english
+        self.keys, self.detail_keys = sources.objects.keys, sources.objects.detail_keys
+        self.stops = sources.words.stops
+        self._own: dict[str, dict[str, float]] = {}
+        for label in labels:
+            value = label.partition("=")[2]
+            if value not in ("yes", "*"):
+                self._own.setdefault(singular(folded(normal(value))), {})[label] = 1.0
+        self._starts = beginnings((*self._own, *self._objects.undrawn))
         self._known = lru_cache(_MEMORY)(self._look_up)
         self._meant = lru_cache(_MEMORY)(self._guess)
         self._opens = lru_cache(_MEMORY)(self._begins)
         self._lone = lru_cache(_MEMORY)(self._alone)
         self._near = lru_cache(_MEMORY)(self._nearest)
-        self._names = lru_cache(None)(self._names_in)
+        self._names = lru_cache(None)(sources.names_in)
+
+    def of_map(self, labels: Iterable[str]) -> Vocabulary:
+        """Return a vocabulary that knows every tag value among the labels of a map as well."""
+        return Vocabulary(self._sources, labels)
 
     @staticmethod
     @lru_cache(maxsize=1)
@@ -98,7 +97,7 @@ class Vocabulary:
         InputError
             Naming file, line and field of what is wrong.
         """
-        return Vocabulary(user_folder(path))
+        return Vocabulary(Sources(user_folder(path)))
 
     def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
         """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
@@ -118,7 +117,7 @@ class Vocabulary:
         """Longest phrase of at most `LONGEST` tokens that starts at `start` and names a thing.
 
         Ordinary words (`stops`) match only within a longer phrase. Returns how many tokens, and
-        what they may mean.
+        what they may mean: nothing for what OpenStreetMap knows and no city map draws.
         """
         best = None
         phrase = ""
@@ -129,6 +128,8 @@ class Vocabulary:
             senses = self._lone(phrase) if length == 1 else self._known(phrase)
             if senses and not (length > 1 and all(self._is_stop(word) for word in phrase.split())):
                 best = (length, senses)
+            elif self._undrawn(phrase):
+                best = (length, ())
             if not self._opens(phrase):
                 break
         return best
@@ -141,6 +142,17 @@ class Vocabulary:
         """
         found = self._near(folded(normal(phrase)))
         return found if found and found[1] >= cutoff else None
+
+    def unknown(self, phrase: str) -> str:
+        """Say why a phrase has no senses: "unknown word; did you mean beach or bench?"."""
+        if self._undrawn(phrase) or self._undrawn(phrase.rpartition(" ")[2]):
+            return NOT_DRAWN
+        near = similar(singular(folded(normal(phrase))), [*self._sources.choices, *self._own])
+        return f"{UNKNOWN}; did you mean {' or '.join(near)}?" if near else UNKNOWN
+
+    def _undrawn(self, phrase: str) -> bool:
+        """Tell whether a phrase is only known as a tag value that no city map draws."""
+        return singular(folded(normal(phrase))) in self._objects.undrawn and not self._known(phrase)
 
     def spoken(self, label: str, *, language: str = "en") -> str:
         """Return the everyday name of a label: ``amenity=cafe`` -> "cafe".
@@ -169,22 +181,14 @@ class Vocabulary:
                 found.setdefault(senses[0].label, []).append(word)
         return {label: tuple(words) for label, words in found.items()}
 
-    @cached_property
-    def _world(self) -> Lexicon:
-        """The lexicon of all other languages: read when English does not know a word."""
-        return read_lexicon(find("world.tsv", self._folder))
-
-    @cached_property
-    def _prefixes(self) -> frozenset[str]:
-        """All proper beginnings of English phrases."""
-        return beginnings((*self._english.words(), *self._words.english, *self._words.others))
-
     def _begins(self, phrase: str) -> bool:
         """Tell whether a longer known phrase may begin with this one."""
         form = normal(phrase)
         forms = dict.fromkeys((form, singular(folded(form))))
         return any(
-            form in self._prefixes or (not self._is_stop(form) and self._world.starts(form))
+            form in self._starts
+            or form in self._sources.prefixes
+            or (not self._is_stop(form) and self._sources.world.starts(form))
             for form in forms
         )
 
@@ -205,21 +209,28 @@ class Vocabulary:
             if senses := self._ranked(self._words.others.get(word, {})):
                 return senses
         for word in () if self._is_stop(plain) else forms:
-            if senses := self._ranked(self._objects.by_rank(self._world.senses(word))):
+            if senses := self._ranked(self._objects.by_rank(self._sources.world.senses(word))):
                 return senses
         return ()
 
     def _in_english(self, word: str) -> tuple[Sense, ...]:
         """Senses of an English word: its row in words.tsv, then tags and presets of its name."""
         made = self._words.english.get(word)
-        tagged = self._english.senses(word, strong=made is not None) or self._listed.get(word, {})
+        tagged = self._english.senses(word, strong=made is not None) or self._sources.listed.get(
+            word, {}
+        )
         if made is not None:
             tagged = {label: _ASIDE * weight for label, weight in tagged.items()}
         found = dict(made or {})
-        for others in (self._objects.by_rank(tagged), self._called.get(word, {})):
+        for others in (self._objects.by_rank(tagged), self._sources.called.get(word, {})):
             for label, weight in others.items():
                 if label not in (made or {}):
                     found[label] = max(weight, found.get(label, 0.0))
+        values = {label.partition("=")[2] for label in found}
+        aside = _ASIDE if found else 1.0
+        for label in self._own.get(word, ()):
+            if aside == 1.0 or label.partition("=")[2] in values:
+                found.setdefault(label, aside)
         return self._ranked(found)
 
     def _alone(self, token: str) -> tuple[Sense, ...]:
@@ -229,9 +240,12 @@ class Vocabulary:
             return ()
         senses = self._known(token)
         forms = (form, singular(form))
-        if any(word in self._words.english or self._english.senses(word) for word in forms):
+        books = (self._words.english, self._own)
+        if any(word in book for book in books for word in forms) or any(
+            self._english.senses(word) for word in forms
+        ):
             return senses if senses and senses[0].weight >= _CLEAR else ()
-        foreign = len(form) >= _SHORTEST or not token.isascii() or form in self._words.others
+        foreign = len(form) >= SHORTEST or not token.isascii() or form in self._words.others
         return senses if foreign else ()
 
     def _is_stop(self, word: str) -> bool:
@@ -248,15 +262,9 @@ class Vocabulary:
         if rest and first in ARTICLES:
             return self._meant(rest)
         joined = folded(form).replace(" ", "")
-        if rest and joined in self._english_solid:
-            return self._known(self._english_solid[joined])
+        if rest and joined in self._sources.solid:
+            return self._known(self._sources.solid[joined])
         return self._built(form)
-
-    @cached_property
-    def _english_solid(self) -> dict[str, str]:
-        """English words without their spaces: "book store" is "bookstore"."""
-        words = (*self._english.words(), *self._words.english)
-        return {word.replace(" ", ""): word for word in words}
 
     def _built(self, form: str) -> tuple[Sense, ...]:
         """Senses of "x shop", "x office", "x building" ...: a kind of shop, office, building."""
@@ -280,20 +288,9 @@ class Vocabulary:
         senses.sort(key=lambda sense: -sense.weight)
         return tuple(senses[:_MOST])
 
-    @cached_property
-    def _choices(self) -> list[str]:
-        """English words worth correcting a typing error to."""
-        words = {*self._words.english, *self._english.words(strong=True)} - self.stops
-        return sorted(word for word in words if len(word) >= _SHORTEST)
-
     def _nearest(self, form: str) -> tuple[str, float] | None:
         if self._is_stop(form):
             return None
         if self._known(form):
             return form, 1.0
-        return corrected(form, self._choices) if len(form) >= _SHORTEST else None
-
-    def _names_in(self, language: str) -> dict[tuple[str, str], str]:
-        """Preset names by language and label; a detail takes the name of the first preset that has it."""
-        lexicon = self._english if language in self._english.languages else self._world
-        return lexicon.names_of_labels(language)
+        return corrected(form, self._sources.choices) if len(form) >= SHORTEST else None
