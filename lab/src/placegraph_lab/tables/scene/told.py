@@ -1,0 +1,195 @@
+"""Rooms that somebody described: texts, the rooms they may mean, and a bag of words to beat.
+
+Texts stand in `worlds/data/sentences/rooms.tsv`, written from pictures of the rooms before the reader
+was improved. Rooms are cut out of the maps of their homes and lose their names, as scans have none.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from math import log
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.language import TextIndex, read
+from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.relations import relate
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.home.home import home, scene_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+AMONG = 10
+DRAWS = 20
+"""Sets of ten rooms that a text is asked of."""
+_SEPARATE = re.compile(r"[a-z]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A text and the room it describes."""
+
+    room: str
+    text: str
+
+
+Ranker = "Callable[[str, Sequence[SceneMap]], NDArray[np.float64]]"
+
+
+def told() -> list[Told]:
+    """All texts, in the order of the file: even ones tune, odd ones test."""
+    lines = _data("rooms.tsv")
+    return [Told(*line.split("\t")) for line in lines]
+
+
+def _data(name: str) -> list[str]:
+    text = files("placegraph_lab.worlds").joinpath("data", "sentences", name).read_text("utf-8")
+    return [line for line in text.splitlines() if line and not line.startswith("#")]
+
+
+# ------------------------------------------------------------------------------------- rooms
+
+
+def rooms_told(house: SceneMap | None = None) -> dict[str, SceneMap]:
+    """Scene maps of rooms by name: of the drawn flat, the homes, the office, and the house if given."""
+    out = _cut(scene_of(Flat.load("altbau").furnish(np.random.default_rng(0))), "altbau")
+    for name in dict.fromkeys(t.room.partition("/")[0] for t in told()):
+        if name.startswith("home "):
+            _, seed, style = name.split()
+            rng = np.random.default_rng(int(seed))
+            out |= _cut(scene_of(home(rng, style=style).furnish(rng)), name)
+    out["office"] = office()
+    if house is not None:
+        for line in _data("house.tsv"):
+            name, *corners = line.split("\t")
+            x0, y0, x1, y1 = map(float, corners)
+            x, y = house.graph.positions[:, :2].T
+            inside = (x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)
+            wide = house.graph.extents[:, :2].prod(axis=1) > 100.0  # shell of the whole house
+            out[f"house/{name}"] = part_of(house, np.flatnonzero(inside & ~wide))
+    return out
+
+
+def _cut(scene: SceneMap, name: str) -> dict[str, SceneMap]:
+    rooms = np.array([a.get("room", "") for a in scene.attributes])
+    return {
+        f"{name}/{room}": part_of(scene, np.flatnonzero(rooms == room))
+        for room in dict.fromkeys(rooms.tolist())
+        if room
+    }
+
+
+def part_of(scene: SceneMap, rows: NDArray[np.intp]) -> SceneMap:
+    """Some objects of a map as a map of its own, whose rooms nobody named."""
+    row = np.full(len(scene), -1, np.int32)
+    row[rows] = np.arange(len(rows))
+    kept = np.flatnonzero(row[scene.mesh.object_of] >= 0)
+    mesh = replace(
+        scene.mesh,
+        triangles=scene.mesh.triangles[kept],
+        texture_of=scene.mesh.texture_of[kept],
+        object_of=row[scene.mesh.object_of[kept]],
+    )
+    labels = [scene.graph.labels[i] for i in rows]
+    return SceneMap.create(
+        mesh,
+        [scene.graph.ids[i] for i in rows],
+        labels,
+        floor=float(scene.floors[0]),
+        relations=relate(mesh, labels, np.zeros(len(labels), np.int64)),
+        encoded=scene.encoded,
+    )
+
+
+def office() -> SceneMap:
+    """The office that was filmed, as somebody labelled it by its pictures: boxes with a colour."""
+    lines = [line.split("\t") for line in _data("office.tsv")]
+    corners, faces, colours = [], [], []
+    for i, (_, x, y, z, w, d, h, colour) in enumerate(lines):
+        low, size = np.array([x, y, z], float), np.array([w, d, h], float)
+        corners.append(low + size * np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]))
+        faces.append(_BOX + 8 * i)
+        colours.append(np.tile([int(colour[k : k + 2], 16) for k in (1, 3, 5)], (8, 1)))
+    mesh = Mesh.plain(
+        np.concatenate(corners),
+        np.concatenate(faces),
+        np.repeat(np.arange(len(lines)), len(_BOX)),
+        np.concatenate(colours),
+    )
+    labels = [line[0] for line in lines]
+    relations = relate(mesh, labels, np.zeros(len(labels), np.int64))
+    ids = [str(i) for i in range(len(labels))]
+    return SceneMap.create(mesh, ids, labels, floor=0.0, relations=relations)
+
+
+_BOX = np.array([
+    [0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
+    [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5],
+])  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------ rankers
+
+
+def ours(text: str, scenes: Sequence[SceneMap]) -> NDArray[np.float64]:
+    """Scores (n,) of scenes by what the library reads."""
+    return TextIndex([s.graph for s in scenes]).scores(read(text))
+
+
+def bag(text: str, scenes: Sequence[SceneMap]) -> NDArray[np.float64]:
+    """Scores (n,) of scenes by a bag of words: cosine of tf-idf with the words of their labels."""
+    bags = [
+        Counter(_singular(w) for label in s.graph.labels for w in label_words(label))
+        for s in scenes
+    ]
+    known = Counter(word for one in bags for word in one)
+    rare = {word: log((1.0 + len(scenes)) / (1.0 + count)) + 1.0 for word, count in known.items()}
+    said = Counter(_singular(w) for w in _SEPARATE.findall(text.lower()))
+    query = {w: (1.0 + log(n)) * rare[w] for w, n in said.items() if w in rare}
+    out = np.zeros(len(scenes))
+    for i, one in enumerate(bags):
+        weights = {w: (1.0 + log(n)) * rare[w] for w, n in one.items()}
+        norm = np.sqrt(sum(x * x for x in weights.values()))
+        out[i] = sum(x * weights.get(w, 0.0) for w, x in query.items()) / max(norm, 1e-12)
+    return out
+
+
+def _singular(word: str) -> str:
+    return word[:-1] if word.endswith("s") and not word.endswith("ss") else word
+
+
+def hits(
+    texts: Sequence[Told],
+    rooms: Mapping[str, SceneMap],
+    rankers: Mapping[str, Callable[[str, Sequence[SceneMap]], NDArray[np.float64]]],
+    rng: Generator,
+    *,
+    draws: int = DRAWS,
+    among: int = AMONG,
+) -> dict[str, NDArray[np.float64]]:
+    """How often (n,) each text's room comes first among others drawn at random, by ranker.
+
+    All rankers are asked of the same rooms; of k equal scores the room has 1 / k of the first place.
+    """
+    names = np.array(list(rooms))
+    out = {name: np.zeros(len(texts)) for name in rankers}
+    for i, said in enumerate(texts):
+        others = np.flatnonzero(names != said.room)
+        for _ in range(draws):
+            chosen = [said.room, *names[rng.permutation(others)[: among - 1]]]
+            scenes = [rooms[name] for name in chosen]
+            for name, rank in rankers.items():
+                scores = rank(said.text, scenes)
+                first = scores >= scores.max() - 1e-9
+                out[name][i] += first[0] / first.sum() / draws
+    return out
