@@ -59,12 +59,6 @@ def _terminals(section: str, key: str, words: Sequence[str]) -> Iterator[Termina
             yield Terminal(terminal, next((_COUNTED[w] for w in words if w in _COUNTED), None))
 
 
-@cache
-def attributes() -> frozenset[str]:
-    """Words that say what a thing looks like, and not what it is."""
-    return frozenset(_file("attributes.txt").split())
-
-
 def _file(name: str) -> str:
     return files(__package__).joinpath("data", name).read_text("utf-8")
 

@@ -3,26 +3,37 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
+from math import log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.language.likeness import EXACT, fits, kind_by_name, kinds_of, likenesses
+from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
 from placegraph.indoor.map.relations.words import canonical
+from placegraph.indoor.map.structure import WORDS, nameless
+
+from placegraph.indoor.language.seen import COLUMNS, room_seen, seen
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from placegraph.graph import SceneGraph
 
+    Floats = NDArray[np.float64]
+
 Triple = tuple[str, str, str]
 """Label, relation by its canonical name and never turned, label."""
+
+
+_PLAIN = 0.25
+"""How much a wall is spoken of, against a chair."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,30 +50,54 @@ class Described:
     """Whether it is a scene of several rooms, which are units too."""
     undivided: bool = False
     """Whether nobody told its rooms apart."""
+    looks: dict[str, Floats] = field(default_factory=dict)
+    """(C,) of each label how the things of that name look, each column the most of any of them."""
+    room: Floats = field(default_factory=lambda: np.full(len(COLUMNS), np.nan))
+    """(C,) of the room itself (`seen.room_seen`)."""
 
 
-def units(graph: SceneGraph, rooms: Sequence[str] = ()) -> list[Described]:
+def units(
+    graph: SceneGraph, rooms: Sequence[str] = (), attributes: Sequence[Mapping[str, str]] = ()
+) -> list[Described]:
     """What may be described of a scene: its rooms, and, where there are several, all of it.
 
-    `rooms`: (N,) name of the room of each object, empty where unknown. Raises `OptionError` where
-    there is not one for each object.
+    `rooms`: (N,) name of the room of each object, empty where unknown; `attributes`: (N,) what else
+    is known of them. Raises `OptionError` where there is not one for each object.
     """
-    if len(rooms) not in (0, len(graph)):
-        raise OptionError(f"rooms: {len(rooms)} names for {len(graph)} objects; give one for each.")
+    for what, given in (("rooms", rooms), ("attributes", attributes)):
+        if len(given) not in (0, len(graph)):
+            raise OptionError(f"{what}: {len(given)} for {len(graph)} objects; give one for each.")
     groups = _groups(graph, rooms)
     all_ = list(triples(graph))
-    if not groups:
-        labels = Counter(graph.labels)
-        return [Described(dict(labels), _counted(all_, graph.labels), undivided=True)]
+    if len(groups) <= 1:
+        rows = range(len(graph))  # with what lies between rooms
+        name = groups[0][0] if groups else ""
+        return [_unit(graph, list(rows), all_, attributes, name, undivided=not groups)]
     out = []
     for name, rows in groups:
-        labels = Counter(graph.labels[row] for row in rows)
         inside = set(rows)
-        own = all_ if len(groups) == 1 else [t for t in all_ if t[0] in inside]
-        out.append(Described(dict(labels), _counted(own, graph.labels), name))
-    if len(out) == 1:  # with what lies between rooms
-        return [replace(out[0], labels=dict(Counter(graph.labels)))]
-    return [*out, Described(dict(Counter(graph.labels)), _counted(all_, graph.labels), whole=True)]
+        out.append(_unit(graph, rows, [t for t in all_ if t[0] in inside], attributes, name))
+    whole = _unit(graph, range(len(graph)), all_, attributes, "")
+    return [*out, replace(whole, whole=True)]
+
+
+def _unit(
+    graph: SceneGraph,
+    rows: Sequence[int],
+    found: Sequence[tuple[int, str, int]],
+    attributes: Sequence[Mapping[str, str]],
+    name: str,
+    *,
+    undivided: bool = False,
+) -> Described:
+    labels = [graph.labels[row] for row in rows]
+    looks: dict[str, Floats] = {}
+    for label, own in zip(labels, seen(graph, rows, attributes), strict=True):
+        looks[label] = np.fmax(looks[label], own) if label in looks else own
+    return Described(
+        dict(Counter(labels)), _counted(found, graph.labels), name, undivided=undivided,
+        looks=looks, room=room_seen(graph, rows),
+    )  # fmt: skip
 
 
 def _groups(graph: SceneGraph, rooms: Sequence[str]) -> list[tuple[str, list[int]]]:
@@ -129,6 +164,8 @@ class Found(NamedTuple):
     """How many that are that, or kin of it."""
     best: NDArray[np.float32]
     """How well the best of them fits."""
+    entries: NDArray[np.int64]
+    """Entries of the postings that fit at all."""
 
 
 class Postings(NamedTuple):
@@ -137,6 +174,11 @@ class Postings(NamedTuple):
     starts: NDArray[np.int64]
     units: NDArray[np.int32]
     counts: NDArray[np.float32]
+
+    @property
+    def words(self) -> NDArray[np.int64]:
+        """(E,) word of each entry."""
+        return np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
 
     def many(self, weights: NDArray[np.float32], total: int) -> Found:
         """How many of the words each of `total` units has.
@@ -156,7 +198,7 @@ class Postings(NamedTuple):
         best = np.zeros(total, np.float32)
         np.maximum.at(best, rows, weight)
         exact = np.bincount(rows, counts * (weight >= EXACT), total).astype(np.float64)
-        return Found(exact, np.bincount(rows, counts, total).astype(np.float64), best)
+        return Found(exact, np.bincount(rows, counts, total).astype(np.float64), best, entries)
 
 
 class Columns(NamedTuple):
@@ -168,6 +210,12 @@ class Columns(NamedTuple):
     of_triples: Postings
     triples: NDArray[np.int64]
     """(T, 3) rows of labels, relations, labels: subject, how, and target of each."""
+    looks: Floats
+    """(E, C) looks of the entries of `of_labels` (`seen.COLUMNS`)."""
+    room_looks: Floats
+    """(U, C) of the rooms."""
+    much: Floats
+    """(U,) how much there is to speak of."""
     rooms: NDArray[np.float64]
     """(U, R) expected number of rooms of each kind (`kinds.table`)."""
     whole: NDArray[np.bool_]
@@ -201,6 +249,9 @@ def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
         of_labels=of_labels,
         of_triples=of_triples,
         triples=np.array(triples, np.int64).reshape(-1, 3),
+        looks=_looks(flat, tuple(label_row)),
+        room_looks=np.array([unit.room for unit in flat]).reshape(-1, len(COLUMNS)),
+        much=np.array([_much(unit) for unit in flat]),
         rooms=_rooms(flat, tuple(label_row), of_labels, scene),
         whole=np.array([unit.whole for unit in flat], np.bool_),
         scene=scene,
@@ -222,6 +273,31 @@ def _rooms(
         sums = np.bincount(scene[~whole], out[~whole, kind], int(scene.max(initial=-1)) + 1)
         out[whole, kind] = sums[scene[whole]]
     return out
+
+
+def _looks(flat: Sequence[Described], labels: Sequence[str]) -> Floats:
+    """Looks (E, C) in the order of the entries of `_postings`: by label, then by unit."""
+    of: dict[str, list[Floats]] = {label: [] for label in labels}
+    nothing = np.full(len(COLUMNS), np.nan)
+    for unit in flat:
+        for label in unit.labels:
+            of[label].append(unit.looks.get(label, nothing))
+    found = [own for listed in of.values() for own in listed]
+    return np.array(found, np.float64).reshape(-1, len(COLUMNS))
+
+
+def _much(unit: Described) -> float:
+    """How much there is to speak of: many things of a kind are little more than one."""
+    return 1.0 + sum(
+        (1.0 + log(count)) * _spoken_of(label)
+        for label, count in unit.labels.items()
+    )
+
+
+@cache
+def _spoken_of(label: str) -> float:
+    words = label_words(label)
+    return 0.0 if nameless(label) else _PLAIN if words[-1] in WORDS else 1.0
 
 
 def _postings(counts: Sequence[dict[Any, int]], row_of: dict[Any, int]) -> Postings:

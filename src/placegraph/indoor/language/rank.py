@@ -9,21 +9,16 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef
+from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.index import columns_of, units
 from placegraph.indoor.language.likeness import EXACT, fits
 from placegraph.indoor.language.read import read
-from placegraph.indoor.language.score import (
-    backgrounds,
-    compared,
-    expected,
-    of_scenes,
-    scene_scores,
-    statement_fits,
-)
+from placegraph.indoor.language.score import compared, of_scenes, scene_scores
 from placegraph.indoor.language.sentence import Kind
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,7 +40,7 @@ class Score:
 
 
 def rank_scenes(
-    text: str | Sentence, graphs: Iterable[SceneGraph], rooms: Iterable[Sequence[str]] | None = None
+    text: str | Sentence, graphs: Iterable[SceneGraph | Scene], rooms: Iterable[Sequence[str]] | None = None
 ) -> NDArray[np.float64]:
     """How well each of n scenes answers a text, rare things counting more.
 
@@ -87,7 +82,7 @@ class TextIndex:
     """
 
     def __init__(
-        self, graphs: Iterable[SceneGraph] = (), rooms: Iterable[Sequence[str]] | None = None
+        self, graphs: Iterable[SceneGraph | Scene] = (), rooms: Iterable[Sequence[str]] | None = None
     ) -> None:
         self._scenes: list[list[Described]] = []
         self._columns: Columns | None = None
@@ -98,9 +93,18 @@ class TextIndex:
     def __len__(self) -> int:
         return len(self._scenes)
 
-    def add(self, graph: SceneGraph, rooms: Sequence[str] = ()) -> int:
-        """Add a scene at the end and return its row; raises `OptionError` as `score`."""
-        return self.add_units(units(graph, rooms))
+    def add(
+        self,
+        graph: SceneGraph | Scene,
+        rooms: Sequence[str] = (),
+        attributes: Sequence[Mapping[str, str]] = (),
+    ) -> int:
+        """Add a scene at the end and return its row; raises `OptionError` as `score`.
+
+        `attributes`: (N,) what else is known of the objects, as `colours.with_colours` says it of a
+        map; a map itself has its own.
+        """
+        return self.add_units(_units(graph, rooms, attributes))
 
     def add_units(self, described: Sequence[Described]) -> int:
         """Add a scene by what may be described of it (`units`, `TextIndex.units`)."""
@@ -140,9 +144,21 @@ class TextIndex:
         return self._columns
 
 
+def _units(
+    graph: SceneGraph | Scene,
+    rooms: Sequence[str] = (),
+    attributes: Sequence[Mapping[str, str]] = (),
+) -> list[Described]:
+    """What may be described of a graph, or of a map, which knows its rooms and colours."""
+    if not isinstance(graph, Scene):
+        return units(graph, rooms, attributes)
+    own = [a.get("room", "") for a in graph.attributes]
+    return units(graph.graph, rooms or own, attributes or with_colours(graph))
+
+
 def score(
     sentence: Sentence,
-    graph: SceneGraph,
+    graph: SceneGraph | Scene,
     rooms: Sequence[str] = (),
     library: TextIndex | None = None,
 ) -> Score:
@@ -166,17 +182,11 @@ def score(
         There is not one room for each object.
 
     """
-    columns = columns_of([units(graph, rooms)])
-    usual_ = (
-        [expected(s, sentence.mentions) for s in sentence.statements]
-        if library is None
-        else backgrounds(sentence, library.columns)
-    )
-    fit = statement_fits(sentence, columns)
-    ratios = compared(sentence, fit, np.asarray(usual_, np.float64))
+    columns = columns_of([_units(graph, rooms)])
+    ratios = compared(sentence, columns, None if library is None else library.columns)
     total, best = of_scenes(sentence, columns, ratios.sum(axis=0))
     evidence = tuple(
-        _evidence(s, sentence.mentions, graph, float(ratio))
+        _evidence(s, sentence.mentions, getattr(graph, "graph", graph), float(ratio))
         for s, ratio in zip(sentence.statements, ratios[:, best[0]], strict=True)
     )
     return Score(float(total[0]), evidence)

@@ -8,17 +8,18 @@ Somebody describes a room, or a scene of several rooms as a whole; where a text 
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from placegraph.indoor.language.held import ratios, room_ratios
 from placegraph.indoor.language.likeness import table, usual
 from placegraph.indoor.language.sentence import Kind
 from placegraph.indoor.map.relations import NEXT_TO
 from placegraph.indoor.map.relations.words import readings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -26,42 +27,98 @@ if TYPE_CHECKING:
     from placegraph.indoor.language.sentence import Mention, Sentence, Statement
 
     Floats = NDArray[np.float64]
+    Floats32 = NDArray[np.float32]
 
 WRONG = 0.1
 """Share of statements that are wrong, or about what a map does not have."""
-APART = 0.2
+NOTED = 0.5
+"""Power of how much a room holds, with which a thing in it is spoken of more rarely."""
+APART = 0.3
 """How well two things that are there, but not so related, fit: maps do not know all relations."""
 SIDE = 0.6
 """How well "next to" fits relations as seen by somebody: "in front of", "left of"."""
-_RELATED = 0.05  # share of average scenes in which two things are so related
+_RELATED = 0.4  # how well two things fit a relation in homes
 _WITH = ("on", "next to", "in", "attached to")
 _SEEN = frozenset(("in front of", "behind", "left of", "right of", "opposite", "against"))
+
+
+class Term(NamedTuple):
+    """One thing that a statement says of scenes: a statement of two things says up to three."""
+
+    statement: int
+    fit: Floats
+    """(U,) how well units fit it."""
+    usual: float
+    """How well the average unit does."""
+    sure: float
+    """How probably it is right."""
+    where: Floats | None = None
+    """(U,) of which units it says something at all; of all if None."""
 
 
 def scene_scores(sentence: Sentence, columns: Columns) -> Floats:
     """Log-likelihood ratio (n,) of each scene against their average [nat]."""
     if not columns.scenes or not sentence.statements:
         return np.zeros(columns.scenes)
-    fit = statement_fits(sentence, columns)
-    ratios = compared(sentence, fit, _means(fit, columns))
-    return of_scenes(sentence, columns, ratios.sum(axis=0))[0]
+    return of_scenes(sentence, columns, compared(sentence, columns, columns).sum(axis=0))[0]
 
 
-def backgrounds(sentence: Sentence, columns: Columns) -> list[float]:
-    """How well each statement fits the average scene of an index."""
-    return _means(statement_fits(sentence, columns), columns).tolist()
+def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> Floats:
+    """Log-likelihood ratios (S, U) of what each statement says.
+
+    `library` says what is usual; where there is none, homes do (`rooms.toml`).
+    """
+    out = np.zeros((len(sentence.statements), len(columns.scene)))
+    own = list(_terms(sentence, columns, library or columns))
+    usual_ = own if library in (columns, None) else list(_terms(sentence, library, library))
+    for term, of in zip(own, usual_, strict=True):
+        mean = _mean(of) if library is not None else term.usual
+        ratio = np.log(term.sure * term.fit / mean + 1.0 - term.sure)
+        out[term.statement] += ratio if term.where is None else ratio * term.where
+    return out
 
 
-def compared(sentence: Sentence, fit: Floats, background: Floats) -> Floats:
-    """Log-likelihood ratios (S, U)."""
-    certain = np.array([s.certainty for s in sentence.statements])
-    wrong = (1.0 - (1.0 - WRONG) * certain)[:, None]
-    return np.log((1.0 - wrong) * fit / background[:, None] + wrong) if len(fit) else fit
+def _mean(term: Term) -> float:
+    """Mean fit of a term, of few scenes drawn to what has never been seen."""
+    where = np.ones(len(term.fit)) if term.where is None else term.where
+    return float((where @ term.fit + 0.05) / (where.sum() + 1.0))
 
 
-def _means(fit: Floats, columns: Columns) -> Floats:
-    """Mean fit (S,) of each statement, of few scenes drawn to what has never been seen."""
-    return np.asarray((fit.sum(axis=1) + 0.05) / (len(columns.scene) + 1.0))
+def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[Term]:
+    """What statements say: that things are there, and that two of them are so related.
+
+    Where the speaker is, nobody knows: of scenes it says that the things are there. What a text
+    speaks of twice is there once.
+    """
+    known = _Known(sentence, columns, library)
+    told: set[int] = set()
+    for row, s in enumerate(sentence.statements):
+        sure = (1.0 - WRONG) * s.certainty
+        things = [sentence.mentions[t] for t in s.things]
+        if s.kind is Kind.ROOM:
+            fit, usual_ = known.room(things[0]), _usual_room(things[0])
+            yield Term(row, *_unless(fit, usual_, not_=s.negated), sure)
+            continue
+        paired = s.kind in (Kind.RELATED, Kind.NEAR, Kind.BETWEEN)
+        for t in s.things:
+            if t in told:
+                continue
+            told.add(t)
+            thing = sentence.mentions[t]
+            not_ = thing.negated or (s.negated and not paired)
+            fit = known.fit(t) if not_ else known.fit(t) * known.noted
+            yield Term(row, *_unless(fit, usual(thing.label), not_=not_), sure)
+        if s.kind is Kind.RELATED and not any(thing.negated for thing in things):
+            fit, both = known.related(s)
+            yield Term(row, *_unless(fit, _RELATED, not_=s.negated), sure, both)
+
+
+def _unless(fit: Floats, usual_: float, *, not_: bool) -> tuple[Floats, float]:
+    return (1.0 - np.minimum(fit, 1.0), 1.0 - usual_) if not_ else (fit, max(usual_, 1e-3))
+
+
+def _usual_room(thing: Mention) -> float:
+    return float(table().usual[table().kinds.index(thing.room)])
 
 
 def of_scenes(
@@ -82,55 +139,85 @@ def of_scenes(
     return top + np.log(sums), best
 
 
-def statement_fits(sentence: Sentence, columns: Columns) -> Floats:
-    """How well (S, U) each statement fits each unit."""
-    known: dict[str, NDArray[np.float32]] = {}
-    for mention in sentence.mentions:
-        if mention.label not in known:
-            known[mention.label] = columns.fits(mention.label)
-    out = np.empty((len(sentence.statements), len(columns.scene)))
-    for row, s in enumerate(sentence.statements):
-        things = [sentence.mentions[t] for t in s.things]
-        if s.kind is Kind.ROOM:
-            fit = _room(things[0], columns)
-        elif s.kind is Kind.RELATED:
-            fit = _related(s, things, known, columns)
-        else:  # where the speaker is, nobody knows: the things are there
-            fit = np.min([_held(thing, known, columns) for thing in things], axis=0)
-        absent = s.negated and s.kind not in (Kind.NEAR, Kind.BETWEEN)
-        out[row] = 1.0 - fit if absent else fit
-    return out
+class _Known:
+    """How well the things of a sentence fit the units of an index, each found once.
 
+    Parameters
+    ----------
+    sentence
+        What was said.
+    columns
+        The units.
+    library
+        What is usual: how large a couch is, how many are green.
+    """
 
-def _room(thing: Mention, columns: Columns) -> Floats:
-    expected = columns.rooms[:, table().kinds.index(thing.room)]
-    if thing.count is not None and thing.count > 1:
-        return np.asarray(np.exp(-np.abs(expected - thing.count)))
-    return np.minimum(expected, 1.0)
+    def __init__(self, sentence: Sentence, columns: Columns, library: Columns) -> None:
+        self._sentence, self._columns, self._library = sentence, columns, library
+        self._labels: dict[str, NDArray[np.float32]] = {}
+        self._held: dict[int, Floats] = {}
+        self.noted = (library.much.mean() / columns.much) ** NOTED
 
+    def _fits(self, label: str) -> NDArray[np.float32]:
+        if label not in self._labels:
+            self._labels[label] = self._columns.fits(label)
+        return self._labels[label]
 
-def _held(thing: Mention, known: dict[str, NDArray[np.float32]], columns: Columns) -> Floats:
-    exact, kin, best = columns.of_labels.many(known[thing.label], len(columns.scene))
-    return np.maximum(_counted(exact, thing), best * _counted(kin, thing))
+    def room(self, thing: Mention) -> Floats:
+        """How well (U,) units are such a room, or so many."""
+        columns = self._columns
+        expected = columns.rooms[:, table().kinds.index(thing.room)]
+        if thing.count is not None and thing.count > 1:
+            return np.asarray(np.exp(-np.abs(expected - thing.count)))
+        size = room_ratios(thing.attributes, columns.room_looks, self._library.room_looks)
+        return np.minimum(expected, 1.0) * size
 
+    def fit(self, t: int) -> Floats:
+        """How well (U,) units hold a thing that looks as was said."""
+        if t not in self._held:
+            thing = self._sentence.mentions[t]
+            weights = self._fits(thing.label)
+            exact, kin, best, entries = self._columns.of_labels.many(
+                weights, len(self._columns.scene)
+            )
+            held = np.maximum(_counted(exact, thing), best * _counted(kin, thing))
+            self._held[t] = held * self._looks(thing, weights, entries, best)
+        return self._held[t]
 
-def _related(
-    s: Statement, things: Sequence[Mention], known: dict[str, NDArray[np.float32]], columns: Columns
-) -> Floats:
-    first, second = (known[thing.label] for thing in things)
-    subject, relation, target = columns.triples.T
-    straight, turned = (
-        np.array([says.get(name, 0.0) for name in columns.relations], np.float32)
-        for says in sayings(s.relation)
-    )
-    weights = np.maximum(
-        straight[relation] * first[subject] * second[target],
-        turned[relation] * first[target] * second[subject],
-    )
-    exact, kin, best = columns.of_triples.many(weights, len(columns.scene))
-    fit = np.maximum(_counted(exact, things[0]), best * _counted(kin, things[0]))
-    both = np.minimum(*(_held(thing, known, columns) for thing in things))
-    return fit if s.negated else np.maximum(fit, APART * both)
+    def _looks(
+        self, thing: Mention, weights: Floats32, entries: NDArray[np.int64], best: Floats32
+    ) -> Floats:
+        """How much better (U,) than usual the best of such things looks as was said."""
+        if not thing.attributes or not len(entries):
+            return np.ones(len(best))
+        postings = self._columns.of_labels
+        like = weights[postings.words[entries]]
+        far, usual_ = self._library, self._library.of_labels
+        fitting = far.fits(thing.label)[usual_.words]
+        rows = np.flatnonzero(fitting)
+        told = ratios(thing.attributes, self._columns.looks[entries], far.looks[rows], fitting[rows])
+        out = np.zeros(len(best))
+        units = postings.units[entries]
+        np.maximum.at(out, units, told * like / np.maximum(best[units], 1e-6))
+        return np.where(best > 0.0, out, 1.0)
+
+    def related(self, s: Statement) -> tuple[Floats, Floats]:
+        """How well (U,) two things are related as was said, and whether they are there at all."""
+        columns = self._columns
+        things = [self._sentence.mentions[t] for t in s.things]
+        first, second = (self._fits(thing.label) for thing in things)
+        subject, relation, target = columns.triples.T
+        straight, turned = (
+            np.array([says.get(name, 0.0) for name in columns.relations], np.float32)
+            for says in sayings(s.relation)
+        )
+        weights = np.maximum(
+            straight[relation] * first[subject] * second[target],
+            turned[relation] * first[target] * second[subject],
+        )
+        fit = columns.of_triples.many(weights, len(columns.scene)).best.astype(np.float64)
+        both = np.minimum(*(np.minimum(self.fit(t), 1.0) for t in s.things))
+        return np.maximum(fit, 0.0 if s.negated else APART), both
 
 
 @cache
@@ -156,15 +243,3 @@ def _counted(many: Floats, thing: Mention) -> Floats:
     if thing.count == 1:
         return np.select([many == 1, many > 1], [1.0, 0.7], 0.0)
     return (many > 0).astype(np.float64)
-
-
-def expected(s: Statement, mentions: Sequence[Mention]) -> float:
-    """How well a statement fits an average room, where no library says."""
-    things = [mentions[t] for t in s.things]
-    if s.kind is Kind.ROOM:
-        chance = float(table().usual[table().kinds.index(things[0].room)])
-    else:
-        chance = float(np.prod([usual(thing.label) for thing in things]))
-    if s.kind is Kind.RELATED:
-        chance = max(APART * chance, _RELATED * chance)
-    return 1.0 - chance if s.negated else max(chance, 1e-3)

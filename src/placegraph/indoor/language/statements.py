@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from placegraph.indoor.language.chunk import attributes
 from placegraph.indoor.language.likeness import room_kind
+from placegraph.indoor.language.looks import leading, trailing
 from placegraph.indoor.language.parse import Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
 from placegraph.indoor.map.relations.words import same_thing
@@ -140,11 +140,9 @@ def _same(one: Mention, other: Mention) -> bool:
 def _mention(thing: Noun, text: str) -> Mention:
     """What a noun phrase says."""
     words = [chunk.words for chunk in thing.words]
-    looks = attributes()
-    head = 0
-    while head < len(words) - 1 and words[head] in looks:
-        head += 1
-    label = " ".join(words[head:])
+    looks, first = leading(words)
+    after, last = trailing(words[first:])
+    label = " ".join(words[first : first + last])
     if thing.owner is not None and not thing.owner.determiners and thing.owner.kind == "thing":
         label = " ".join([label, "of", *[chunk.words for chunk in thing.owner.words]])
     kinds = {d.type for d in thing.determiners}
@@ -154,7 +152,7 @@ def _mention(thing: Noun, text: str) -> Mention:
         label=label,
         count=count,
         several="SOME" in kinds,
-        attributes=tuple(words[:head]),
+        attributes=looks + after,
         negated="NO" in kinds or count == 0,
         room=room_kind(label),
     )

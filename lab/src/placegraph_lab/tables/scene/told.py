@@ -143,7 +143,7 @@ _BOX = np.array([
 
 def ours(text: str, scenes: Sequence[SceneMap]) -> NDArray[np.float64]:
     """Scores (n,) of scenes by what the library reads."""
-    return TextIndex([s.graph for s in scenes]).scores(read(text))
+    return TextIndex(scenes).scores(read(text))
 
 
 def bag(text: str, scenes: Sequence[SceneMap]) -> NDArray[np.float64]:
