@@ -12,7 +12,7 @@ import numpy as np
 
 from placegraph.indoor.encode.words import vector
 from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.relations.words import same_thing
+from placegraph.indoor.map.relations.words import forms, same_thing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,6 +38,14 @@ def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
 
     A "desk" is a "table" by half. Labels that name nothing fit nothing.
     """
+    out = _alike(asked, labels)
+    for word, weight in everyday(asked):
+        out = np.maximum(out, weight * _alike(word, labels))
+    return out
+
+
+def _alike(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
+    """`fits` by the tree of things alone."""
     if not labels:
         return np.zeros(0, np.float32)
     cosines = np.stack([_vector(label) for label in labels]) @ _vector(asked)
@@ -48,6 +56,32 @@ def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
             said, own = set(label_words(asked)[:-1]), set(label_words(label)[:-1])
             out[i] = 1.0 if said <= own else max(out[i], GENERAL)
     return np.asarray(out, np.float32)
+
+
+@lru_cache(maxsize=_MANY)
+def everyday(asked: str) -> tuple[tuple[str, np.float32], ...]:
+    """What maps may call a thing by everyday words for it, and how well: the longest last words."""
+    words = label_words(asked)
+    for first in range(len(words)):
+        for last in forms(words[-1]):
+            found = _everyday().get(" ".join([*words[first:-1], last]))
+            if found:
+                return tuple(found.items())
+    return ()
+
+
+@cache
+def _everyday() -> Mapping[str, Mapping[str, np.float32]]:
+    table: dict[str, dict[str, np.float32]] = {}
+    text = files(__package__).joinpath("data", "everyday.tsv").read_text("utf-8")
+    for line in text.splitlines():
+        if line and not line.startswith("#"):
+            words, labels, weight = line.split("\t")
+            for word in words.split(", "):
+                known = table.setdefault(word, {})
+                for label in labels.split(", "):
+                    known[label] = max(known.get(label, np.float32(0.0)), np.float32(weight))
+    return table
 
 
 @lru_cache(maxsize=_MANY)

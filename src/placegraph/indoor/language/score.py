@@ -33,6 +33,8 @@ WRONG = 0.1
 """Share of statements that are wrong, or about what a map does not have."""
 NOTED = 0.5
 """Power of how much a room holds, with which a thing in it is spoken of more rarely."""
+UNSURE_ROOM = 0.25
+"""The same of what kind of room it is: a study is an office, what it holds only hints at it."""
 APART = 0.3
 """How well two things that are there, but not so related, fit: maps do not know all relations."""
 SIDE = 0.6
@@ -97,6 +99,7 @@ def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[T
         things = [sentence.mentions[t] for t in s.things]
         if s.kind is Kind.ROOM:
             fit, usual_ = known.room(things[0]), _usual_room(things[0])
+            sure *= (1.0 - UNSURE_ROOM) / (1.0 - WRONG)
             yield Term(row, *_unless(fit, usual_, not_=s.negated), sure)
             continue
         paired = s.kind in (Kind.RELATED, Kind.NEAR, Kind.BETWEEN)

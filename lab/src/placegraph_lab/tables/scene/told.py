@@ -21,7 +21,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import relate
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat
-from placegraph_lab.worlds.home.home import home, scene_of
+from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 AMONG = 10
 DRAWS = 20
 """Sets of ten rooms that a text is asked of."""
+OTHERS = 30
+"""Homes that nobody described, whose rooms stand among the others."""
 _SEPARATE = re.compile(r"[a-z]+")
 
 
@@ -68,6 +70,10 @@ def rooms_told(house: SceneMap | None = None) -> dict[str, SceneMap]:
             _, seed, style = name.split()
             rng = np.random.default_rng(int(seed))
             out |= _cut(scene_of(home(rng, style=style).furnish(rng)), name)
+    for i in range(OTHERS):
+        rng = np.random.default_rng(400 + i)
+        style = list(STYLES)[i % len(STYLES)]
+        out |= _cut(scene_of(home(rng, style=style).furnish(rng)), f"home {400 + i} {style}")
     out["office"] = office()
     if house is not None:
         for line in _data("house.tsv"):
@@ -176,20 +182,30 @@ def hits(
     *,
     draws: int = DRAWS,
     among: int = AMONG,
+    alike: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
     """How often (n,) each text's room comes first among others drawn at random, by ranker.
 
     All rankers are asked of the same rooms; of k equal scores the room has 1 / k of the first place.
+    `alike`: rooms of the same kind come before others, kitchens among kitchens.
     """
     names = np.array(list(rooms))
     out = {name: np.zeros(len(texts)) for name in rankers}
     for i, said in enumerate(texts):
         others = np.flatnonzero(names != said.room)
         for _ in range(draws):
-            chosen = [said.room, *names[rng.permutation(others)[: among - 1]]]
+            order = rng.permutation(others)
+            if alike:
+                other_kind = [_kind(name) != _kind(said.room) for name in names[order]]
+                order = order[np.argsort(other_kind, kind="stable")]
+            chosen = [said.room, *names[order[: among - 1]]]
             scenes = [rooms[name] for name in chosen]
             for name, rank in rankers.items():
                 scores = rank(said.text, scenes)
                 first = scores >= scores.max() - 1e-9
                 out[name][i] += first[0] / first.sum() / draws
     return out
+
+
+def _kind(room: str) -> str:
+    return room.rpartition("/")[2]

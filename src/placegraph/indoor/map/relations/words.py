@@ -118,7 +118,7 @@ def same_thing(asked: str, label: str) -> bool:
     wanted, own = label_words(asked), label_words(label)
     if not wanted or not own:
         return not wanted
-    if not _forms(wanted[-1]) & _forms(own[-1]):
+    if not forms(wanted[-1]) & forms(own[-1]):
         return False
     return set(wanted[:-1]) <= set(own[:-1]) or set(own[:-1]) <= set(wanted[:-1])
 
@@ -189,7 +189,7 @@ def _plain(relation: str, turned: bool) -> Reading:
     return relation, turned and relation != NEXT_TO and not relation.startswith("same ")
 
 
-def _forms(word: str) -> set[str]:
+def forms(word: str) -> set[str]:
     """A word, and what it may be the plural of."""
     forms = {word}
     if word.endswith("s") and not word.endswith("ss"):
