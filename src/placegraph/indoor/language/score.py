@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.indoor.language.held import ratios, room_ratios
-from placegraph.indoor.language.likeness import table, usual
+from placegraph.indoor.language.likeness import EXACT, fits, table, usual
 from placegraph.indoor.language.sentence import Kind
 from placegraph.indoor.map.relations import NEXT_TO
 from placegraph.indoor.map.relations.words import readings
@@ -40,7 +40,9 @@ APART = 0.3
 SIDE = 0.6
 """How well "next to" fits relations as seen by somebody: "in front of", "left of"."""
 _RELATED = 0.4  # how well two things fit a relation in homes
+_SHELL = ("wall", "floor", "ceiling")
 _WITH = ("on", "next to", "in", "attached to")
+_ONE = 0.6  # how well one thing fits a plural: a map has "curtains" in one piece
 _SEEN = frozenset(("in front of", "behind", "left of", "right of", "opposite", "against"))
 
 
@@ -109,7 +111,8 @@ def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[T
             told.add(t)
             thing = sentence.mentions[t]
             not_ = thing.negated or (s.negated and not paired)
-            fit = known.fit(t) if not_ else known.fit(t) * known.noted
+            built_in = _built_in(thing.label)
+            fit = known.fit(t) if not_ or built_in else known.fit(t) * known.noted
             yield Term(row, *_unless(fit, usual(thing.label), not_=not_), sure)
         if s.kind is Kind.RELATED and not any(thing.negated for thing in things):
             fit, both = known.related(s)
@@ -184,6 +187,8 @@ class _Known:
                 weights, len(self._columns.scene)
             )
             held = np.maximum(_counted(exact, thing), best * _counted(kin, thing))
+            if _built_in(thing.label):
+                held = np.ones(len(held))  # every room has walls; maps leave them out
             self._held[t] = held * self._looks(thing, weights, entries, best)
         return self._held[t]
 
@@ -224,6 +229,12 @@ class _Known:
 
 
 @cache
+def _built_in(label: str) -> bool:
+    """Whether it is a wall, a floor or a ceiling, by whatever word."""
+    return bool(fits(label, _SHELL).max() >= EXACT)
+
+
+@cache
 def sayings(relation: str) -> tuple[dict[str, float], dict[str, float]]:
     """Names of edges that say a relation, straight and turned, and how well they do."""
     straight: dict[str, float] = {}
@@ -243,6 +254,8 @@ def _counted(many: Floats, thing: Mention) -> Floats:
         return np.where(many > 0, np.where(off == 0, 1.0, np.where(off == 1, 0.4, 0.15)), 0.0)
     if thing.several:
         return np.select([many >= 2, many == 1], [1.0, 0.4], 0.0)
+    if thing.plural:
+        return np.select([many >= 2, many == 1], [1.0, _ONE], 0.0)
     if thing.count == 1:
         return np.select([many == 1, many > 1], [1.0, 0.7], 0.0)
     return (many > 0).astype(np.float64)

@@ -45,8 +45,10 @@ class Mention:
     """How many, where said: "two sinks"."""
     several: bool = False
     """"some chairs", "many books": more than one."""
+    plural: bool = False
+    """"curtains", without saying how many."""
     attributes: tuple[str, ...] = ()
-    """Colours, materials, sizes: "brown"."""
+    """How it looks, and where in the room it stands: "brown", "tall", "in the corner" (`looks`)."""
     negated: bool = False
     """"no plant", "without a desk"."""
     room: str = ""

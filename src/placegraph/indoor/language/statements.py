@@ -26,6 +26,11 @@ _ANYTHING = frozenset(
 """What names a place without saying which."""
 _REMEMBERED = 50
 """Things back to which "the table" is looked for."""
+_MANY_IN_ONE = frozenset(
+    ("coats", "clothes", "stairs", "blinds", "books", "dishes", "scissors", "headphones", "tiles",
+     "bunks", "drawers", "walls", "shelves")
+)  # fmt: skip
+"""Plurals that a map has as one thing."""
 _NOTHING = frozenset(("thing", "things", "something", "anything", "nothing", "everything", "one"))
 
 
@@ -147,12 +152,19 @@ def _mention(thing: Noun, text: str) -> Mention:
         label = " ".join([label, "of", *[chunk.words for chunk in thing.owner.words]])
     kinds = {d.type for d in thing.determiners}
     count = next((d.value for d in thing.determiners if d.type == "NUM"), None)
+    several = "SOME" in kinds
     return Mention(
         words=text[thing.start : thing.end],
         label=label,
         count=count,
-        several="SOME" in kinds,
+        several=several,
+        plural=count is None and not several and _plural(label),
         attributes=looks + after,
         negated="NO" in kinds or count == 0,
         room=room_kind(label),
     )
+
+
+def _plural(label: str) -> bool:
+    """Whether more than one thing is meant: "curtains", but not "glass" and "coats"."""
+    return label.endswith("s") and not label.endswith(("ss", "us")) and label not in _MANY_IN_ONE
