@@ -26,7 +26,7 @@ _BEFORE_NOUN = frozenset(("NOT", *_DETERMINERS))
 _PLACES = frozenset(("REL", "DIR", "BETWEEN", "FAR", "HERE", "FACE", "AWAY", "DIST"))
 _AMBIGUOUS = frozenset(("STAND", "PART", "FACE", "HERE", "SIGHT", "SEE", "HAVE", "SKIP", "WITH"))
 """Types whose single words may be part of what a thing is called: "standing lamp"."""
-_STANDS = frozenset(("stands", "sits", "hangs", "lies"))
+_STANDS = frozenset(("stands", "sits", "hangs", "lies", "lie", "hang", "run", "runs"))
 _LONGEST = 60
 """Chunks in a clause; nobody speaks in longer ones."""
 _MOST = 1000

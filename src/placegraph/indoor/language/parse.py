@@ -36,7 +36,7 @@ class Where:
     """What is said of where something is."""
 
     how: str
-    """Rule of the grammar: ``related towards between faces far here sight with_``."""
+    """Rule of the grammar: ``related alone towards between faces far here sight with_``."""
     start: int
     end: int
     things: tuple[Noun, ...] = ()
@@ -121,6 +121,7 @@ class _Build:
                 place.distance = child.value
         return place
 
+    alone = partialmethod(_place, how="alone")
     related = partialmethod(_place, how="related")
     towards = partialmethod(_place, how="towards")
     between = partialmethod(_place, how="between")
@@ -158,6 +159,8 @@ class _Build:
         return Noun("thing", thing.start, owner.end, thing.determiners, thing.words, owner)
 
     def part(self, children: list[Any]) -> Noun:
-        if isinstance(children[-1], Noun):
-            return children[-1]  # the corner of the kitchen is in the kitchen
-        return Noun("PART", children[0].start, children[-1].end)
+        owner = children[-1] if isinstance(children[-1], Noun) else None
+        if owner is not None and owner.kind != "SPOT":
+            return owner  # the corner of the kitchen is in the kitchen
+        words = tuple(c for c in children if isinstance(c, Chunk) and c.type == "PART")
+        return Noun("PART", children[0].start, children[-1].end, words=words)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from placegraph.indoor.language.chunk import chunks, clauses
 from placegraph.indoor.language.parse import Noun, Where, parse
 from placegraph.indoor.language.sentence import ME, Kind, Sentence
-from placegraph.indoor.language.statements import Statements
+from placegraph.indoor.language.statements import Statements, looks_of
 from placegraph.language.check import Ignored, check
 from placegraph.language.words import scan
 
@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from placegraph.indoor.language.parse import Clause, Item
 
 _EXAMPLE = "I am next to the sofa, facing the window."
+PARTS = {
+    "corner": "in the corner", "corners": "in the corner", "middle": "in the middle",
+    "centre": "in the middle", "center": "in the middle",
+}  # fmt: skip
+"""Parts of a room, as `looks.toml` knows them."""
+_BY_WALL = ("against", "next to", "along", "on")
 _BESIDES = frozenset(("behind", "above", "under", "left of", "right of", "attached to", "against"))
 """Relations of the speaker to a thing that tell no more than that it is near."""
 
@@ -68,7 +74,7 @@ class Reader(Statements):
                 self._walk(after, ME)  # "this is the kitchen"
             case "is_" if things:
                 self._walk(before, ME)
-                self.ignore(after, "says what a thing is, not where")
+                self._is(things[-1], after)
             case "sees":
                 self._sees(before, after)
             case "has":
@@ -84,6 +90,16 @@ class Reader(Statements):
         for thing in of:
             self._walk([thing, *rest, *[p for p in places if isinstance(p, Where)]], ME)
             rest = []
+
+    def _is(self, thing: Noun, after: Sequence[Item]) -> None:
+        """As "The walls are blue", "the floor is dark wood": how a thing looks."""
+        node = self.node(thing)
+        for item in after:
+            attributes = looks_of(item) if isinstance(item, Noun) else ()
+            if attributes and node is not None and node >= 0:
+                self.look(node, attributes)
+            elif isinstance(item, Noun | Where):
+                self.ignore([item], "says what a thing is, not where")
 
     def _sees(self, before: list[Item], after: list[Item]) -> None:
         """As "On my left I see a plant on the table"."""
@@ -134,6 +150,10 @@ class Reader(Statements):
         leads = base == ME and bool(items) and isinstance(items[0], Noun)
         for i, item in enumerate(items):
             if isinstance(item, Noun):
+                attributes = looks_of(item)
+                if attributes and anchor >= 0:
+                    self.look(anchor, attributes)  # "a hall, quite empty"
+                    continue
                 node = self.node(item)
                 if node is None:
                     continue
@@ -170,6 +190,10 @@ class Reader(Statements):
         """State a place of a subject; returns what a place right after it is said of."""
         if place.how in ("towards", "here", "sight"):
             return self._direct(anchor if anchor >= 0 else subject, place)
+        if place.how == "alone":
+            return self._beside_it(subject, place)
+        if subject >= 0 and place.how == "related" and self._stands(subject, place):
+            return anchor
         nodes = [self.node(thing, other_than=subject) for thing in place.things]
         if any(node is None for node in nodes):
             self.ignore([place], "says no thing")
@@ -196,6 +220,32 @@ class Reader(Statements):
             return targets[0]
         self._relate(subject, place, targets[0])
         return targets[0]
+
+    def _stands(self, subject: int, place: Where) -> bool:
+        """Note where in the room a thing stands, "in the corner", or that it is "in red"."""
+        target = place.things[0]
+        part = " ".join(chunk.words for chunk in target.words)
+        if target.kind == "PART":
+            if not place.negated and part in PARTS:
+                self.look(subject, (PARTS[part],))
+            return True  # "at the end" says no more
+        attributes = looks_of(target)
+        if attributes and place.relation == "in":
+            self.look(subject, attributes)
+            return True
+        if place.relation in _BY_WALL and part in ("wall", "walls") and not place.negated:
+            self.look(subject, ("against the wall",))
+            return True
+        return False
+
+    def _beside_it(self, subject: int, place: Where) -> int:
+        """As "with a mirror above": of what was spoken of before."""
+        other = next((row for row in reversed(self._spoken) if row != subject), None)
+        if subject < 0 or other is None or self.mentions[other].room:
+            self.ignore([place], "says no thing")
+        else:
+            self._relate(subject, place, other)
+        return subject
 
     def _direct(self, subject: int, place: Where) -> int:
         """As "on my left", "next to me", "in sight" of a thing."""

@@ -31,6 +31,7 @@ _MANY_IN_ONE = frozenset(
      "bunks", "drawers", "walls", "shelves")
 )  # fmt: skip
 """Plurals that a map has as one thing."""
+_MADE = ("made", "out", "built")
 _NOTHING = frozenset(("thing", "things", "something", "anything", "nothing", "everything", "one"))
 
 
@@ -125,6 +126,12 @@ class Statements:
         self.mentions.append(mention)
         return len(self.mentions) - 1
 
+    def look(self, row: int, attributes: Sequence[str]) -> None:
+        """Note how a thing looks, or where in the room it stands."""
+        own = self.mentions[row]
+        new = tuple(word for word in attributes if word not in own.attributes)
+        self.mentions[row] = replace(own, attributes=own.attributes + new)
+
     def ignore(self, items: Sequence[Item], reason: str) -> None:
         """Note that some items say nothing that can be used, and why."""
         said = [item for item in items if isinstance(item, Noun | Where)]
@@ -142,14 +149,26 @@ def _same(one: Mention, other: Mention) -> bool:
     return same_thing(one.label, other.label) and set(one.attributes) <= set(other.attributes)
 
 
+def looks_of(thing: Noun) -> tuple[str, ...]:
+    """Attributes that a noun phrase is nothing but: "blue", "dark wood"; else none."""
+    words = [chunk.words for chunk in thing.words]
+    if thing.kind != "thing" or not words or thing.owner is not None or thing.determiners:
+        return ()
+    found, first = leading([*words, ""])
+    return found if first == len(words) else ()
+
+
 def _mention(thing: Noun, text: str) -> Mention:
     """What a noun phrase says."""
     words = [chunk.words for chunk in thing.words]
     looks, first = leading(words)
     after, last = trailing(words[first:])
+    owner = thing.owner if thing.owner is not None and thing.owner.kind == "thing" else None
+    if owner is not None and words[-1] in _MADE and len(words) > first + 1:
+        after, last, owner = looks_of(owner), len(words) - first - 1, None
     label = " ".join(words[first : first + last])
-    if thing.owner is not None and not thing.owner.determiners and thing.owner.kind == "thing":
-        label = " ".join([label, "of", *[chunk.words for chunk in thing.owner.words]])
+    if owner is not None and not owner.determiners:
+        label = " ".join([label, "of", *[chunk.words for chunk in owner.words]])
     kinds = {d.type for d in thing.determiners}
     count = next((d.value for d in thing.determiners if d.type == "NUM"), None)
     several = "SOME" in kinds
