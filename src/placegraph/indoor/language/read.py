@@ -46,6 +46,7 @@ def read(text: str) -> Sentence:
     check(text, _EXAMPLE)
     reader = Reader(text)
     for sentence in scan(text):
+        reader.next_sentence()
         for part, certainty in clauses(chunks(sentence, text)):
             for clause, left_out in parse(part):
                 if clause is not None:

@@ -24,6 +24,8 @@ _ANYTHING = frozenset(
     ("room", "place", "space", "scene", "flat", "apartment", "house", "home", "area", "spot")
 )
 """What names a place without saying which."""
+_OTHER_ROOM = 0.3
+"""How certainly one is in a room that is named after one of another kind."""
 _REMEMBERED = 50
 """Things back to which "the table" is looked for."""
 _MANY_IN_ONE = frozenset(
@@ -51,6 +53,12 @@ class Statements:
         self.ignored: list[Ignored] = []
         self._spoken: list[int] = []
         self.certainty = 1.0
+        self._before = ""  # kind of room that sentences before were about
+
+    def next_sentence(self) -> None:
+        """Begin a sentence: a room of another kind that it names may be seen through a door."""
+        rooms = [self.mentions[s.things[0]].room for s in self.statements if s.kind is Kind.ROOM]
+        self._before = rooms[0] if rooms else ""
 
     def leave(self, left_out: Sequence[Chunk]) -> None:
         """Note words that no rule expected."""
@@ -82,10 +90,13 @@ class Statements:
     ) -> None:
         """Add what `said` states of some things."""
         no = any(self.mentions[t].negated for t in things)
+        certainty = self.certainty
+        if kind is Kind.ROOM and self._before not in ("", self.mentions[things[0]].room):
+            certainty *= _OTHER_ROOM
         self.statements.append(
             Statement(
                 kind, things, relation, bearing, distance=distance, negated=negated or no,
-                certainty=self.certainty, text=self.text[said.start : said.end],
+                certainty=certainty, text=self.text[said.start : said.end],
             )
         )  # fmt: skip
 
