@@ -23,10 +23,12 @@ VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))
 _DETERMINERS = frozenset(("DET", "A", "NUM", "NO", "SOME"))
 _NOUNS = frozenset(("WORD", *_DETERMINERS))
 _BEFORE_NOUN = frozenset(("NOT", *_DETERMINERS))
-_PLACES = frozenset(("REL", "DIR", "BETWEEN", "FAR", "HERE", "FACE", "AWAY", "DIST"))
+_PLACES = frozenset(("REL", "DIR", "BETWEEN", "FAR", "HERE", "FACE", "AWAY", "DIST", "ROW"))
 _AMBIGUOUS = frozenset(("STAND", "PART", "FACE", "HERE", "SIGHT", "SEE", "HAVE", "SKIP", "WITH"))
 """Types whose single words may be part of what a thing is called: "standing lamp"."""
-_STANDS = frozenset(("stands", "sits", "hangs", "lies", "lie", "hang", "run", "runs"))
+_STANDS = frozenset(
+    ("stands", "sits", "hangs", "lies", "lie", "hang", "run", "runs", "lean", "leans")
+)
 _LONGEST = 60
 """Chunks in a clause; nobody speaks in longer ones."""
 _MOST = 1000

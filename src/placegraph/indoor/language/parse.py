@@ -36,7 +36,7 @@ class Where:
     """What is said of where something is."""
 
     how: str
-    """Rule of the grammar: ``related alone towards between faces far here sight with_``."""
+    """Rule of the grammar: ``related alone towards between faces far here sight row with_``."""
     start: int
     end: int
     things: tuple[Noun, ...] = ()
@@ -129,6 +129,7 @@ class _Build:
     far = partialmethod(_place, how="far")
     here = partialmethod(_place, how="here")
     sight = partialmethod(_place, how="sight")
+    row = partialmethod(_place, how="row")
     with_ = partialmethod(_place, how="with_")
 
     def back_to(self, children: list[Any]) -> Where:

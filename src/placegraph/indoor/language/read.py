@@ -95,12 +95,12 @@ class Reader(Statements):
     def _is(self, thing: Noun, after: Sequence[Item]) -> None:
         """As "The walls are blue", "the floor is dark wood": how a thing looks."""
         node = self.node(thing)
-        for item in after:
+        for i, item in enumerate(after):
             attributes = looks_of(item) if isinstance(item, Noun) else ()
-            if attributes and node is not None and node >= 0:
-                self.look(node, attributes)
-            elif isinstance(item, Noun | Where):
-                self.ignore([item], "says what a thing is, not where")
+            if isinstance(item, Noun | Where) and (not attributes or node is None):
+                self._walk(after[i:], ME)
+                return
+            self.look(node, attributes)
 
     def _sees(self, before: list[Item], after: list[Item]) -> None:
         """As "On my left I see a plant on the table"."""
@@ -191,6 +191,9 @@ class Reader(Statements):
         """State a place of a subject; returns what a place right after it is said of."""
         if place.how in ("towards", "here", "sight"):
             return self._direct(anchor if anchor >= 0 else subject, place)
+        if place.how == "row":
+            self.look(subject, ("in a row",))
+            return subject
         if place.how == "alone":
             return self._beside_it(subject, place)
         if subject >= 0 and place.how == "related" and self._stands(subject, place):

@@ -120,6 +120,8 @@ class Referents:
         """Why a statement says nothing on this map, or an empty string."""
         if s.kind is Kind.ROOM:
             mention = self.sentence.mentions[s.things[0]]
+            if not mention.room:
+                return "says nothing of where you are"
             kinds = self.rooms[2]
             if not len(kinds):
                 return "the map knows no rooms"

@@ -124,7 +124,7 @@ def _unless(fit: Floats, usual_: float, *, not_: bool) -> tuple[Floats, float]:
 
 
 def _usual_room(thing: Mention) -> float:
-    return float(table().usual[table().kinds.index(thing.room)])
+    return float(table().usual[table().kinds.index(thing.room)]) if thing.room else 1.0
 
 
 def of_scenes(
@@ -132,7 +132,10 @@ def of_scenes(
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Scores (n,) of scenes from those of their units, and the unit of each that fits best."""
     rooms = np.bincount(columns.scene, ~columns.whole, columns.scenes)
-    named = any(s.kind is Kind.ROOM and not s.negated for s in sentence.statements)
+    named = any(
+        s.kind is Kind.ROOM and not s.negated and sentence.mentions[s.things[0]].room
+        for s in sentence.statements
+    )
     several = np.bincount(columns.scene, columns.whole, columns.scenes) > 0
     share = np.where(several & (not named), 0.5, 1.0)[columns.scene] / rooms[columns.scene]
     share[columns.whole] = 0.0 if named else 0.5
@@ -172,7 +175,9 @@ class _Known:
     def room(self, thing: Mention) -> Floats:
         """How well (U,) units are such a room, or so many."""
         columns = self._columns
-        expected = columns.rooms[:, table().kinds.index(thing.room)]
+        expected = np.ones(len(columns.rooms))  # of no kind: "a large room"
+        if thing.room:
+            expected = columns.rooms[:, table().kinds.index(thing.room)]
         if thing.count is not None and thing.count > 1:
             return np.asarray(np.exp(-np.abs(expected - thing.count)))
         size = room_ratios(thing.attributes, columns.room_looks, self._library.room_looks)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from placegraph.indoor.language.likeness import room_kind
-from placegraph.indoor.language.looks import leading, trailing
+from placegraph.indoor.language.looks import leading, looks, trailing
 from placegraph.indoor.language.parse import Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
 from placegraph.indoor.map.relations.words import same_thing
@@ -34,7 +34,11 @@ _MANY_IN_ONE = frozenset(
 )  # fmt: skip
 """Plurals that a map has as one thing."""
 _MADE = ("made", "out", "built")
-_NOTHING = frozenset(("thing", "things", "something", "anything", "nothing", "everything", "one"))
+_NOTHING = frozenset(
+    ("thing", "things", "something", "anything", "nothing", "everything", "one", "ones", "furniture",
+     "stuff", "else", "item", "items", "object", "objects", "look", "looks", "style", "view", "side",
+     "sides", "way", "feel", "lot", "own")
+)  # fmt: skip
 
 
 class Statements:
@@ -111,10 +115,12 @@ class Statements:
         if thing.kind == "PART":
             return None
         mention = _mention(thing, self.text)
-        if mention.label in _NOTHING or not mention.label:
+        last = mention.label.rpartition(" ")[2]
+        if last in _NOTHING or not mention.label:
             self.ignored.append(Ignored(mention.words, "names no thing"))
             return None
-        if mention.label in _ANYTHING:
+        if last in _ANYTHING and not mention.room:
+            self._scene(mention.attributes)
             return SCENE
         owner = thing.owner
         if owner is not None and owner.kind == "thing" and owner.determiners:
@@ -125,6 +131,21 @@ class Statements:
                 self.ignored.append(Ignored(where.words, "of what a thing is part"))
         self._spoken.append(self._kept(mention, thing))
         return self._spoken[-1]
+
+    def _scene(self, attributes: Sequence[str]) -> None:
+        """Note how the room looks: the one that was named, or one of no kind."""
+        said = looks().said(attributes)
+        if not {"sizes", "states"} & set(said):
+            return
+        row = next((i for i, m in enumerate(self.mentions) if m.room and not m.negated), None)
+        if row is not None:
+            self.look(row, attributes)
+            return
+        words = " ".join([*attributes, "room"])
+        self.mentions.append(Mention(words, "room", attributes=tuple(attributes)))
+        self.statements.append(
+            Statement(Kind.ROOM, (len(self.mentions) - 1,), certainty=self.certainty, text=words)
+        )
 
     def _kept(self, mention: Mention, thing: Noun) -> int:
         """Row of a mention: "the table" is the table spoken of before."""
@@ -137,8 +158,12 @@ class Statements:
         self.mentions.append(mention)
         return len(self.mentions) - 1
 
-    def look(self, row: int, attributes: Sequence[str]) -> None:
-        """Note how a thing looks, or where in the room it stands."""
+    def look(self, row: int | None, attributes: Sequence[str]) -> None:
+        """Note how a thing looks, or the room, or where in the room a thing stands."""
+        if row == SCENE and attributes:
+            self._scene(attributes)
+        if row is None or row < 0:
+            return
         own = self.mentions[row]
         new = tuple(word for word in attributes if word not in own.attributes)
         self.mentions[row] = replace(own, attributes=own.attributes + new)
@@ -163,6 +188,8 @@ def _same(one: Mention, other: Mention) -> bool:
 def looks_of(thing: Noun) -> tuple[str, ...]:
     """Attributes that a noun phrase is nothing but: "blue", "dark wood"; else none."""
     words = [chunk.words for chunk in thing.words]
+    if thing.owner is not None and words in ([w] for w in _MADE):
+        return looks_of(thing.owner)  # "made of dark wood"
     if thing.kind != "thing" or not words or thing.owner is not None or thing.determiners:
         return ()
     found, first = leading([*words, ""])
@@ -172,7 +199,7 @@ def looks_of(thing: Noun) -> tuple[str, ...]:
 def _mention(thing: Noun, text: str) -> Mention:
     """What a noun phrase says."""
     words = [chunk.words for chunk in thing.words]
-    looks, first = leading(words)
+    seen, first = leading(words)
     after, last = trailing(words[first:])
     owner = thing.owner if thing.owner is not None and thing.owner.kind == "thing" else None
     if owner is not None and words[-1] in _MADE and len(words) > first + 1:
@@ -189,10 +216,16 @@ def _mention(thing: Noun, text: str) -> Mention:
         count=count,
         several=several,
         plural=count is None and not several and _plural(label),
-        attributes=looks + after,
+        attributes=seen + after,
         negated="NO" in kinds or count == 0,
-        room=room_kind(label),
+        room=room_kind(label) or room_kind(_named_by(label)),
     )
+
+
+def _named_by(label: str) -> str:
+    """What says which room is meant: "office" of "office space"."""
+    first, _, last = label.rpartition(" ")
+    return first if last in _ANYTHING else ""
 
 
 def _plural(label: str) -> bool:
