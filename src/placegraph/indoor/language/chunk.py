@@ -170,6 +170,8 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
     single = " " not in chunk.words
     if kind in _AMBIGUOUS and single and after == "WORD" and before in _BEFORE_NOUN:
         return replace(chunk, type="WORD")  # "a standing lamp", "the side table"
+    if kind == "REL" and chunk.words == "opposite" and before in _BEFORE_NOUN and after == "WORD":
+        return replace(chunk, type="WORD")  # "on the opposite wall"
     if kind == "PART" and before == "WORD":
         return replace(chunk, type="WORD")
     if kind in ("STAND", "SKIP", "THAT"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from placegraph.indoor.language.chunk import chunks, clauses
 from placegraph.indoor.language.parse import Noun, Where, parse
 from placegraph.indoor.language.sentence import ME, Kind, Sentence
-from placegraph.indoor.language.statements import Statements, looks_of
+from placegraph.indoor.language.statements import SCENE, Statements, looks_of
 from placegraph.language.check import Ignored, check
 from placegraph.language.words import scan
 
@@ -74,8 +74,7 @@ class Reader(Statements):
             case "is_" if things and not any(t.kind == "thing" for t in things):
                 self._walk(after, ME)  # "this is the kitchen"
             case "is_" if things:
-                self._walk(before, ME)
-                self._is(things[-1], after)
+                self._is(before, after)
             case "sees":
                 self._sees(before, after)
             case "has":
@@ -92,12 +91,14 @@ class Reader(Statements):
             self._walk([thing, *rest, *[p for p in places if isinstance(p, Where)]], ME)
             rest = []
 
-    def _is(self, thing: Noun, after: Sequence[Item]) -> None:
+    def _is(self, before: list[Item], after: Sequence[Item]) -> None:
         """As "The walls are blue", "the floor is dark wood": how a thing looks."""
-        node = self.node(thing)
+        spoken = len(self._spoken)
+        self._walk(before, ME)
+        node = self._spoken[-1] if len(self._spoken) > spoken else SCENE
         for i, item in enumerate(after):
             attributes = looks_of(item) if isinstance(item, Noun) else ()
-            if isinstance(item, Noun | Where) and (not attributes or node is None):
+            if isinstance(item, Noun | Where) and not attributes:
                 self._walk(after[i:], ME)
                 return
             self.look(node, attributes)
@@ -152,8 +153,8 @@ class Reader(Statements):
         for i, item in enumerate(items):
             if isinstance(item, Noun):
                 attributes = looks_of(item)
-                if attributes and anchor >= 0:
-                    self.look(anchor, attributes)  # "a hall, quite empty"
+                if attributes:
+                    self.look(anchor if anchor >= 0 else SCENE, attributes)  # "a hall, quite empty"
                     continue
                 node = self.node(item)
                 if node is None:

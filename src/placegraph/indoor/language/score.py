@@ -73,8 +73,10 @@ def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> F
     `library` says what is usual; where there is none, homes do (`rooms.toml`).
     """
     out = np.zeros((len(sentence.statements), len(columns.scene)))
-    own = list(_terms(sentence, columns, library or columns))
-    usual_ = own if library in (columns, None) else list(_terms(sentence, library, library))
+    own = list(_terms(sentence, columns, columns if library is None else library))
+    usual_ = own
+    if library is not None and library is not columns:
+        usual_ = list(_terms(sentence, library, library))
     for term, of in zip(own, usual_, strict=True):
         mean = _mean(of) if library is not None else term.usual
         ratio = np.log(term.sure * term.fit / mean + 1.0 - term.sure)

@@ -225,7 +225,7 @@ def _mention(thing: Noun, text: str) -> Mention:
 def _named_by(label: str) -> str:
     """What says which room is meant: "office" of "office space"."""
     first, _, last = label.rpartition(" ")
-    return first if last in _ANYTHING else ""
+    return first if last in ("space", "area", "part") else ""
 
 
 def _plural(label: str) -> bool:
