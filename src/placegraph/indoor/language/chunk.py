@@ -170,8 +170,6 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
     single = " " not in chunk.words
     if kind in _AMBIGUOUS and single and after == "WORD" and before in _BEFORE_NOUN:
         return replace(chunk, type="WORD")  # "a standing lamp", "the side table"
-    if kind == "REL" and chunk.words == "opposite" and before in _BEFORE_NOUN and after == "WORD":
-        return replace(chunk, type="WORD")  # "on the opposite wall"
     if kind == "PART" and before == "WORD":
         return replace(chunk, type="WORD")
     if kind in ("STAND", "SKIP", "THAT"):
@@ -182,7 +180,8 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
         return replace(chunk, type="SIGHT")
     if kind == "DIR" and chunk.words == "in front" and after == "OF":
         return replace(chunk, type="REL", value="in front of")
-    if kind == "DIR" and before in ("DET", "A") and single:
+    opposite = chunk.words == "opposite" and after == "WORD"  # "on the opposite wall"
+    if (kind == "DIR" or opposite) and before in ("DET", "A") and single:
         return replace(chunk, type="WORD")
     if kind == "BE" and chunk.words in _STANDS and after not in _PLACES:
         return replace(chunk, type="WORD")  # "two tv stands"

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+    Looks = NDArray[np.floating]
 
 MISNAMED = {"colours": 0.25, "places": 0.4}
 """Share of words of a class that are wrong, or a matter of taste;"""
@@ -33,7 +34,7 @@ _STEEP = 2.5  # of sizes: e-fold of what is usual
 _KNOWN = 2.0  # things by which what is usual of all things is outweighed
 
 
-def ratios(words: Iterable[str], seen: Floats, usual: Floats, like: Floats) -> Floats:
+def ratios(words: Iterable[str], seen: Looks, usual: Looks, like: Floats) -> Floats:
     """How much better (n,) than usual things look as words say.
 
     Parameters
@@ -63,7 +64,7 @@ def ratios(words: Iterable[str], seen: Floats, usual: Floats, like: Floats) -> F
     return out
 
 
-def room_ratios(words: Iterable[str], seen: Floats, usual: Floats) -> Floats:
+def room_ratios(words: Iterable[str], seen: Looks, usual: Looks) -> Floats:
     """How much better (n,) than usual rooms (m, C) the rooms (n, C) fit words for their size."""
     out = np.ones(len(seen))
     for entries in looks().said(words).values():
@@ -85,7 +86,7 @@ def room_ratios(words: Iterable[str], seen: Floats, usual: Floats) -> Floats:
 
 
 def _fit(
-    kind: str, entries: tuple[str, ...], seen: Floats, usual: Floats, like: Floats
+    kind: str, entries: tuple[str, ...], seen: Looks, usual: Looks, like: Floats
 ) -> Floats | None:
     """How well (n,) looks are what entries of a class say; NaN where nobody knows."""
     match kind:
@@ -108,13 +109,13 @@ def _fit(
             return None
 
 
-def _coloured(entries: tuple[str, ...], seen: Floats) -> Floats:
+def _coloured(entries: tuple[str, ...], seen: Looks) -> Floats:
     shares = seen[:, : len(COLOURS)]
     named = looks().alike[[COLOURS.index(e) for e in entries]].max(axis=0)
     return np.asarray(shares @ named)
 
 
-def _made(entries: tuple[str, ...], seen: Floats) -> Floats:
+def _made(entries: tuple[str, ...], seen: Looks) -> Floats:
     """By the material where it is known, else by the colours that it has."""
     told = seen[:, [AT[e] for e in entries if e in MATERIALS]].max(axis=1)
     colours = sum((tuple(looks().material_colours[e]) for e in entries), ())
@@ -123,7 +124,7 @@ def _made(entries: tuple[str, ...], seen: Floats) -> Floats:
     return np.asarray(np.where(np.isnan(told), _coloured(colours, seen), told))
 
 
-def _sized(entries: tuple[str, ...], seen: Floats, usual: Floats, like: Floats) -> Floats:
+def _sized(entries: tuple[str, ...], seen: Looks, usual: Looks, like: Floats) -> Floats:
     """Against the mean of things that are alike."""
     out = np.ones(len(seen))
     for entry in dict.fromkeys(entries):

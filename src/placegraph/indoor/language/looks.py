@@ -77,7 +77,9 @@ def looks() -> Looks:
 
 @cache
 def _words() -> frozenset[str]:
-    return frozenset(w for kind, known in looks().classes.items() if kind != "places" for w in known)
+    return frozenset(
+        w for kind, known in looks().classes.items() if kind != "places" for w in known
+    )
 
 
 def is_look(words: str) -> bool:

@@ -10,7 +10,8 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.indoor.language.colours import with_colours
-from placegraph.indoor.language.index import columns_of, units
+from placegraph.indoor.language.described import units
+from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.language.likeness import EXACT, fits
 from placegraph.indoor.language.read import read
 from placegraph.indoor.language.score import compared, of_scenes, scene_scores
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.graph import SceneGraph
-    from placegraph.indoor.language.index import Columns, Described
+    from placegraph.indoor.language.described import Described
+    from placegraph.indoor.language.index import Columns
     from placegraph.indoor.language.sentence import Mention, Sentence, Statement
 
 _TOLD = 0.05  # evidence that says anything [nat]
@@ -40,7 +42,9 @@ class Score:
 
 
 def rank_scenes(
-    text: str | Sentence, graphs: Iterable[SceneGraph | Scene], rooms: Iterable[Sequence[str]] | None = None
+    text: str | Sentence,
+    graphs: Iterable[SceneGraph | Scene],
+    rooms: Iterable[Sequence[str]] | None = None,
 ) -> NDArray[np.float64]:
     """How well each of n scenes answers a text, rare things counting more.
 
@@ -49,7 +53,9 @@ def rank_scenes(
     text
         English, as "a kitchen with two sinks"; or what `read` made of it.
     graphs
-        Scene graphs of rooms or homes; labels, relations and counts are compared.
+        Scene graphs of rooms or homes; labels, relations, counts, sizes and places in the room are
+        compared. Of maps (`SceneMap`) also colours, and attributes as 3DSSG has them (material,
+        shape, color, texture).
     rooms
         Of each graph the names (N,) of its objects' rooms, empty where unknown; without, relations
         "same room" say what is together.
@@ -82,7 +88,9 @@ class TextIndex:
     """
 
     def __init__(
-        self, graphs: Iterable[SceneGraph | Scene] = (), rooms: Iterable[Sequence[str]] | None = None
+        self,
+        graphs: Iterable[SceneGraph | Scene] = (),
+        rooms: Iterable[Sequence[str]] | None = None,
     ) -> None:
         self._scenes: list[list[Described]] = []
         self._columns: Columns | None = None
@@ -161,6 +169,7 @@ def score(
     graph: SceneGraph | Scene,
     rooms: Sequence[str] = (),
     library: TextIndex | None = None,
+    attributes: Sequence[Mapping[str, str]] = (),
 ) -> Score:
     """How well a scene answers a text, as a log-likelihood ratio against an average scene.
 
@@ -169,12 +178,15 @@ def score(
     sentence
         What `read` made of the text.
     graph
-        Scene graph of a room, or of a home.
+        Scene graph of a room, or of a home; or a map, which knows its rooms and colours.
     rooms
         (N,) name or number of the room of each object, empty where unknown, as attribute `room`
         of a map's objects; without, relations "same room" say what is together.
     library
-        Index that says how rare things are; else they are as rare as in homes (`rooms.toml`).
+        Index that says how rare things are; else they are as rare as in homes (`rooms.toml`), and
+        sizes and colours, of which nobody knows what is usual, say nothing.
+    attributes
+        (N,) what else is known of the objects; see `TextIndex.add`.
 
     Raises
     ------
@@ -182,11 +194,13 @@ def score(
         There is not one room for each object.
 
     """
-    columns = columns_of([_units(graph, rooms)])
+    columns = columns_of([_units(graph, rooms, attributes)])
     ratios = compared(sentence, columns, None if library is None else library.columns)
     total, best = of_scenes(sentence, columns, ratios.sum(axis=0))
     evidence = tuple(
-        _evidence(s, sentence.mentions, getattr(graph, "graph", graph), float(ratio))
+        _evidence(
+            s, sentence.mentions, graph.graph if isinstance(graph, Scene) else graph, float(ratio)
+        )
         for s, ratio in zip(sentence.statements, ratios[:, best[0]], strict=True)
     )
     return Score(float(total[0]), evidence)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.language.index import triples
+from placegraph.indoor.language.described import triples
 from placegraph.indoor.language.likeness import (
     EXACT,
     fits,

@@ -208,9 +208,11 @@ class _Known:
         postings = self._columns.of_labels
         like = weights[postings.words[entries]]
         far, usual_ = self._library, self._library.of_labels
-        fitting = far.fits(thing.label)[usual_.words]
+        fitting = far.fits(thing.label)[usual_.words].astype(np.float64)
         rows = np.flatnonzero(fitting)
-        told = ratios(thing.attributes, self._columns.looks[entries], far.looks[rows], fitting[rows])
+        told = ratios(
+            thing.attributes, self._columns.looks[entries], far.looks[rows], fitting[rows]
+        )
         out = np.zeros(len(best))
         units = postings.units[entries]
         np.maximum.at(out, units, told * like / np.maximum(best[units], 1e-6))

@@ -74,7 +74,7 @@ def _placed(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
     """How well (n, 4) objects stand in a corner, in the middle, against a wall, and in a row."""
     low, high = at - size / 2, at + size / 2
     floors = [i for i, label in enumerate(labels) if is_floor(label)]
-    inside = floors if floors else list(range(len(labels)))
+    inside = floors or list(range(len(labels)))
     begin, end = low[inside, :2].min(axis=0), high[inside, :2].max(axis=0)
     gaps = np.stack([low[:, :2] - begin, end - high[:, :2]]).clip(min=0.0)  # (2, n, axes)
     near = np.exp(-gaps.min(axis=0) / _NEAR)  # to the nearer wall of each axis
@@ -92,7 +92,9 @@ def _rows(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
         for i in own:
             off = np.abs(at[own, :2] - at[i, :2])
             level = np.abs(at[own, 2] - at[i, 2]) < _ALIGNED
-            beside = (off.min(axis=1) < _ALIGNED) & (off.max(axis=1) < 2.0 * size[i, :2].max() + 0.5)
+            beside = (off.min(axis=1) < _ALIGNED) & (
+                off.max(axis=1) < 2.0 * size[i, :2].max() + 0.5
+            )
             out[i] = min((level & beside).sum() - 1, 2) / 2
     return out
 

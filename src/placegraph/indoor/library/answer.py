@@ -200,4 +200,4 @@ def _explain_text(library: Scenes, name: str, sentence: Sentence) -> tuple[Evide
     """What each statement says of a scene."""
     signature = library.entry(name).signature
     rooms = [a.get("room", "") for a in signature.attributes]
-    return score(sentence, signature.graph, rooms, library.texts).evidence
+    return score(sentence, signature.graph, rooms, library.texts, signature.attributes).evidence

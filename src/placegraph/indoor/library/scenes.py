@@ -208,10 +208,9 @@ class Scenes:
         if self._texts is None:
             _ = self.index
             signatures = [e.signature for e in self._entries.values()]
-            self._texts = TextIndex(
-                (s.graph for s in signatures),
-                ([a.get("room", "") for a in s.attributes] for s in signatures),
-            )
+            self._texts = TextIndex()
+            for s in signatures:
+                self._texts.add(s.graph, [a.get("room", "") for a in s.attributes], s.attributes)
         return self._texts
 
 

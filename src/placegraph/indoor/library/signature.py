@@ -14,6 +14,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import vectors_of
+from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
@@ -51,7 +52,7 @@ class Signature:
     graph: SceneGraph
     """Without embeddings."""
     attributes: tuple[dict[str, str], ...]
-    """(N,)"""
+    """(N,) as of the map, and the colours of the objects (`language.colours`)."""
     vectors: Mapping[str, NDArray[np.float32]]
     """(N, d) unit vectors, or zero, by the key of their encoder."""
     share: NDArray[np.float32]
@@ -127,7 +128,7 @@ def signature_of(
     counts = np.bincount(seen, minlength=len(scene) + 1)[: len(scene)] + 0.5
     return Signature(
         graph=replace(scene.graph, embeddings=None),
-        attributes=scene.attributes,
+        attributes=with_colours(scene),
         vectors=vectors,
         share=(counts / counts.sum()).astype(np.float32),
         places=table.positions[chosen, :2].astype(np.float32),

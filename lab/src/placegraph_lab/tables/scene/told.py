@@ -81,7 +81,8 @@ def rooms_told(house: SceneMap | None = None) -> dict[str, SceneMap]:
             x0, y0, x1, y1 = map(float, corners)
             x, y = house.graph.positions[:, :2].T
             inside = (x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)
-            wide = house.graph.extents[:, :2].prod(axis=1) > 100.0  # shell of the whole house
+            boxes = house.mesh.object_bounds(len(house))
+            wide = np.ptp(boxes[:, :, :2], axis=1).prod(axis=1) > 100.0  # shell of the whole house
             out[f"house/{name}"] = part_of(house, np.flatnonzero(inside & ~wide))
     return out
 
