@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import log
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import relate
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.bootstrap import paired_interval
+from placegraph_lab.tables.tables import markdown
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 
@@ -29,12 +31,15 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
+    from placegraph.graph import SceneGraph
+
+    Ranker = Callable[[str, Sequence[int]], NDArray[np.float64]]
+
 AMONG = 10
-DRAWS = 20
-"""Sets of ten rooms that a text is asked of."""
+"""Rooms that a text is asked of."""
 OTHERS = 30
 """Homes that nobody described, whose rooms stand among the others."""
-_SEPARATE = re.compile(r"[a-z]+")
+_WORD = re.compile(r"[a-z]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +48,6 @@ class Told:
 
     room: str
     text: str
-
-
-Ranker = "Callable[[str, Sequence[SceneMap]], NDArray[np.float64]]"
 
 
 def told() -> list[Told]:
@@ -148,27 +150,43 @@ _BOX = np.array([
 # ------------------------------------------------------------------------------------ rankers
 
 
-def ours(text: str, scenes: Sequence[SceneMap]) -> NDArray[np.float64]:
-    """Scores (n,) of scenes by what the library reads."""
-    return TextIndex(scenes).scores(read(text))
+def reader(scenes: Sequence[SceneMap | SceneGraph]) -> Ranker:
+    """Scores by what the library reads and compares."""
+    every = TextIndex(scenes)
+
+    def rank(text: str, rows: Sequence[int]) -> NDArray[np.float64]:
+        index = TextIndex()
+        for row in rows:
+            index.add_units(every.units(row))
+        return index.scores(read(text))
+
+    return rank
 
 
-def bag(text: str, scenes: Sequence[SceneMap]) -> NDArray[np.float64]:
-    """Scores (n,) of scenes by a bag of words: cosine of tf-idf with the words of their labels."""
-    bags = [
+def bag(scenes: Sequence[SceneMap]) -> Ranker:
+    """Scores by a bag of words: cosine of tf-idf with the words of the labels, in the singular.
+
+    How rare a word is, the rooms among which it is asked say.
+    """
+    every = [
         Counter(_singular(w) for label in s.graph.labels for w in label_words(label))
         for s in scenes
     ]
-    known = Counter(word for one in bags for word in one)
-    rare = {word: log((1.0 + len(scenes)) / (1.0 + count)) + 1.0 for word, count in known.items()}
-    said = Counter(_singular(w) for w in _SEPARATE.findall(text.lower()))
-    query = {w: (1.0 + log(n)) * rare[w] for w, n in said.items() if w in rare}
-    out = np.zeros(len(scenes))
-    for i, one in enumerate(bags):
-        weights = {w: (1.0 + log(n)) * rare[w] for w, n in one.items()}
-        norm = np.sqrt(sum(x * x for x in weights.values()))
-        out[i] = sum(x * weights.get(w, 0.0) for w, x in query.items()) / max(norm, 1e-12)
-    return out
+
+    def rank(text: str, rows: Sequence[int]) -> NDArray[np.float64]:
+        bags = [every[row] for row in rows]
+        known = Counter(word for one in bags for word in one)
+        rare = {word: log((1 + len(bags)) / (1 + count)) + 1.0 for word, count in known.items()}
+        said = Counter(_singular(w) for w in _WORD.findall(text.lower()))
+        query = {w: (1.0 + log(n)) * rare[w] for w, n in said.items() if w in rare}
+        out = np.zeros(len(bags))
+        for i, one in enumerate(bags):
+            weights = {w: (1.0 + log(n)) * rare[w] for w, n in one.items()}
+            norm = max(np.sqrt(sum(x * x for x in weights.values())), 1e-12)
+            out[i] = sum(x * weights.get(w, 0.0) for w, x in query.items()) / norm
+        return out
+
+    return rank
 
 
 def _singular(word: str) -> str:
@@ -177,36 +195,85 @@ def _singular(word: str) -> str:
 
 def hits(
     texts: Sequence[Told],
-    rooms: Mapping[str, SceneMap],
-    rankers: Mapping[str, Callable[[str, Sequence[SceneMap]], NDArray[np.float64]]],
+    names: Sequence[str],
+    rankers: Mapping[str, Ranker],
     rng: Generator,
     *,
-    draws: int = DRAWS,
-    among: int = AMONG,
-    alike: bool = False,
+    draws: int,
+    alike: bool,
 ) -> dict[str, NDArray[np.float64]]:
-    """How often (n,) each text's room comes first among others drawn at random, by ranker.
+    """How often (n,) each text's room comes first among ten, by ranker.
 
-    All rankers are asked of the same rooms; of k equal scores the room has 1 / k of the first place.
-    `alike`: rooms of the same kind come before others, kitchens among kitchens.
+    The other nine are drawn at random, the same for all rankers; of k equal scores the room has
+    1 / k of the first place. `alike`: rooms of the same kind come before others, kitchens among
+    kitchens.
     """
-    names = np.array(list(rooms))
+    known = np.array(names)
+    kinds = np.array([name.rpartition("/")[2] for name in names])
     out = {name: np.zeros(len(texts)) for name in rankers}
     for i, said in enumerate(texts):
-        others = np.flatnonzero(names != said.room)
+        own = int(np.flatnonzero(known == said.room)[0])
         for _ in range(draws):
-            order = rng.permutation(others)
+            others = rng.permutation(np.delete(np.arange(len(known)), own))
             if alike:
-                other_kind = [_kind(name) != _kind(said.room) for name in names[order]]
-                order = order[np.argsort(other_kind, kind="stable")]
-            chosen = [said.room, *names[order[: among - 1]]]
-            scenes = [rooms[name] for name in chosen]
+                others = others[np.argsort(kinds[others] != kinds[own], kind="stable")]
+            rows = [own, *others[: AMONG - 1].tolist()]
             for name, rank in rankers.items():
-                scores = rank(said.text, scenes)
+                scores = rank(said.text, rows)
                 first = scores >= scores.max() - 1e-9
                 out[name][i] += first[0] / first.sum() / draws
     return out
 
 
-def _kind(room: str) -> str:
-    return room.rpartition("/")[2]
+# ------------------------------------------------------------------------------------- report
+
+
+def ask(house: SceneMap | None, rng: Generator, *, draws: int) -> list[dict[str, Any]]:
+    """Share of texts whose room comes first, of each half, with intervals; one entry a row."""
+    rooms = rooms_told(house)
+    maps = list(rooms.values())
+    rankers = {
+        "bag of words": bag(maps),
+        "without colours": reader([m.graph for m in maps]),
+        "all": reader(maps),
+    }
+    texts = told()
+    out = []
+    for half, name in enumerate(("tuned on", "test")):
+        own = [t for t in texts[half::2] if t.room in rooms]
+        unread = float(np.mean([len(read(t.text).ignored) for t in own]))
+        for alike in (False, True):
+            found = hits(own, list(rooms), rankers, rng, draws=draws, alike=alike)
+            shares = {
+                ranker: paired_interval([(first, np.zeros(len(own)))], rng)
+                for ranker, first in found.items()
+            }
+            ahead = paired_interval([(found["all"], found["bag of words"])], rng)
+            out.append({
+                "half": name, "alike": alike, "texts": len(own), "rooms": len(maps),
+                "unread": unread, "first": {k: v._asdict() for k, v in shares.items()},
+                "ahead": ahead._asdict(),
+            })  # fmt: skip
+    return out
+
+
+def report(rows: Sequence[dict[str, Any]]) -> str:
+    """Markdown table of what `ask` found."""
+    header = ["texts", "ten rooms", *rows[0]["first"], "ahead of the bag", "parts unread"]
+    return markdown(
+        header,
+        [
+            [
+                f"{row['texts']}, {row['half']}",
+                "of its kind first" if row["alike"] else "any",
+                *[_between(share) for share in row["first"].values()],
+                _between(row["ahead"]),
+                f"{row['unread']:.1f}",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def _between(share: Mapping[str, float]) -> str:
+    return f"{share['mean']:.2f} ({share['low']:.2f} to {share['high']:.2f})"
