@@ -13,6 +13,30 @@ from placegraph.indoor.language import Kind, read
 from placegraph.language.check import LONGEST_TEXT
 
 SAID = {
+    "There's a huge white corner sofa with a floor lamp beside, and two orange plastic chairs in the"
+    " corner": [
+        "related(floor lamp, huge white corner sofa) with",
+        "related(floor lamp, huge white corner sofa) next to",
+        "holds(2 orange plastic in the corner chairs)",
+    ],
+    "The walls are blue and the wardrobe is made of dark wood.": [
+        "holds(blue walls)", "holds(dark wood wardrobe)",
+    ],
+    "sideboard pale green, a chair in red against the wall": [
+        "holds(pale green sideboard)", "holds(red against the wall chair)",
+    ],
+    "three armchairs side by side and a white heater on the opposite wall": [
+        "holds(3 in a row armchairs)", "holds(white against the wall heater)",
+    ],
+    "It's an entrance hall, quite empty.": ["room(empty entrance hall)"],
+    "A big room with a desk in the middle": ["room(big room)", "holds(in the middle desk)"],
+    "You're in a small bathroom. Through the door I can see the bed of the bedroom.": [
+        "room(small bathroom)", "room(bedroom) ~0.3", "towards(bed) 0° wide",
+    ],
+    "It looks like an office space with four desks arranged in two rows": [
+        "room(office space)", "holds(4 in a row desks)",
+    ],
+
     "next to the sofa, facing the window": ["near(sofa)", "towards(window) 0°"],
     "I am in the kitchen between the table and the fridge, looking at the door; the window is on my"
     " left": ["room(kitchen)", "between(table, fridge)", "towards(door) 0°", "towards(window) 90°"],

@@ -55,7 +55,7 @@ def ratios(words: Iterable[str], seen: Looks, usual: Looks, like: Floats) -> Flo
         if fit is None or every is None or np.isnan(every).all():
             continue
         known = ~np.isnan(every)
-        mean = (like[known] @ every[known] + _KNOWN * every[known].mean()) / (
+        mean = ((like * every)[known].sum() + _KNOWN * every[known].mean()) / (
             like[known].sum() + _KNOWN
         )
         wrong = MISNAMED.get(kind, TASTE)
@@ -133,7 +133,7 @@ def _sized(entries: tuple[str, ...], seen: Looks, usual: Looks, like: Floats) ->
         weight = like[known].sum()
         if weight <= 0.0:
             return np.full(len(seen), np.nan)
-        over = seen[:, column] - float(like[known] @ usual[known, column] / weight)
+        over = seen[:, column] - float((like * usual[:, column])[known].sum() / weight)
         over = -over if entry in ("small", "narrow", "low", "short") else over
         out *= 1.0 / (1.0 + np.exp(-_STEEP * over))
     return out

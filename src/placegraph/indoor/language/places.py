@@ -75,7 +75,8 @@ class Places(Statements):
         if attributes and place.relation == "in":
             self.look(subject, attributes)
             return True
-        if place.relation in _BY_WALL and part in ("wall", "walls") and not place.negated:
+        wall = part.endswith(("wall", "walls"))
+        if place.relation in _BY_WALL and wall and not place.negated:
             self.look(subject, ("against the wall",))
             return True
         return False

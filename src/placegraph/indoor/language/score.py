@@ -86,8 +86,9 @@ def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> F
 
 def _mean(term: Term) -> float:
     """Mean fit of a term, of few scenes drawn to what has never been seen."""
-    where = np.ones(len(term.fit)) if term.where is None else term.where
-    return float((where @ term.fit + 0.05) / (where.sum() + 1.0))
+    if term.where is None:
+        return float((term.fit.sum() + 0.05) / (len(term.fit) + 1.0))
+    return float(((term.where * term.fit).sum() + 0.05) / (term.where.sum() + 1.0))
 
 
 def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[Term]:

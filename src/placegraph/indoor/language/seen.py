@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +30,8 @@ COLUMNS = (
 )  # fmt: skip
 """What is known of an object, NaN where nobody knows; the last three are logarithms [m], [m3]."""
 AT = {name: i for i, name in enumerate(COLUMNS)}
-_SAID = {"materials": "material", "shapes": "shape", "patterns": "texture"}
+_TOLD = {"materials": MATERIALS, "shapes": SHAPES, "patterns": ("patterned",)}
+_SAID = ("material", "shape", "texture")
 """3DSSG's names of attributes that say so; "color" is read by `colours`."""
 _NEAR = 0.6  # of a wall [m], so softly
 _ALIGNED = 0.25  # things in a row are off it by less [m]
@@ -56,18 +59,21 @@ def seen(
 
 def _told(looks_: Floats, label: str, attributes: Mapping[str, str]) -> None:
     """Fill in what the label and the attributes of an object say in words."""
-    words = [*label_words(label), *attributes.get("shape", "").lower().split(", ")]
-    for key in _SAID.values():
-        words += attributes.get(key, "").lower().replace(",", " ").split()
-    said = looks().said(words)
-    known = {"materials": MATERIALS, "shapes": SHAPES, "patterns": ("patterned",)}
-    for kind, names in known.items():
+    said = _says(label, *[attributes.get(key, "") for key in _SAID])
+    for kind, names in _TOLD.items():
         if kind in said:
             looks_[[AT[name] for name in names]] = 0.0
             looks_[[AT[name] for name in said[kind]]] = 1.0
     if "colours" in said and np.isnan(looks_[0]):
         looks_[: len(COLOURS)] = 0.0
         looks_[[AT[name] for name in said["colours"]]] = 1.0 / len(said["colours"])
+
+
+@lru_cache(maxsize=20_000)
+def _says(label: str, *attributes: str) -> dict[str, tuple[str, ...]]:
+    """What a label, and values of attributes ("wooden, metal"), say of looks."""
+    values = [value.strip() for text in attributes for value in text.lower().split(",")]
+    return looks().said([*label_words(label), *values])
 
 
 def _placed(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
@@ -87,15 +93,15 @@ def _placed(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
 def _rows(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
     """Whether (n,) an object stands beside others of its label, along a line."""
     out = np.zeros(len(labels))
-    for label in {x for x in labels if labels.count(x) > 1}:
+    for label, count in Counter(labels).items():
+        if count == 1:
+            continue
         own = np.array([i for i, x in enumerate(labels) if x == label])
-        for i in own:
-            off = np.abs(at[own, :2] - at[i, :2])
-            level = np.abs(at[own, 2] - at[i, 2]) < _ALIGNED
-            beside = (off.min(axis=1) < _ALIGNED) & (
-                off.max(axis=1) < 2.0 * size[i, :2].max() + 0.5
-            )
-            out[i] = min((level & beside).sum() - 1, 2) / 2
+        off = np.abs(at[own, None] - at[own])
+        apart = off[:, :, :2]
+        near = apart.max(axis=2) < 2.0 * size[own, None, :2].max(axis=2) + 0.5
+        row = (apart.min(axis=2) < _ALIGNED) & near & (off[:, :, 2] < _ALIGNED)
+        out[own] = np.minimum(row.sum(axis=1) - 1, 2) / 2
     return out
 
 

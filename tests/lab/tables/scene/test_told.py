@@ -1,0 +1,53 @@
+"""Described rooms: the texts are whole, rooms are cut out, and first places are counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from placegraph_lab.tables.scene.told import (
+    bag,
+    hits,
+    office,
+    part_of,
+    reader,
+    report,
+    rooms_told,
+    told,
+)
+
+
+def test_no_room_has_texts_in_both_halves():
+    texts = told()
+    assert len(texts) >= 60
+    assert not {t.room for t in texts[::2]} & {t.room for t in texts[1::2]}
+    assert len({t.text for t in texts}) == len(texts)
+
+
+def test_the_office_is_a_room():
+    room = office()
+    assert {"sofa", "chair", "coffee machine"} <= set(room.graph.labels)
+    sofa = part_of(room, np.array([room.graph.labels.index("sofa")]))
+    assert sofa.graph.labels == ("sofa",)
+    assert sofa.coloured is False  # one colour alone
+
+
+def test_first_places_are_counted():
+    room = office()
+    own = [part_of(room, np.array([i])) for i in (0, room.graph.labels.index("plant"))]
+    names = [f"{i}/room" for i in range(2)]
+    texts = [type(told()[0])("1/room", "lots of plants")]
+    found = hits(
+        texts, names, {"ours": reader(own), "bag": bag(own)}, np.random.default_rng(0),
+        draws=2, alike=True,
+    )  # fmt: skip
+    assert found["ours"] == found["bag"] == [1.0]
+    row = {"half": "test", "alike": True, "texts": 1, "rooms": 2, "unread": 0.0}
+    share = {"mean": 1.0, "low": 1.0, "high": 1.0}
+    assert "1.00 (1.00 to 1.00)" in report([row | {"first": {"bag": share}, "ahead": share}])
+
+
+@pytest.mark.all
+def test_every_described_room_is_there():
+    rooms = rooms_told()
+    assert {t.room for t in told() if not t.room.startswith("house/")} <= set(rooms)
