@@ -17,6 +17,7 @@ from placegraph.indoor.language.colours import (
 )
 from placegraph.indoor.language.likeness import fits
 from placegraph.indoor.language.looks import COLOURS
+from placegraph.indoor.language.referents import Referents
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 
@@ -80,6 +81,20 @@ def test_what_a_map_does_not_know_says_nothing():
     wooden = annotated.scores(read("a wooden chair"))
     assert wooden[0] > wooden[1] + 0.1
     assert np.ptp(annotated.scores(read("a round white chair"))) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "row"),
+    [("next to the blue chair", 1), ("next to the big chair", 0), ("by a chair", -1)],
+)
+def test_the_thing_that_looks_so_is_meant(text, row):
+    two = room(
+        ("chair", (0, 0, 0.5), (0.8, 0.8, 1.0), GREEN),
+        ("chair", (3, 0, 0.4), (0.4, 0.4, 0.8), BLUE),
+    )
+    (weights,) = Referents(read(text), two).weights
+    assert weights.max() == pytest.approx(1.0)
+    assert (weights < 0.9).tolist() == [row == 1, row == 0]
 
 
 def test_rooms_have_sizes():

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.described import triples
+from placegraph.indoor.language.held import ratios
 from placegraph.indoor.language.likeness import (
     EXACT,
     fits,
@@ -18,6 +20,7 @@ from placegraph.indoor.language.likeness import (
     table,
 )
 from placegraph.indoor.language.score import sayings
+from placegraph.indoor.language.seen import COLUMNS, seen
 from placegraph.indoor.language.sentence import Kind
 
 if TYPE_CHECKING:
@@ -32,6 +35,8 @@ _KIN_TOO = 0.3
 """How well kin fits where the thing itself is there."""
 _UNRELATED = 0.2
 """How well a thing fits that does not lie as was said: maps do not know all relations."""
+_UNLIKE = 0.2
+"""How well a thing fits at least that looks otherwise than was said."""
 _NO_ROOM = 0.1
 """A map has no such room where none is one with more than this probability."""
 
@@ -52,9 +57,31 @@ class Referents:
         for i, mention in enumerate(self.sentence.mentions):
             if mention.room and not (out[i] >= EXACT).any():
                 out[i] = self._in_room(mention.room)
+            elif mention.attributes:
+                out[i] = self._looking(mention.attributes, out[i])
         for s in self.sentence.statements:
             if s.kind is Kind.RELATED and not s.negated:
                 self._narrow(s, out)
+        return out
+
+    def _looking(self, attributes: tuple[str, ...], weights: Floats) -> Floats:
+        """Weights (N,) of things that look as was said: the red one of two chairs."""
+        spoken = weights > 0.0
+        if not spoken.any():
+            return weights
+        told = ratios(attributes, self._seen, self._seen, weights.astype(np.float64))
+        told /= told[spoken].max()
+        return (weights * np.maximum(told, _UNLIKE)).astype(np.float32)
+
+    @cached_property
+    def _seen(self) -> NDArray[np.float64]:
+        """(N, C) what the objects look like, and where in their rooms they stand."""
+        out = np.empty((len(self.scene), len(COLUMNS)))
+        attributes = with_colours(self.scene)
+        of = self.rooms[0]
+        for room in np.unique(of):
+            rows = np.flatnonzero(of == room)
+            out[rows] = seen(self.scene.graph, rows.tolist(), attributes)
         return out
 
     @staticmethod
