@@ -15,7 +15,7 @@ from placegraph.outdoor.likelihood.fit_kernels import (
     distance_fit,
 )
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS, SLACK, in_sight, likelihoods
-from placegraph.outdoor.map.index import SIGHT
+from placegraph.outdoor.map.index import POINT, SIGHT
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 COARSE, FINE = 20.0, 5.0
@@ -114,36 +114,62 @@ def distant(statements, scene, far, positions):
     of two things the one that is not listed stands where the speaker stands, nearly enough.
     """
     out = np.zeros((len(positions), len(statements.op)), np.float32)
-    for s in range(len(statements.op)):
+    mention, forward = np.full(len(out[0]), ME), np.zeros(len(out[0]), np.bool_)
+    for s in range(len(mention)):
         a, b = statements.source[s], statements.target[s]
         n_a = far.starts[a + 1] - far.starts[a] if a != ME else 0
         n_b = far.starts[b + 1] - far.starts[b] if b != ME else 0
-        if statements.op[s] == BETWEEN or statements.negated[s] or n_a + n_b == 0:
-            continue
-        forward = n_b == 0 or (0 < n_a <= n_b)
-        m = a if forward else b
-        ux, uy = statements.bearing[s]
-        for i in range(far.starts[m], far.starts[m + 1]):
+        if statements.op[s] != BETWEEN and not statements.negated[s] and n_a + n_b > 0:
+            forward[s] = n_b == 0 or (0 < n_a <= n_b)
+            mention[s] = a if forward[s] else b
+    for m in range(len(far.starts) - 1):
+        reach = np.float32(0.0)
+        for s in range(len(mention)):
+            reach = max(reach, np.float32(4.0) * far.scale[s] if mention[s] == m else reach)
+        for i in range(far.starts[m], far.starts[m + 1] if reach > 0.0 else 0):
             o = far.objects[i]
+            west, south, east, north = _box(scene, o)
             for k in range(len(positions)):
-                cx = scene.center[o, 0] - positions[k, 0]
-                cy = scene.center[o, 1] - positions[k, 1]
+                x, y = positions[k]
+                aside = max(west - x, x - east, np.float32(0.0))
+                ahead = max(south - y, y - north, np.float32(0.0))
+                if aside * aside + ahead * ahead > reach * reach:
+                    continue
+                dx, dy = scene.center[o, 0] - x, scene.center[o, 1] - y
                 # extents beyond 1 km are walked in sight, not from afar
-                if max(abs(cx), abs(cy)) > 4.0 * far.scale[s] + 1000.0:
+                if max(abs(dx), abs(dy)) > reach + np.float32(1000.0):
                     continue
-                x, y, d2 = cx, cy, cx * cx + cy * cy
-                if scene.kind[o] != 0:
-                    x, y, d2 = nearest_on_parts(
-                        scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o,
-                        positions[k, 0], positions[k, 1],
-                    )  # fmt: skip
+                d2 = dx * dx + dy * dy
+                if scene.kind[o] != POINT:
+                    dx, dy, d2 = nearest_on_parts(
+                        scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o, x, y
+                    )
                 d = np.sqrt(d2)
-                if d > 4.0 * far.scale[s]:
-                    continue
-                p = np.exp(-d / far.scale[s])
-                if statements.op[s] == DIRECTION:
-                    wx, wy = (ux, uy) if forward else (-ux, -uy)
-                    p *= direction_fit(statements.table[s], wx, wy, x, y, COARSE)
-                p *= distance_fit(statements.distance[s], d)
-                out[k, s] += far.share[s] * far.fits[i] * p
+                for s in range(len(mention)):
+                    if mention[s] == m and d <= 4.0 * far.scale[s]:
+                        fit = _fit_afar(statements, s, d, dx, dy, far.scale[s], forward[s])
+                        out[k, s] += far.share[s] * far.fits[i] * fit
     return out
+
+
+@kernel(fastmath=True, inline="always")
+def _fit_afar(statements, s, d, dx, dy, scale, forward):
+    """How well a thing out of sight fits a statement, that is d = (dx, dy) away [m]."""
+    fit = np.exp(-d / scale) * distance_fit(statements.distance[s], d)
+    if statements.op[s] == DIRECTION:
+        ux, uy = statements.bearing[s] if forward else -statements.bearing[s]
+        fit *= direction_fit(statements.table[s], ux, uy, dx, dy, COARSE)
+    return fit
+
+
+@kernel
+def _box(scene, o):
+    """West, south, east and north end of an object [m]."""
+    a = scene.point_starts[scene.part_starts[o]]
+    b = scene.point_starts[scene.part_starts[o + 1]]
+    west, south = scene.points[a]
+    east, north = west, south
+    for i in range(a + 1, b):
+        west, east = min(west, scene.points[i, 0]), max(east, scene.points[i, 0])
+        south, north = min(south, scene.points[i, 1]), max(north, scene.points[i, 1])
+    return west, south, east, north
