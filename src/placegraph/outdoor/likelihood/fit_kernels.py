@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ BLUR = 1.5
 """Square of the distance below which directions blur [m^2]."""
 
 
+@lru_cache(maxsize=64)
 def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
     """P(direction said | cosine of the angle between truth and what is said), (TABLE,) float32.
 

@@ -7,9 +7,10 @@ viewpoint; for each the objects in sight are listed with their nearest points, a
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -146,10 +147,16 @@ class ViewIndex:
 
     def near(self, position: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
         """Viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
-        first, last = np.searchsorted(self._north, (position[1] - reach, position[1] + reach))
+        first, last = self.rows_near(position, reach)
         delta = np.abs(self.positions[first:last] - position).max(axis=1, initial=0.0)
         found = np.flatnonzero(delta <= reach)
         return first + found[np.argsort(delta[found], kind="stable")]
+
+    def rows_near(self, position: NDArray[np.floating[Any]], reach: float) -> tuple[int, int]:
+        """First and last + 1 of the viewpoints within `reach` [m] of a position (2,) in north."""
+        ends = (position[1] - reach, position[1] + reach)
+        first, last = (bisect_left(self._north, end) for end in ends)
+        return first, last
 
     @cached_property
     def _north(self) -> NDArray[np.float32]:

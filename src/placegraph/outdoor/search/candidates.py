@@ -91,10 +91,14 @@ def _with_far(
 
 
 def around_far(city: City, far: Far, chosen: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Viewpoints (K,) around rare things out of sight that are not among the chosen."""
-    anchors = city.objects.center[far.anchors[:MOST_ANCHORS]]
-    around = [city.views.near(anchor, FAR_REACH) for anchor in anchors]
-    return np.setdiff1d(np.concatenate([*around, np.zeros(0, np.int64)]), chosen).astype(np.int32)
+    """Viewpoints (K,) around rare things out of sight that are not among the chosen, ascending."""
+    around = np.zeros(len(city.views.positions), np.bool_)
+    for anchor in city.objects.center[far.anchors[:MOST_ANCHORS]]:
+        first, last = city.views.rows_near(anchor, FAR_REACH)
+        east = city.views.positions[first:last, 0]
+        around[first:last] |= np.abs(east - anchor[0]) <= FAR_REACH
+    around[chosen] = False
+    return np.flatnonzero(around).astype(np.int32)
 
 
 def _touched(asked: Request, most: int) -> NDArray[np.int32]:

@@ -78,8 +78,7 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
         at = int(np.argmax(smooth))
         if smooth[at] <= 1e-9:
             break
-        distance = np.hypot(*(found.positions - found.positions[at]).T)
-        near = distance <= APART
+        near = _within(found.positions, found.positions[at], APART)
         weights = np.where(near, left, 0.0)
         if weights.sum() <= 0.0:
             smooth[near] = 0.0
@@ -88,11 +87,11 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
         delta = found.positions - position
         covariance = (weights[:, None] * delta).T @ delta / weights.sum()
         covariance += np.eye(2) * (spacing**2 / 12.0 + 1.0)
-        mass = np.where(np.hypot(*delta.T) <= WITHIN, left, 0.0)
+        around = _within(found.positions, position, WITHIN)
+        mass = np.where(around, left, 0.0)
         peaks.append(Mode(position, covariance, min(1.0, float(mass.sum()))))
         left = left - mass
-        smooth[np.hypot(*delta.T) <= WITHIN] = 0.0
-        smooth[near] = 0.0
+        smooth[around | near] = 0.0
     return sorted(peaks, key=lambda m: -m.probability)[:top]
 
 
@@ -105,8 +104,7 @@ def ranked(found: Posterior, top: int, spacing: float) -> list[Mode]:
 
 
 def _mass(found: Posterior, position: NDArray[np.float64]) -> float:
-    near = np.hypot(*(found.positions - position).T) <= WITHIN
-    return float(found.probabilities[near].sum())
+    return float(found.probabilities[_within(found.positions, position, WITHIN)].sum())
 
 
 def _smoothed(
@@ -115,10 +113,17 @@ def _smoothed(
     """Probability within `APART` of the heaviest points (0 for light ones): peaks are broad, not sharp."""
     smooth = np.zeros(len(positions))
     heavy = np.argsort(-probabilities)[:32]
-    for i in heavy:
-        near = np.hypot(*(positions - positions[i]).T) <= APART
-        smooth[i] = probabilities[near].sum() + 1e-3 * probabilities[i]
+    near = _within(positions, positions[heavy, None], APART)
+    smooth[heavy] = np.where(near, probabilities, 0.0).sum(axis=1) + 1e-3 * probabilities[heavy]
     return smooth
+
+
+def _within(
+    positions: NDArray[np.float64], center: NDArray[np.float64], radius: float
+) -> NDArray[np.bool_]:
+    """Which positions (..., K) lie within a radius [m] of a center (..., 2)."""
+    east, north = positions[:, 0] - center[..., 0], positions[:, 1] - center[..., 1]
+    return east * east + north * north <= radius * radius
 
 
 def status_of(found: Posterior, peaks: list[Mode]) -> tuple[Status, str]:
