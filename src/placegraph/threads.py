@@ -1,4 +1,6 @@
-"""Compiled loops on several threads: one range, cut into parts that write to what is their own.
+"""Compiled loops on several threads, and matrix products on one where more would only wait.
+
+A loop is one range, cut into parts that write to what is their own.
 
 Numba's own parallel loops are not used: they take twice as long to compile, two of them at once end
 the process on some machines, and so does one after a fork.
@@ -12,13 +14,21 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from numpy.typing import NDArray
+
+ALONE = 1 << 18
+"""Terms of a matrix product that OpenBLAS reckons on one thread."""
+MANY = 1 << 26
+"""Terms from which threads of OpenBLAS are worth waking: they wait busily for each other."""
 _MOST: ContextVar[int | None] = ContextVar("most", default=None)
 
 
@@ -64,6 +74,17 @@ def share(work: Callable[..., None], count: int, *inputs: object) -> None:
     for helper in helpers:
         if not helper.cancel():  # one that has not begun would find nothing left
             helper.result()
+
+
+def product(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+    """Matrix product (N, M) of x (N, K) and y (K, M), on one thread unless it is a large one."""
+    rows = max(1, ALONE // max(1, y.size))
+    if len(x) <= rows or len(x) * y.size >= MANY:
+        return np.asarray(x @ y)
+    out = np.empty((len(x), y.shape[1]), np.result_type(x, y))
+    for first in range(0, len(x), rows):
+        np.matmul(x[first : first + rows], y, out=out[first : first + rows])
+    return out
 
 
 @cache

@@ -86,11 +86,12 @@ class Parse:
                 values.append(value)
                 return None
             rule = self._rules[-1 - action]
-            children: list[Any] = []
-            if rule.length:
-                for child, inlined in zip(values[-rule.length :], rule.inlined, strict=True):
-                    children += child if inlined else (child,)
-                del values[-rule.length :], states[-rule.length :]
+            first = len(values) - rule.length
+            children = values[first:]
+            del values[first:], states[first:]
+            if True in rule.inlined:
+                each = zip(children, rule.inlined, strict=True)
+                children = [c for child, inlined in each for c in (child if inlined else (child,))]
             alone = rule.single and len(children) == 1
             values.append(children[0] if alone else rule.build(children))
             states.append(self._table[states[-1]][rule.origin])

@@ -29,11 +29,16 @@ class Phrases:
         for words in sorted(known, key=len, reverse=True):
             first.setdefault(words[0], []).append((words, known[words]))
         self.by_word = {word: tuple(entries) for word, entries in first.items()}
+        self._known = known
+        self._lengths = {
+            word: sorted({len(words) for words, _ in entries}, reverse=True)
+            for word, entries in first.items()
+        }
 
     def longest(self, words: Sequence[str], start: int) -> tuple[int, tuple[Terminal, ...]] | None:
         """Number of words of the longest phrase that begins at `start`, and its terminals."""
-        for phrase, terminals in self.by_word.get(words[start], ()):
-            n = len(phrase)
-            if n == 1 or tuple(words[start : start + n]) == phrase:
-                return n, terminals
+        for n in self._lengths.get(words[start], ()):
+            phrase = tuple(words[start : start + n])
+            if phrase in self._known:
+                return len(phrase), self._known[phrase]
         return None

@@ -17,6 +17,7 @@ from placegraph.outdoor.network import network_kernels as kernels
 from placegraph.outdoor.network.batches import agreements, place_batch, text_batch
 from placegraph.outdoor.network.labels import Bags
 from placegraph.outdoor.network.weights import MEANING, read_weights, shipped, sizes
+from placegraph.threads import product
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -275,7 +276,7 @@ class GraphTransformer:
         return States(x, starts, pooled / length, batch.relations)
 
     def _linear(self, name: str, x: NDArray[np.floating[Any]]) -> Floats:
-        y = x @ self.arrays[f"{name}.weight"].T
+        y = product(x, self.arrays[f"{name}.weight"].T)
         if f"{name}.bias" in self.arrays:
             y += self.arrays[f"{name}.bias"]
         return np.asarray(y, np.float32)
