@@ -56,3 +56,11 @@ def test_the_way_from_a_listener(positions):
     unsure = Whereabouts(listener=listener, ways=(Way(0.0, 0.5, 0.2),)).log(positions)
     assert np.ptp(unsure) < np.ptp(north)
     assert np.isfinite(north).all()
+
+
+def test_a_distance_on_the_way_is_where_the_prior_peaks():
+    east = np.column_stack([np.arange(0.0, 60_000.0, 20.0), np.zeros(3000)])
+    way = Way(np.pi / 2, 0.3, 0.7, 1000.0)
+    prior = Whereabouts(listener=np.zeros(2), ways=(way,)).log(east)
+    assert np.isfinite(prior).all()
+    assert east[np.argmax(prior), 0] == pytest.approx(1000.0, abs=200.0)

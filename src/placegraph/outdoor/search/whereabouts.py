@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.index import ViewIndex
 
-WALK = 800.0
-"""Scale of the distance from a listener to the place they are told of [m]."""
+WALK = 900.0
+"""Spread to either side of the places that a listener is told of [m]; half lie within 1.2 times it."""
 
 
 class Way(NamedTuple):
@@ -36,15 +36,15 @@ class Way(NamedTuple):
 
     def fits(self, delta: NDArray[np.float64]) -> NDArray[np.float64]:
         """How much likelier it makes positions (W, 2) [m] from the listener than they were."""
-        sigma = 1.2 * self.sigma
+        sigma = 0.9 * self.sigma
         off = np.exp(-0.5 * (angle_between(bearing(delta), self.bearing) / sigma) ** 2)
         if self.distance is None:
-            return 2.0 * off
+            return np.asarray(off * np.sqrt(2.0 * np.pi) / sigma)
         # on the ring at that distance, against all around within a walk
         far, width = np.hypot(*delta.T), 0.25 * self.distance + 60.0
         ring = off * np.exp(-0.5 * ((far - self.distance) / width) ** 2)
         area = 2.0 * np.pi * sigma * width * np.maximum(far, width)
-        return np.asarray(ring / area * 1e6 / _walk(far))
+        return np.asarray(ring / area * 1e6 / np.maximum(_walk(far), 1e-6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class Whereabouts:
 
 def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
-    return np.exp(-distance / WALK) * 1e6 / (2.0 * np.pi * WALK**2)
+    return np.asarray(np.exp(-0.5 * (distance / WALK) ** 2) * 1e6 / (2.0 * np.pi * WALK**2))
 
 
 def number(value: object) -> float:
