@@ -71,7 +71,7 @@ _A_BLOCK = r"""(?:(?<!\ba\sblock)(?<!\bone\sblock)|(?=\s+(?:and\s+an?\s+half\s+)
        |beyond|walk|over|off)\b))"""
 MEASURE = rf"""\b(?:(?:about|around|roughly|approximately|some|within|almost|nearly|only|just
         |less\s+than|over|for)\s+)?
-    (?: (?P<number>{_NUMBER}){_HALF}(?:(?<=[\d½])\s*|[\s-]+){_UNIT}{_HALF}(?![\w']){_A_BLOCK}
+    (?: (?P<number>{_NUMBER})(?:[\s-]plus|\+)?{_HALF}(?:(?<=[\d½])\s*|[\s-]+){_UNIT}{_HALF}(?![\w']){_A_BLOCK}
       | (?:an?\s+)?half(?:\s+of)?(?:\s+an?)?\s+{_UNIT}(?![\w']))"""
 """Pattern of a distance (verbose, case ignored), with a group ``number``."""
 

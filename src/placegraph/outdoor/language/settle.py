@@ -7,6 +7,7 @@ from functools import lru_cache, partial
 from math import pi
 from typing import TYPE_CHECKING
 
+from placegraph.language.measures import Measure
 from placegraph.outdoor.language.words import LOOSE_SIGMA, SHARP_SIGMA, Direction
 
 if TYPE_CHECKING:
@@ -19,11 +20,14 @@ VERBS = frozenset(
     ("BE", "EXISTS", "SEE", "HAVE", "MEET", "GO", "PASS", "CROSS", "FOLLOW", "REACH", "TOOFAR")
 )
 JOINTS = frozenset(("AND", "CUT", "COND"))
+NEXT_BLOCK = Measure.within(0.0, blocks=1.5)
+"""How far things on "the next block" are at most."""
 LOOSE = 0.8
 """Certainty of what is said to be "mostly" so."""
 _LEADS = frozenset(("ON", "IN", "AT", "TO", "FROM", "OF", "PREP"))
 _BEFORE_THING = frozenset(("DET", "THIS", "NAME", "MY", "YOUR", "A"))
 _DETERMINED = frozenset(("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS"))
+_IN_THING = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "WORD", "ADVERB"))
 _THINGS = frozenset(("NOUN", "NAME"))
 
 
@@ -176,9 +180,21 @@ def _called(_chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, 
     return ()
 
 
+def _block(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+    """Take "on the next block north" as that far to the north: a block is no thing on a map."""
+    for i, other in enumerate(rest[:-1]):
+        if other.type == "PART" and other.value == "block" and rest[i + 1].type == "DIR":
+            for skipped in rest[: i + 1]:
+                skipped.type, skipped.value = "ADVERB", "skip"
+            return (replace(chunk, type="DIST", value=NEXT_BLOCK),)
+        if other.type not in _IN_THING:
+            break
+    return (chunk,)
+
+
 def _lets(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
     """Take "let's get some paint at the store" as meeting at the store."""
-    if not rest or _next(rest) in VERBS:
+    if not rest or _next(rest) in VERBS - {"HAVE"}:  # "let's have a drink at the bar"
         return ()
     place = len(rest)
     for i, other in enumerate(rest):
@@ -215,6 +231,9 @@ def _word(
 
 _RULES = {
     "RIGHT": _right,
+    "ON": _block,
+    "IN": _block,
+    "AT": _block,
     "SHORT": _short,
     "PREP": _preposition,
     "ACROSS": _across,

@@ -159,11 +159,15 @@ def _far(
         n - 2 for s, r in zip(used, reaches, strict=True) if r for n in ends(s) if n not in here
     }
     nothing = (np.zeros(0, np.int64), np.zeros(0, np.float32))
-    most = MOST_FAR if on_a_way else RARE
+    away = {n - 2 for s in used if (s.distance or 0.0) > NEARBY for n in ends(s) if n not in here}
     members = [
-        _members(*mention, city, most=most) if m in spoken else nothing
+        _members(*mention, city, most=MOST_FAR if on_a_way or m in away else RARE)
+        if m in spoken
+        else nothing
         for m, mention in enumerate(mentions)
     ]
+    if not on_a_way:  # of many, no particular one comes to mind
+        members = [(o, f * min(1.0, RARE / max(1, len(o)))) for o, f in members]
     objects = np.concatenate([o for o, _ in members] or [nothing[0]])
     if not len(objects):
         return None
@@ -171,7 +175,7 @@ def _far(
     return Far(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
         objects=objects,
-        fits=np.concatenate([f for _, f in members]),
+        fits=np.concatenate([f for _, f in members]).astype(np.float32),
         scale=np.array(
             [max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32
         ),
