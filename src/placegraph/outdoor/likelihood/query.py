@@ -233,15 +233,18 @@ def _members(
 def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Tokens that a mention may stand for on this map, and how well they fit."""
     weights: dict[int, float] = {}
+    names = _named(mention, city)
     by_kind = KIND_ONLY if mention.name else 1.0
-    for sense in mention.senses:
+    # the map has it: what else is of its kind is something else
+    exact = max(names.values(), default=0.0) >= 1.0
+    for sense in () if exact else mention.senses:
         for label in city.label_index.get(sense.label, ()):
             weights[label] = max(weights.get(label, 0.0), by_kind * sense.weight)
     literal = {label for label in weights if is_tag(mention.words, city.objects.labels[label])}
     if literal:
         weights = {label: w if label in literal else LOOSELY * w for label, w in weights.items()}
     shift = len(city.objects.labels)
-    for name, weight in _named(mention, city).items():
+    for name, weight in names.items():
         weights[name + shift] = weight
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
 
