@@ -38,7 +38,8 @@ _SCAN = re.compile(
 )
 _OPENS = re.compile(
     r"\s*(?:$|\n|(?:It|The|There|This|That|You|Your|I|If|When|We|They|On|In|At|Go|Head|Meet|Cross"
-    r"|An?|Across|To|My|From|Turn|Walk|Look|Next|Its|Theres)\b(?!\s+[A-Z])"
+    r"|An?|Across|To|My|From|Turn|Walk|Look|Next|Its|Theres|After|Before|Once|Then"
+    r"|Keep|Continue|Follow|Pass|Take|Stop|Come|Get|And|But|So|Our)\b(?!\s+[A-Z])"
     r"|(?:It|I|There|You|Let|That|We|They)['’])"
 )
 """What opens a new sentence even after a word that a full stop may shorten."""

@@ -243,3 +243,33 @@ def test_a_text_of_the_papers_form_takes_little_time():
         times.append(time.perf_counter() - start)
     # 0.7 ms where it was measured; room for a slow or busy machine
     assert sorted(times)[5] < 0.006
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("I am near the Salvation Army and the bench.", ["Salvation Army", "bench"]),
+        ("I'm at the Independent Hotel.", ["Independent Hotel"]),
+        ("There is an Aldi next to the Cathedral.", ["Aldi", "Cathedral"]),
+        ("The craft shop is next to the beam.", ["craft shop", "beam"]),
+        ("Turn onto W. 38th. Walk past the bank.", ["W. 38th", "bank"]),
+        ("It's on the south side of East 34th in the middle of the block.", ["East 34th"]),
+        ("Go north on 6th Ave. After passing the bank turn left.", ["6th Ave", "bank"]),
+        ("Wanna join me? I'm at the bank.", ["bank"]),
+        ("Zappos is near me.", ["Zappos"]),
+    ],
+)
+def test_names_and_common_nouns(text, found):
+    """A name has capitals, or is no word of the vocabulary; a word with a capital may be none."""
+    names = Names("Salvation Army", "The Independent", "Aldi", "Craft", "Cathedral Square")
+    mentions = describe(text, names=names).mentions[2:]
+    assert [m.name or m.words.partition(" ")[2] for m in mentions] == found
+
+
+def test_unknown_words_are_told_with_what_they_look_like():
+    said = describe("A zorblat is north of me. I see a kiosq and the stop_position.")
+    told = {i.text: i.reason for i in said.ignored}
+    assert told["A zorblat"] == "unknown word"
+    assert told["the stop_position"] == "known, but no city map draws it"
+    assert told["a kiosq"].startswith("unknown word; did you mean kiosk")
+    assert said.unknown_words == ("A zorblat", "a kiosq", "the stop_position")

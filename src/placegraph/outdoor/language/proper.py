@@ -24,6 +24,12 @@ MISSPELT_NAME = 0.9
 """Similarity from which a name is a misspelt one of the map."""
 LONGEST_NOUN = 80
 """Characters of a phrase that may name a kind of thing."""
+CLEARLY = 0.8
+"""Weight of a sense from which a word with a capital is a common noun after an article."""
+_TELLS = frozenset(
+    ("BE", "HAVE", "AND", "ON", "IN", "AT", "PREP", "ACROSS", "BETWEEN", "WITH", "DIR")
+)
+"""What follows a name that opens a sentence."""
 _ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
 
 
@@ -86,9 +92,13 @@ class ProperNames:
         mapped = self.names.longest_name(self.name_words, k)
         if mapped:
             mapped = self.name_ends[k + mapped - 1] - i + 1
+        if mapped and known and known[1][0].type == "DET" and self._span(i + 1) > i + mapped:
+            return 0  # "the Independent Hotel" is no "The Independent"
         if mapped > 1 and mapped >= max(n_known, n_noun) and self._all_capital(i, mapped):
             return max(mapped, spelt)
         capital = self.words[i].capital and not self.shouting
+        if n_noun == 1 and capital and not known and max(mapped, spelt) == 1:
+            return int(bool(mapped) and (bool(spelt) or self._seldom_common(i)))
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
         if known and known[1][0].type == "DET" and not spelt:  # "the bench" is no "The Bench"
@@ -96,7 +106,14 @@ class ProperNames:
             mapped = mapped if mapped > 1 + (noun[0] if noun else 0) else 0
         if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
             return spelt
+        if mapped == 1 and not capital and self.vocabulary.senses(self.lower[i]):
+            return spelt  # "a craft shop" is no business called "Craft"
         return max(mapped, spelt)
+
+    def _seldom_common(self, i: int) -> bool:
+        """Tell whether a word is a common noun only in a manner of speaking: "an Aldi"."""
+        noun = self.vocabulary.longest_match(self.lower, i)
+        return noun is not None and max((s.weight for s in noun[1]), default=0.0) < CLEARLY
 
     def _all_capital(self, i: int, n: int) -> bool:
         """Tell whether n words are written as names are: "The Salvation Army"."""
@@ -111,6 +128,8 @@ class ProperNames:
     def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
         """How many words of a name written with capitals begin at word i."""
         word = self.words[i]
+        if self._counted(i, known):
+            return self._span(i + 1) - i
         if self.shouting or not (word.capital or word.lower[0].isdigit()):
             return 0
         if not word.capital and not self._numbered(i):
@@ -127,12 +146,31 @@ class ProperNames:
         end = self._span(i)
         if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
             return 0  # "Find the", "Disregard the"
-        if end == i + 1 and word.lower in COUNTS:
+        if end == i + 1 and (word.lower in COUNTS or (i == 0 and not self._told_of(i))):
             return 0
         if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
             return 0  # "Bakery north of me", "the Cathedral"
         after_article = i == 0 or self.lower[i - 1] in self.lists["articles"]
         return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
+
+    def _counted(self, i: int, known: Known | None) -> bool:
+        """Tell whether a point of the compass counts a street: "W. 38th", "east 34th"."""
+        return (
+            known is not None
+            and known[0] == 1
+            and known[1][0].type in ("DIR", "SHORT")
+            and i + 1 < len(self.words)
+            and _ORDINAL.fullmatch(self.lower[i + 1]) is not None
+        )
+
+    def _told_of(self, i: int) -> bool:
+        """Tell whether something is said of the word: "Lidl is near me", not "Wanna join me"."""
+        if i + 1 == len(self.words) or self.words[i + 1].kind != "word":
+            return True
+        known = self.lexicon.longest(self.lower, i + 1)
+        if known is None:  # "Cupka's cafe"
+            return self.vocabulary.longest_match(self.lower, i + 1) is not None
+        return known[1][0].type in _TELLS
 
     def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
         """How many words of a street's name begin at word i, written small: "smallman street"."""
@@ -170,7 +208,7 @@ class ProperNames:
             if at >= len(self.words) or self.words[at].kind != "word":
                 break
             word = self.words[at]
-            number = at == end and word.lower.isdecimal()
+            number = at == end and (word.lower.isdecimal() or _ORDINAL.fullmatch(word.lower))
             if not (word.capital or number) or word.lower in self.lists["persons"]:
                 break
             end = at + 1

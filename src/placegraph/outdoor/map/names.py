@@ -99,7 +99,9 @@ class NameIndex:
             road = _is_road(words) or _is_road(rest)
             if not found and rest and not road and not _tells_apart(words[-1]):
                 # "Starbucks Cafe" is Starbucks, "HSBC UK" HSBC
-                found = dict.fromkeys(self.by_words.get(" ".join(rest), ()), PART)
+                name = " ".join(rest)
+                rows = self.by_words.get(name) or self.by_words.get(f"the {name}", ())
+                found = dict.fromkeys(rows, PART)
             self.meant[said] = found
         return self.meant[said]
 
