@@ -100,7 +100,7 @@ class NameIndex:
             if not found and rest and not road and not _tells_apart(words[-1]):
                 # "Starbucks Cafe" is Starbucks, "HSBC UK" HSBC
                 name = " ".join(rest)
-                rows = self.by_words.get(name) or self.by_words.get(f"the {name}", ())
+                rows = self.by_words.get(name) or self.by_words.get(f"the {name}") or []
                 found = dict.fromkeys(rows, PART)
             self.meant[said] = found
         return self.meant[said]
