@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.estimate import CityEstimate, Place, Status
-from placegraph.geometry import angle_between
-from placegraph.outdoor.language.description import LISTENER, SPEAKER
-from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.search.confidence import believed, claim_of, doubt_of, status_of
 from placegraph.outdoor.search.evidence import evidence_at
-from placegraph.outdoor.search.posterior import modes, ranked, status_of
+from placegraph.outdoor.search.posterior import modes, ranked
 from placegraph.outdoor.search.viewpoints import SPACING
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.estimate import Evidence
-    from placegraph.outdoor.language.description import Description, Statement
+    from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.search.posterior import Mode, Posterior
@@ -31,6 +30,8 @@ MOST_SUPPORT = 4000
 """At most this many points of the posterior are kept in an estimate."""
 RANKS_ONLY = "The {} matcher ranks places; how sure it is of the best it does not know."
 CONTRADICTS = "The description contradicts itself: {}"
+CONTRADICTORY = 0.3
+"""A text that contradicts itself is LOST where this share of it speaks against the best place."""
 
 
 def estimate(asked: Request, found: Posterior, top: int, understood: Description) -> CityEstimate:
@@ -38,13 +39,20 @@ def estimate(asked: Request, found: Posterior, top: int, understood: Description
     city, query, matching = asked.city, asked.query, asked.matching
     spacing = city.cells.size if matching.of_cells else SPACING
     peaks = (ranked if matching.ranks else modes)(found, top, spacing)
-    status, reason = status_of(found, peaks)
+    claim, doubt = claim_of(understood), doubt_of(query, city)
+    status, reason = status_of(found, peaks, claim, doubt)
     if peaks and (matching.ranks or (matching.of_cells and status is Status.OK)):
         status, reason = Status.AMBIGUOUS, RANKS_ONLY.format(matching.matcher)
+    trust = 1.0 if matching.of_cells else believed(peaks, claim, doubt)
     places = tuple(
-        place(mode, city, partial(evidence_at, mode.position, city, query)) for mode in peaks
+        place(
+            replace(mode, probability=trust * mode.probability),
+            city,
+            partial(evidence_at, mode.position, city, query),
+        )
+        for mode in peaks
     )
-    if places and understood.conflicts and not _resolved(places[0], query):
+    if places and understood.conflicts and contradicted(places[0], query):
         status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
     return CityEstimate(
         status, places, reason, understood, support(found, city), ranked=matching.ranks
@@ -65,27 +73,7 @@ def support(found: Posterior, city: City) -> NDArray[np.float64]:
     return np.column_stack([lonlat, found.probabilities[heaviest]])
 
 
-def _resolved(place: Place, query: Query) -> bool:
-    """Whether different things serve the statements that oppose each other (two bakeries, say)."""
-    said = place.evidence[: len(query.used)]
-    for i, a in enumerate(query.used):
-        for j, b in enumerate(query.used[:i]):
-            if _opposed(a, b) and (
-                "against" in (said[i].verdict, said[j].verdict)
-                or len({o.id for o in (*said[i].objects, *said[j].objects)}) <= _things(a)
-            ):
-                return False
-    return True
-
-
-def _things(statement: Statement) -> int:
-    """Number of things a statement is about; two opposed ones need more than that."""
-    return sum(node not in (SPEAKER, LISTENER) for node in ends(statement))
-
-
-def _opposed(a: Statement, b: Statement) -> bool:
-    """Whether two directions between the same mentions exclude each other."""
-    if a.bearing is None or b.bearing is None or set(ends(a)) != set(ends(b)):
-        return False
-    other = b.bearing if ends(a) == ends(b) else b.bearing + np.pi
-    return float(angle_between(a.bearing, other)) > 2.0
+def contradicted(place: Place, query: Query) -> bool:
+    """Whether much of what was said speaks against a place; other things of a kind may serve it."""
+    against = sum(e.verdict == "against" for e in place.evidence[: len(query.used)])
+    return against > 0 and against >= CONTRADICTORY * len(query.used)

@@ -1,4 +1,4 @@
-"""From scored viewpoints to modes: probabilities over the whole city, and an honest status."""
+"""From scored viewpoints to modes: probabilities over the whole city."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from placegraph.estimate import Status
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,8 +20,6 @@ APART = 40.0
 """Modes are at least this far apart [m]."""
 LOOKED_AT = 8
 """Peaks that are compared at least: the first one found is not always the heaviest."""
-SURE = 0.7
-"""Probability of the best mode from which an estimate is OK."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +32,10 @@ class Posterior:
     """(K,)"""
     elsewhere: float
     """Probability that the place is not on this map, or that the text is not about one."""
+
+    def within(self, position: NDArray[np.float64], radius: float) -> float:
+        """Probability of the place lying within `radius` [m] of a position (2,)."""
+        return float(self.probabilities[_within(self.positions, position, radius)].sum())
 
 
 def posterior(
@@ -100,11 +100,7 @@ def ranked(found: Posterior, top: int, spacing: float) -> list[Mode]:
     # each outweighs all below it together
     weights = 0.5 ** np.arange(1.0, 1.0 + len(found.positions))
     peaks = modes(replace(found, probabilities=weights), top, spacing)
-    return [replace(peak, probability=_mass(found, peak.position)) for peak in peaks]
-
-
-def _mass(found: Posterior, position: NDArray[np.float64]) -> float:
-    return float(found.probabilities[_within(found.positions, position, WITHIN)].sum())
+    return [replace(peak, probability=found.within(peak.position, WITHIN)) for peak in peaks]
 
 
 def _smoothed(
@@ -124,23 +120,3 @@ def _within(
     """Which positions (..., K) lie within a radius [m] of a center (..., 2)."""
     east, north = positions[:, 0] - center[..., 0], positions[:, 1] - center[..., 1]
     return east * east + north * north <= radius * radius
-
-
-def status_of(found: Posterior, peaks: list[Mode]) -> tuple[Status, str]:
-    """Status and the sentence that says why."""
-    if found.elsewhere > 0.5:
-        return Status.LOST, "No place on the map fits the description better than chance."
-    if not peaks:
-        return Status.LOST, "Nowhere are the things of any one statement in sight together."
-    best = peaks[0].probability
-    if best >= SURE:
-        return Status.OK, f"One place holds {best:.0%} of the probability."
-    if best < 0.05:
-        return (
-            Status.AMBIGUOUS,
-            f"Too many places fit: the best holds only {best:.1%} of the probability.",
-        )
-    return (
-        Status.AMBIGUOUS,
-        f"The best place holds only {best:.0%} of the probability; others fit as well.",
-    )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, place, support
+from placegraph.outdoor.search.confidence import IN_SIGHT, believed, status_of
 from placegraph.outdoor.search.evidence import evidence_at
-from placegraph.outdoor.search.posterior import modes, status_of
+from placegraph.outdoor.search.posterior import modes
 from placegraph.outdoor.search.viewpoints import SPACING
 
 if TYPE_CHECKING:
@@ -39,8 +40,13 @@ def estimate(
     understood = stop.query.description if stop.query else None
     found = stop.posterior(grid, MOST_SUPPORT)
     peaks = modes(found, top, SPACING)
+    trust = believed(peaks, IN_SIGHT)
     places = tuple(
-        place(mode, city, partial(explained, mode.position, city, stop.query, memory))
+        place(
+            replace(mode, probability=trust * mode.probability),
+            city,
+            partial(explained, mode.position, city, stop.query, memory),
+        )
         for mode in peaks
     )
     status, reason = status_of(found, peaks)

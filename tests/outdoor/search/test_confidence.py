@@ -1,0 +1,122 @@
+"""What an answer claims, when it is sure, and what forbids that."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.estimate import Status
+from placegraph.outdoor.language import describe
+from placegraph.outdoor.search.confidence import (
+    AT_A_PLACE,
+    HERE,
+    IN_SIGHT,
+    SURE,
+    Doubt,
+    believed,
+    claim_of,
+    status_of,
+)
+from placegraph.outdoor.search.posterior import Posterior, modes
+
+SPACING = 6.67
+FAR = 5000.0
+
+
+def found_of(*peaks, elsewhere=0.0):
+    """Posterior of (east [m], probability)."""
+    east = np.array([(x, 0.0) for x, _ in peaks]).reshape(-1, 2)
+    return Posterior(east, np.array([p for _, p in peaks]), elsewhere)
+
+
+def judged(found, claim=IN_SIGHT, doubt=None):
+    return status_of(found, modes(found, 5, SPACING), claim, doubt)
+
+
+@pytest.mark.parametrize("claim", [IN_SIGHT, AT_A_PLACE])
+def test_status(claim):
+    assert judged(found_of((0, 0.999)), claim)[0] is Status.OK
+    assert judged(found_of((0, 0.6), (FAR, 0.4)), claim)[0] is Status.AMBIGUOUS
+    assert judged(found_of((0, 0.01)), claim)[0] is Status.AMBIGUOUS
+    assert judged(found_of((0, 0.4), elsewhere=0.6), claim)[0] is Status.LOST
+    assert judged(found_of(elsewhere=0.1), claim)[0] is Status.LOST
+
+
+def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
+    near = found_of((0, 0.6), (150, 0.395))
+    assert judged(near)[0] is Status.AMBIGUOUS
+    status, reason = judged(near, AT_A_PLACE)
+    assert status is Status.OK
+    assert "within 250 m" in reason
+    scattered = found_of(*((60.0 * i, 0.24) for i in range(4)))
+    assert judged(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, f"the best holds less than {HERE}"
+
+
+def test_a_name_that_is_not_on_the_map_forbids_to_be_sure():
+    doubt = Doubt(("King Street West",), ("flurble",))
+    status, reason = judged(found_of((0, 0.9999)), doubt=doubt)
+    assert status is Status.AMBIGUOUS
+    assert reason.startswith("“King Street West” is not on this map, so the place cannot be sure.")
+    assert "Not understood: “flurble”." in reason
+    two = judged(found_of((0, 0.9999)), doubt=Doubt(("A", "B")))[1]
+    assert two.startswith("“A” and “B” are not")
+
+
+@given(st.floats(0.0, 1.0), st.sampled_from([IN_SIGHT, AT_A_PLACE]), st.booleans())
+def test_trust_takes_and_never_gives(share, claim, unknown):
+    for trust in (claim.whole, claim.near):
+        assert 0.0 <= trust.of(share, unknown=unknown) <= share
+        assert trust.of(share, unknown=True) <= trust.of(share, unknown=False)
+        assert trust.of(0.5 * share, unknown=unknown) <= trust.of(share, unknown=unknown)
+    assert claim.whole.of(1.0, unknown=True) < SURE + 0.1
+
+
+def test_probabilities_are_shrunk_alike():
+    peaks = modes(found_of((0, 0.7), (FAR, 0.3)), 5, SPACING)
+    factor = believed(peaks, AT_A_PLACE)
+    assert 0.0 < factor < 1.0
+    assert factor * peaks[0].probability == AT_A_PLACE.near.of(peaks[0].probability, unknown=False)
+    assert believed([], IN_SIGHT) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "claim"),
+    [
+        ("A bench is north of me. The church is east of the bench.", IN_SIGHT),
+        ("There is a bakery to my left and a bank near me.", IN_SIGHT),
+        ("I'm at the bakery.", AT_A_PLACE),
+        ("Meet me northeast of you, by the church.", AT_A_PLACE),
+    ],
+)
+def test_what_is_claimed(text, claim):
+    assert claim_of(describe(text)) is claim
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "I am on King Street West. A bank is north of me.",
+        "I am on Speicherweg. The museum is south of me. Xyzal Motors is north of me.",
+    ],
+)
+def test_what_the_map_lacks_is_named(harbour, text):
+    estimate = harbour.locate(text)
+    assert estimate.status is not Status.OK
+    assert "not on this map" in estimate.reason or estimate.status is Status.LOST
+
+
+def test_a_map_without_streets_lacks_every_street(make_city):
+    bare = make_city(
+        """
+A....................
+
+.....................
+
+....................B
+[legend]
+A node: amenity=bank name=Rexbank
+B node: shop=bakery name=Kern
+""",
+    )
+    estimate = bare.locate("I am on King Street West, at the Rexbank. The Rexbank is here.")
+    assert "King Street West" not in estimate.reason
