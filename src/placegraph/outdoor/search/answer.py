@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.estimate import CityEstimate, Place, Status
+from placegraph.geometry import angle_between
+from placegraph.outdoor.language.description import LISTENER, SPEAKER
+from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.search.confidence import believed, claim_of, doubt_of, status_of
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import modes, ranked
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.estimate import Evidence
-    from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.language.description import Description, Statement
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.search.posterior import Mode, Posterior
@@ -30,8 +32,6 @@ MOST_SUPPORT = 4000
 """At most this many points of the posterior are kept in an estimate."""
 RANKS_ONLY = "The {} matcher ranks places; how sure it is of the best it does not know."
 CONTRADICTS = "The description contradicts itself: {}"
-CONTRADICTORY = 0.3
-"""A text that contradicts itself is LOST where this share of it speaks against the best place."""
 
 
 def estimate(asked: Request, found: Posterior, top: int, understood: Description) -> CityEstimate:
@@ -43,14 +43,10 @@ def estimate(asked: Request, found: Posterior, top: int, understood: Description
     status, reason = status_of(found, peaks, claim, doubt)
     if peaks and (matching.ranks or (matching.of_cells and status is Status.OK)):
         status, reason = Status.AMBIGUOUS, RANKS_ONLY.format(matching.matcher)
-    trust = 1.0 if matching.of_cells else believed(peaks, claim, doubt)
+    if not matching.of_cells:
+        found, peaks = believed(found, peaks, claim, doubt)
     places = tuple(
-        place(
-            replace(mode, probability=trust * mode.probability),
-            city,
-            partial(evidence_at, mode.position, city, query),
-        )
-        for mode in peaks
+        place(mode, city, partial(evidence_at, mode.position, city, query)) for mode in peaks
     )
     if places and understood.conflicts and contradicted(places[0], query):
         status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
@@ -74,6 +70,27 @@ def support(found: Posterior, city: City) -> NDArray[np.float64]:
 
 
 def contradicted(place: Place, query: Query) -> bool:
-    """Whether much of what was said speaks against a place; other things of a kind may serve it."""
-    against = sum(e.verdict == "against" for e in place.evidence[: len(query.used)])
-    return against > 0 and against >= CONTRADICTORY * len(query.used)
+    """Whether most of what was said contradicts itself at a place, where no other thing serves it."""
+    said = place.evidence[: len(query.used)]
+    torn: set[int] = set()
+    for i, a in enumerate(query.used):
+        for j, b in enumerate(query.used[:i]):
+            if _opposed(a, b) and (
+                "against" in (said[i].verdict, said[j].verdict)
+                or len({o.id for o in (*said[i].objects, *said[j].objects)}) <= _things(a)
+            ):
+                torn |= {i, j}
+    return 2 * len(torn) > len(query.used)
+
+
+def _things(statement: Statement) -> int:
+    """Number of things a statement is about; two opposed ones need more than that."""
+    return sum(node not in (SPEAKER, LISTENER) for node in ends(statement))
+
+
+def _opposed(a: Statement, b: Statement) -> bool:
+    """Whether two directions between the same mentions exclude each other."""
+    if a.bearing is None or b.bearing is None or set(ends(a)) != set(ends(b)):
+        return False
+    other = b.bearing if ends(a) == ends(b) else b.bearing + np.pi
+    return float(angle_between(a.bearing, other)) > 2.0

@@ -6,7 +6,7 @@ that its log odds are shrunk, by coefficients that were fitted to texts whose pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -132,7 +132,7 @@ def status_of(
     if sure >= SURE and best >= HERE and not doubt.names:
         wide = f" within {claim.within:.0f} m" if claim.within > WITHIN else ""
         return Status.OK, f"One place holds {sure:.0%} of the probability{wide}."
-    best *= believed(peaks, claim, doubt)
+    best = _near(peaks, claim, doubt)
     if doubt.names:
         are = "are" if len(doubt.names) > 1 else "is"
         why = f"{_listed(doubt.names)} {are} not on this map, so the place cannot be sure."
@@ -143,12 +143,24 @@ def status_of(
     return Status.AMBIGUOUS, why + doubt.told
 
 
-def believed(peaks: list[Mode], claim: Claim, doubt: Doubt | None = None) -> float:
-    """What every share of the posterior is to be multiplied by to be the probability of a place."""
+def believed(
+    found: Posterior, peaks: list[Mode], claim: Claim, doubt: Doubt | None = None
+) -> tuple[Posterior, list[Mode]]:
+    """Posterior and modes as far as they are to be believed; the rest lies elsewhere."""
     if not peaks or peaks[0].probability <= 0.0:
-        return 1.0
-    best = peaks[0].probability
-    return claim.near.of(best, unknown=bool(doubt and doubt.names)) / best
+        return found, peaks
+    trust = _near(peaks, claim, doubt) / peaks[0].probability
+    shares = trust * found.probabilities
+    lost = float(found.probabilities.sum() - shares.sum())
+    return (
+        replace(found, probabilities=shares, elsewhere=found.elsewhere + lost),
+        [replace(peak, probability=trust * peak.probability) for peak in peaks],
+    )
+
+
+def _near(peaks: list[Mode], claim: Claim, doubt: Doubt | None) -> float:
+    """Probability of the best place."""
+    return claim.near.of(peaks[0].probability, unknown=bool(doubt and doubt.names))
 
 
 def _listed(words: tuple[str, ...]) -> str:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 from placegraph.estimate import CityEstimate, Place, Status
-from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, place, support
-from placegraph.outdoor.search.confidence import IN_SIGHT, believed, status_of
+from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted, place, support
+from placegraph.outdoor.search.confidence import (
+    AT_A_PLACE,
+    IN_SIGHT,
+    believed,
+    claim_of,
+    doubt_of,
+    status_of,
+)
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import modes
 from placegraph.outdoor.search.viewpoints import SPACING
@@ -37,20 +44,18 @@ def estimate(
     city: City, stop: Stop, memory: tuple[Memory, ...], grid: TrackGrid, top: int, why: str
 ) -> CityEstimate:
     """Where the speaker is by what is believed at a stop; `why` the last text added nothing to it."""
-    understood = stop.query.description if stop.query else None
+    query, understood = stop.query, stop.query.description if stop.query else None
+    told = [m.query.description for m in memory] + ([understood] if understood else [])
+    claim = next((c for c in map(claim_of, told) if c is AT_A_PLACE), IN_SIGHT)
+    doubt = doubt_of(query, city) if query else None
     found = stop.posterior(grid, MOST_SUPPORT)
     peaks = modes(found, top, SPACING)
-    trust = believed(peaks, IN_SIGHT)
+    status, reason = status_of(found, peaks, claim, doubt)
+    found, peaks = believed(found, peaks, claim, doubt)
     places = tuple(
-        place(
-            replace(mode, probability=trust * mode.probability),
-            city,
-            partial(explained, mode.position, city, stop.query, memory),
-        )
-        for mode in peaks
+        place(mode, city, partial(explained, mode.position, city, query, memory)) for mode in peaks
     )
-    status, reason = status_of(found, peaks)
-    if understood and understood.conflicts and places and _opposed(places[0]):
+    if query and understood and understood.conflicts and places and contradicted(places[0], query):
         status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
     reason = f"{reason} {why}".strip()
     return CityEstimate(status, places, reason, understood, support(found, city))
@@ -62,10 +67,6 @@ def explained(
     """Evidence of what was said here, then of what was said before, the latest first."""
     here = evidence_at(position, city, query) if query is not None else ()
     return (*here, *(e for m in reversed(memory) for e in m.evidence(position, city)))
-
-
-def _opposed(place: Place) -> bool:
-    return any(e.verdict == "against" for e in place.evidence)
 
 
 def why_nothing(query: Query) -> str:
