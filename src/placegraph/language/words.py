@@ -50,6 +50,7 @@ def scan(
     labels: Iterable[tuple[int, int]] = (),
     *,
     shortened: Collection[str] = (),
+    begin: int = 0,
 ) -> list[list[Word]]:
     """Cut a text into sentences of words, distances and marks.
 
@@ -61,9 +62,11 @@ def scan(
         (start, end) of stretches that are one label each, in order.
     shortened
         Words that a full stop may shorten without ending the sentence: "St. Mary's".
+    begin
+        Where to begin.
     """
     sentences: list[list[Word]] = [[]]
-    at = 0
+    at = begin
     for start, end in (*labels, (len(text), len(text))):
         _scan_between(text, at, start, sentences, shortened)
         if end > start:

@@ -9,13 +9,18 @@ from placegraph.outdoor.language.build import Builder
 from placegraph.outdoor.language.chunk import Chunker
 from placegraph.outdoor.language.clauses import clauses
 from placegraph.outdoor.language.description import Description, conflicts
-from placegraph.outdoor.language.languages import language as read_language
+from placegraph.outdoor.language.languages.recognise import UNKNOWN, stretches
+from placegraph.outdoor.language.languages.scan import clean
+from placegraph.outdoor.language.languages.scan import scan as scan_other
 from placegraph.outdoor.language.model import LanguageModelDescriber
 from placegraph.outdoor.language.parse import parse
 from placegraph.outdoor.language.words import NameFinder, Words, labels, normalise, scan, tokens
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from placegraph.language.islands import Chunk
+    from placegraph.outdoor.language.languages.recognise import Stretch
     from placegraph.outdoor.language.statements import BlockLength
 
 __all__ = [
@@ -27,6 +32,10 @@ __all__ = [
     "normalise",
     "tokens",
 ]
+
+
+NO_LANGUAGE = "in no language that is known"
+"""Why nothing that a sentence seems to say is to be trusted."""
 
 
 class Describer(Protocol):
@@ -57,7 +66,8 @@ def describe(
     Parameters
     ----------
     text
-        Sentences; the words for things may be of any language of the vocabulary.
+        Sentences of one or more of the languages that can be read (`languages.codes`). In English
+        ones, the words for things may be of any language of the vocabulary.
     vocabulary
         What words may mean on a map; the one that comes with placegraph if None.
     names
@@ -68,7 +78,8 @@ def describe(
         Length of a block [m] in the direction of a bearing [rad], or in any (None), on the map at
         hand; 100 m if not given.
     language
-        Code of the language of the text ("en"); English if None.
+        Code of the language of the text ("de"); if None, it is told from the words, sentence by
+        sentence.
 
     Raises
     ------
@@ -79,20 +90,23 @@ def describe(
         error: it gives a description without statements.
     """
     check(text)
-    if vocabulary is None:
-        from placegraph.outdoor.language.vocabulary import Vocabulary
+    from placegraph.outdoor.language.vocabulary import Vocabulary
 
-        vocabulary = Vocabulary.default()
-    tongue = read_language(language or "en")
-    chunker = Chunker(text, tongue, vocabulary, names)
+    vocabulary = vocabulary or Vocabulary.default()
+    folder = vocabulary.sources.folder if isinstance(vocabulary, Vocabulary) else None
+    cleaned = clean(text)
+    parts = stretches(cleaned, language, folder)
     sentences = [
-        chunker.chunks(sentence) for sentence in scan(text, tongue, labels(text, vocabulary, names))
+        (sentence, part.language)
+        for part in parts
+        for sentence in _sentences(cleaned, part, vocabulary, names)
     ]
-    directive = any(map(_leads_the_way, sentences))
+    main = max(parts, key=lambda part: part.end - part.start)
+    directive = any(_leads_the_way(sentence) for sentence, _ in sentences)
     builder = Builder(
-        text, tongue, vocabulary, heading, directive=directive, block_length=block_length
+        cleaned, main.language, vocabulary, heading, directive=directive, block_length=block_length
     )
-    for sentence in sentences:
+    for sentence, tongue in sentences:
         for part in clauses(sentence, tongue):
             opens = part.opens
             for clause, left_out in parse(part.chunks):
@@ -105,6 +119,10 @@ def describe(
     builder.ignored += builder.refer.unknown()
     if not (builder.relator.statements or builder.ignored):
         builder.ignored.append(Ignored(text.strip(), "says nothing about where things stand"))
+    for stretch in parts:
+        if builder.relator.statements and not stretch.certain:
+            unread = cleaned[stretch.start : stretch.end].strip()
+            builder.ignored.append(Ignored(unread, NO_LANGUAGE))
     return Description(
         text,
         tuple(builder.refer.mentions),
@@ -116,8 +134,30 @@ def describe(
             builder.relator.goals,
             builder.refer.kinds,
         ),
-        tongue.code,
+        main.language.code if main.certain else UNKNOWN,
     )
+
+
+def _sentences(
+    text: str, part: Stretch, vocabulary: Words, names: NameFinder | None
+) -> Iterator[list[Chunk]]:
+    """Chunks of the sentences of a part of a text in one language."""
+    tongue, span = part.language, (part.start, part.end)
+    if tongue.code == "en":
+        english = Chunker(text, tongue, vocabulary, names)
+        found = [
+            span for span in labels(text, vocabulary, names) if part.start <= span[0] < part.end
+        ]
+        for sentence in scan(text[: part.end], tongue, found, part.start):
+            yield english.chunks(sentence)
+        return
+    from placegraph.outdoor.language.inflected import InflectedChunker
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+
+    known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
+    chunker = InflectedChunker(text, tongue, known.of(tongue), names)
+    for sentence in scan_other(text, tongue, chunker.known, span):
+        yield chunker.chunks(sentence)
 
 
 def _leads_the_way(sentence: list[Chunk]) -> bool:

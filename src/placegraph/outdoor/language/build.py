@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
-from placegraph.outdoor.language.parse import Place, Thing, joins, shared
+from placegraph.outdoor.language.parse import Place, Thing, joins, placed, shared
 from placegraph.outdoor.language.refer import Referents
 from placegraph.outdoor.language.relate import Relator
 from placegraph.outdoor.language.statements import NO_MAP, UNKNOWN, Said
@@ -113,7 +113,7 @@ class Builder:
         before, after = clause.before, clause.after
         if isinstance(before[0], Place):  # "north of here is a bakery"
             if after and isinstance(after[0], Thing):
-                self._shown((after[0], *before, *after[1:]), said)
+                self._shown(placed(before, after), said)
             else:
                 self._say((*before, *after), [SPEAKER], said)
             return
@@ -152,7 +152,7 @@ class Builder:
                     self.refer.topic = self.refer.resolve(owner)
                 has = Place("at", owner.start, owner.end, (owner,), "TO")
                 places = (*places, has)  # "the street has a bakery"
-        self._shown((*clause.after[:1], *places, *clause.after[1:]), said)
+        self._shown(placed(places, clause.after), said)
 
     def _shown(self, items: Items, said: Said, *, always: bool = False) -> None:
         """Things that are said to be there, in sight of the speaker unless more is said."""
@@ -187,7 +187,7 @@ class Builder:
         sure = said.certainty if mine else said.certainty * SHOWN
         if any(isinstance(item, Place) for item in (*places, *after)):
             sure = said.certainty if mine else said.certainty * 0.9
-        self._shown((*after[:1], *places, *after[1:]), replace(said, certainty=sure), always=mine)
+        self._shown(placed(places, after), replace(said, certainty=sure), always=mine)
 
     def _meets(self, clause: Clause, said: Said, _opens: bool) -> None:
         places = tuple([item for item in (*clause.before, *clause.after) if not _is_person(item)])

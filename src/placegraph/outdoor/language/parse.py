@@ -115,7 +115,7 @@ def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
             yield Clause("", start=used[0].start, end=used[-1].end), left_out
         else:
             kept = [chunk for chunk in used if chunk not in left_out]
-            clause.start, clause.end = kept[0].start, kept[-1].end
+            clause.start, clause.end = min(c.start for c in kept), max(c.end for c in kept)
             yield clause, left_out
 
 
@@ -174,7 +174,9 @@ class _Build:
         return place
 
     def _place(self, children: list[Any], *, how: str) -> Place:
-        place = Place(how, children[0].start, children[-1].end)
+        # words may have been brought into the order of the grammar from another
+        start, end = min(c.start for c in children), max(c.end for c in children)
+        place = Place(how, start, end)
         things = []
         for child in children:
             if isinstance(child, Thing):
@@ -245,6 +247,12 @@ def _take_nouns(thing: Thing, nouns: list[Chunk]) -> None:
     for noun in nouns[:-1]:
         special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])
         thing.senses = special or thing.senses
+
+
+def placed(places: Items, after: Items) -> Items:
+    """Put places before a verb behind the things after it: "south of me are a school and a park"."""
+    n = next((i for i, item in enumerate(after) if isinstance(item, Place)), len(after))
+    return (*after[:n], *places, *after[n:])
 
 
 def joins(last: Place, thing: Thing, heads: Sequence[int], following: Thing | Place | None) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from placegraph.language.measures import COUNTS
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.words import fold, tokens
 
@@ -146,7 +145,9 @@ class ProperNames:
         end = self._span(i)
         if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
             return 0  # "Find the", "Disregard the"
-        if end == i + 1 and (word.lower in COUNTS or (i == 0 and not self._told_of(i))):
+        if end == i + 1 and (
+            word.lower in self.lexicon.counts or (i == 0 and not self._told_of(i))
+        ):
             return 0
         if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
             return 0  # "Bakery north of me", "the Cathedral"

@@ -38,7 +38,8 @@ class Referents:
     """
 
     def __init__(self, text: str, language: Language, vocabulary: Words) -> None:
-        self.text, self.vocabulary, self.lists = text, vocabulary, language.lists
+        self.text, self.language, self.vocabulary = text, language, vocabulary
+        self.lists = language.lists
         self.mentions: list[Mention] = [Mention(SPEAKER, "I"), Mention(LISTENER, "you")]
         self.heads: list[str] = ["", ""]
         """Common noun of every mention, in the singular."""
@@ -146,8 +147,7 @@ class Referents:
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""
         name = tokens(self.mentions[node].name)
-        lists = self.lists
-        return self.heads[node] in lists["roads"] or bool(name and name[-1] in lists["road_words"])
+        return self.heads[node] in self.lists["roads"] or self.language.is_road(name)
 
     def is_line(self, node: int) -> bool:
         """Tell whether a mention is a road, a river or another line, on which one is along it."""

@@ -192,10 +192,10 @@ def normalise(text: str) -> str:
 
 
 def scan(
-    text: str, language: Language, labels: Iterable[tuple[int, int]] = ()
+    text: str, language: Language, labels: Iterable[tuple[int, int]] = (), begin: int = 0
 ) -> list[list[words.Word]]:
-    """Cut a text into sentences (`language.words.scan`); "St. Mary's" ends none."""
-    return words.scan(text, labels, shortened=language.lists["shortened"])
+    """Cut a text from `begin` on into sentences (`language.words.scan`); "St. Mary's" ends none."""
+    return words.scan(text, labels, shortened=language.lists["shortened"], begin=begin)
 
 
 _LABEL = r"(?:[^.!?\n]|[.!?](?!\s|$)){1,100}?"

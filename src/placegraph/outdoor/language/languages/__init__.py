@@ -1,5 +1,5 @@
 """Languages: one table each of the words that say where things stand."""
 
-from placegraph.outdoor.language.languages.language import Language, english, language, shipped
+from placegraph.outdoor.language.languages.language import Language, codes, english, language
 
-__all__ = ["Language", "english", "language", "shipped"]
+__all__ = ["Language", "codes", "english", "language"]

@@ -3,39 +3,94 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
 from math import radians
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from placegraph.errors import OptionError
+from placegraph.errors import InputError, OptionError
 from placegraph.language.measures import COUNTS
 from placegraph.language.phrases import Phrases, Terminal
+from placegraph.outdoor.language.languages.check import checked, keys
+from placegraph.outdoor.language.languages.forms import Forms
 from placegraph.outdoor.language.words import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
+    from importlib.resources.abc import Traversable
+    from pathlib import Path
+
+SPOKEN = (
+    "who", "determiners", "verbs", "prepositions", "relations", "compass", "compass_short",
+    "facing", "adverbs", "joints", "parts", "plain", "after",
+)  # fmt: skip
+"""Sections of phrases."""
+_OF_LABELS = ("line_keys", "no_lines", "area_keys")
+"""Lists that speak of labels, and are the same in every language."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """In what order a language speaks; see docs/howto-language.md."""
+
+    postpositions: bool = False
+    """What relates stands behind its thing: "kirkon vieressä"."""
+    verb_final: bool = False
+    """The verb ends its clause: "kita ni kyōkai ga aru"."""
+    marked: bool = False
+    """A thing before its postposition always has an ending or a particle."""
+    genitive: bool = False
+    """A thing follows its direction or part without a word between: "nördlich der Kirche"."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """How a language counts and measures."""
+
+    units: Mapping[str, float] = field(default_factory=dict)
+    """Metres in a unit, by all its forms."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    before: tuple[str, ...] = ()
+    """Words before a number that say nothing: "etwa"."""
 
 
 class Language(Phrases):
-    """The phrases of a language, and plain lists of words.
+    """The phrases of a language, plain lists of words, and how its words bend and follow each other.
 
-    Attributes
+    Parameters
     ----------
     code
         ISO 639-1: "en".
-    lists
-        Words of the language by what they are: suffixes, articles, persons ...
+    table
+        A checked table (`check.checked`).
     """
 
-    def __init__(
-        self,
-        code: str,
-        known: dict[tuple[str, ...], tuple[Terminal, ...]],
-        lists: dict[str, frozenset[str]],
-    ) -> None:
-        super().__init__(known)
-        self.code, self.lists = code, lists
+    def __init__(self, code: str, table: Mapping[str, Any]) -> None:
+        self.code, self.name = code, str(table["name"])
+        self.spaces: bool = table.get("spaces", True)
+        """Whether spaces stand between words."""
+        self.capitals: bool = table.get("capitals", code == "en")
+        """Whether a capital marks a name, and no common noun."""
+        self.order = Order(**table.get("order", {}))
+        measures = table.get("measures", {})
+        self.measures = Measures(
+            _by_word(measures.get("units", {})),
+            _by_word(measures.get("numbers", {})),
+            tuple(measures.get("before", ())),
+        )
+        self.forms = Forms(table.get("forms", {}))
+        self.prefixes: tuple[str, ...] = tuple(table.get("prefixes", ()))
+        """What is written onto the next word: "l'", "ال"; the longest first."""
+        self.things: Mapping[str, list[str]] = table.get("things", {})
+        """Everyday words of things, by what they mean: an English word or a tag."""
+        self.say: Mapping[str, Any] = table.get("say", {})
+        counts = {word: int(n) for word, n in self.measures.numbers.items() if n >= 1}
+        self.counts: Mapping[str, int] = COUNTS if code == "en" else counts
+        super().__init__(_phrases(table, self.counts))
+        self.keys = keys(table)
+        """Keys that sections of other tables may have, where it is English."""
+        self.lists = _lists(code, table.get("lists", {}))
 
     @cached_property
     def compass(self) -> dict[str, Direction]:
@@ -47,58 +102,129 @@ class Language(Phrases):
             if terminals[0].type == "DIR" and not terminals[0].value.facing and len(phrase) == 1
         }
 
+    def is_road(self, name: Sequence[str]) -> bool:
+        """Tell whether a name, as `words.tokens`, is that of a street."""
+        if not name:
+            return False
+        if self.code == "en":
+            return name[-1] in self.lists["road_words"]
+        if name[0] in self.lists["street_prefixes"]:
+            return True
+        return any(form.stem.endswith(self._road_ends) for form in self.forms.of(name[-1]))
 
-def shipped() -> tuple[str, ...]:
-    """Codes of the languages that come with placegraph."""
-    tables = [table.name for table in files(__package__).iterdir()]
-    return tuple(sorted(name[:-5] for name in tables if name.endswith(".toml")))
+    @cached_property
+    def _road_ends(self) -> tuple[str, ...]:
+        """How names of roads end before an ending is added."""
+        return tuple(stem for word in self.lists["road_words"] for stem in self.forms.stems(word))
+
+    @cached_property
+    def words(self) -> frozenset[str]:
+        """All words of its phrases."""
+        return frozenset(
+            word for entries in self.by_word.values() for phrase, _ in entries for word in phrase
+        )
+
+
+def tables(folder: Path | None = None) -> dict[str, Traversable | Path]:
+    """Tables of languages by their codes: those that come with placegraph, and those of a folder."""
+    found: dict[str, Traversable | Path] = {}
+    own = folder / "languages" if folder is not None else None
+    for place in (files(__package__), own if own is not None and own.is_dir() else None):
+        for table in () if place is None else place.iterdir():
+            if table.name.endswith(".toml"):
+                found[table.name[:-5]] = table
+    return found
+
+
+def codes(folder: Path | None = None) -> tuple[str, ...]:
+    """Codes of the languages that can be read."""
+    return tuple(sorted(tables(folder)))
 
 
 @cache
-def language(code: str) -> Language:
-    """Read the table of a language.
+def language(code: str, folder: Path | None = None) -> Language:
+    """Read the table of a language: shipped, or in the folder ``languages`` of a user's `folder`.
 
     Raises
     ------
     OptionError
         If there is none; lists the codes.
+    InputError
+        If it is malformed; names the file and the field.
     """
-    if code not in shipped():
+    known = tables(folder)
+    if code not in known:
         raise OptionError(
-            f"language is {code!r}; choose one of {', '.join(shipped())}, or leave it out."
+            f"language is {code!r}; choose one of {', '.join(sorted(known))}, or leave it out."
         )
-    table = tomllib.loads(files(__package__).joinpath(f"{code}.toml").read_text("utf-8"))
-    lists = {name: frozenset(words) for name, words in table.pop("lists").items()}
-    known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
-    for section, entries in table.items():
-        for key, phrases in entries.items():
-            for phrase in phrases:
-                words = tuple(phrase.split())
-                known.setdefault(words, tuple(_terminals(section, key, words)))
-    return Language(code, known, lists)
+    table = known[code]
+    try:
+        told = tomllib.loads(table.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{table}: is no table of a language ({error}).") from error
+    wanted = None if code == "en" else english().keys
+    return Language(code, checked(told, str(table), wanted))
 
 
 def english() -> Language:
-    """Return English, the richest: what is not in a language's own lists is taken from it."""
+    """Return English, the richest language, and that of everything that is not recognised."""
     return language("en")
 
 
-def _terminals(section: str, key: str, words: tuple[str, ...]) -> Iterator[Terminal]:
+def _by_word(words: Mapping[str, list[str]]) -> dict[str, float]:
+    return {phrase: float(number) for number, phrases in words.items() for phrase in phrases}
+
+
+def _lists(code: str, lists: Mapping[str, list[str]]) -> dict[str, frozenset[str]]:
+    """Lists of words; those of labels are taken from English."""
+    found = {name: frozenset(words) for name, words in lists.items()}
+    if code == "en":
+        return found
+    theirs = english().lists
+    theirs = theirs | {"street_prefixes": frozenset()}
+    return {
+        name: found.get(name, theirs[name] if name in _OF_LABELS else frozenset())
+        for name in theirs
+    }
+
+
+def _phrases(
+    table: Mapping[str, Any], counts: Mapping[str, int]
+) -> dict[tuple[str, ...], tuple[Terminal, ...]]:
+    known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
+    for section in SPOKEN:
+        for key, phrases in table.get(section, {}).items():
+            for phrase in phrases:
+                words = tuple(phrase.split())
+                known.setdefault(words, tuple(_terminals(section, key, words, counts)))
+    return known
+
+
+def _terminals(
+    section: str, key: str, words: tuple[str, ...], counts: Mapping[str, int]
+) -> Iterator[Terminal]:
     match section:
         case "compass" | "compass_short" | "facing":
-            degrees = int(key)
+            angle, _, part = key.partition(" ")
+            degrees = int(angle)
             sigma = DIAGONAL_SIGMA if degrees % 90 else CARDINAL_SIGMA
             direction = Direction(radians(degrees), sigma, facing=section == "facing")
             yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
+            if part:  # "nordseite": the north side
+                yield Terminal("PART", part)
         case "relations":
-            yield Terminal("PREP", key)
+            relation, *others = key.split()
+            yield Terminal("PREP", relation)
+            yield from map(Terminal, others)  # "dahinter": behind it
         case "parts":
             yield Terminal("PART", key)
         case "adverbs":
             yield Terminal("ADVERB", key)
+        case "after":
+            yield Terminal("AFTER", tuple(key.split()))
         case _:
             for terminal in key.split():
                 if terminal in ("SEVERAL", "MANY"):
-                    yield Terminal("NUM", next((COUNTS[w] for w in words if w in COUNTS), None))
+                    yield Terminal("NUM", next((counts[w] for w in words if w in counts), None))
                 else:
                     yield Terminal(terminal)

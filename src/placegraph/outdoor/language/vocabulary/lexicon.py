@@ -111,9 +111,14 @@ class Lexicon:
             at += 1
         return near, False
 
-    def senses(self, word: str, *, strong: bool = False) -> dict[str, float]:
-        """Labels a word may mean, with weights in (0, 1]; `strong` leaves search terms out."""
+    def senses(self, word: str, *, strong: bool = False, letters: str = "") -> dict[str, float]:
+        """Labels a word may mean, with weights in (0, 1]; `strong` leaves search terms out.
+
+        `letters`: in the languages of these letters only, if any are given.
+        """
         entries, exact = self.entries(word)
+        if letters:
+            entries = [entry for entry in entries if set(letters) & set(entry.languages)]
         if strong:
             entries = [entry for entry in entries if entry.kind in "rn"]
         terms = {entry.preset for entry in entries if entry.kind == "t"}
@@ -128,6 +133,28 @@ class Lexicon:
                 weight *= (0.5 if named else 1.0) / len(terms) ** 0.5
             for label, share in weighted(self.presets[entry.preset]):
                 found[label] = max(found.get(label, 0.0), weight * share)
+        return found
+
+    def letters(self, language: str) -> str:
+        """Letters of a language and its varieties: those of "pt" are of "pt" and "pt-BR"."""
+        return "".join(
+            letter
+            for letter, code in zip(LETTERS, self.languages, strict=False)
+            if code.partition("-")[0] == language
+        )
+
+    def beginning(self, key: str, letters: str) -> list[str]:
+        """Words in the languages of these letters that begin so without diacritics."""
+        at = bisect_left(self._lines, key, key=_key)
+        found = []
+        while at < len(self._lines) and _key(self._lines[at]).startswith(key):
+            line = self._lines[at]
+            tail = line[line.index("\t") :]
+            if any(letter in tail for letter in letters) and any(
+                set(letters) & set(entry.languages) for entry in _entries(line)
+            ):
+                found.append(_word(line))
+            at += 1
         return found
 
     def names(self, language: str) -> dict[str, str]:

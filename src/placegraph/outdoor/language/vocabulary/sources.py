@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, read_lexicon
 from placegraph.outdoor.language.vocabulary.objects import read_objects
 from placegraph.outdoor.language.vocabulary.tables import find
@@ -12,10 +13,15 @@ from placegraph.outdoor.language.vocabulary.text import beginnings, folded, norm
 from placegraph.outdoor.language.vocabulary.words import read_words
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 SHORTEST = 4
 """Letters of the shortest word that is corrected."""
+MOST = 24
+"""Senses of a word, at most."""
+LEAST = 0.15
+"""Senses below this weight are left out."""
 CALLED = 0.8
 """Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
 
@@ -30,7 +36,7 @@ class Sources:
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._folder = folder
+        self.folder = folder
         self.objects = read_objects(folder)
         self.words = read_words(self.objects, folder)
         self.english = read_lexicon(find("english.tsv", folder))
@@ -47,7 +53,7 @@ class Sources:
     @cached_property
     def world(self) -> Lexicon:
         """The lexicon of all other languages: read when English does not know a word."""
-        return read_lexicon(find("world.tsv", self._folder))
+        return read_lexicon(find("world.tsv", self.folder))
 
     @cached_property
     def prefixes(self) -> frozenset[str]:
@@ -65,6 +71,16 @@ class Sources:
         """English words worth correcting a typing error to."""
         words = {*self.words.english, *self.english.words(strong=True)} - self.words.stops
         return sorted(word for word in words if len(word) >= SHORTEST)
+
+    def ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
+        """Senses of nameable labels, likeliest first, otherwise in the given order."""
+        senses = [
+            Sense(label, round(weight, 3))
+            for label, weight in found.items()
+            if weight >= LEAST and self.objects.names(label)
+        ]
+        senses.sort(key=lambda sense: -sense.weight)
+        return tuple(senses[:MOST])
 
     def names_in(self, language: str) -> dict[tuple[str, str], str]:
         """Preset names by language and label; a detail takes the name of the first preset that has it."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING
 
-from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.vocabulary.objects import KIN
 from placegraph.outdoor.language.vocabulary.sources import SHORTEST, Sources
 from placegraph.outdoor.language.vocabulary.tables import user_folder
@@ -19,17 +18,16 @@ from placegraph.outdoor.language.vocabulary.text import (
     similar,
     singular,
 )
+from placegraph.outdoor.language.vocabulary.tongue import LanguageWords
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from placegraph.outdoor.language.description import Sense
+
 LONGEST = 5
 """Words of the longest phrase that is looked up."""
-_MOST = 24
-"""Senses of a word, at most."""
-_LEAST = 0.15
-"""Senses below this weight are left out."""
 _ASIDE = 0.6
 """Factor for tags of a word's name that its row in words.tsv does not list."""
 _CLEAR = 0.75
@@ -57,11 +55,13 @@ class Vocabulary:
         Keys that only add labels to an object.
     stops
         Ordinary English words that `longest_match` and `closest` leave alone.
+    of
+        Words of one `languages.Language` alone, in all their forms.
     """
 
     def __init__(self, sources: Sources | None = None, labels: Iterable[str] = ()) -> None:
         sources = sources or Sources()
-        self._sources, self._objects, self._words = sources, sources.objects, sources.words
+        self.sources, self._objects, self._words = sources, sources.objects, sources.words
         self._english = sources.english
         self.keys, self.detail_keys = sources.objects.keys, sources.objects.detail_keys
         self.stops = sources.words.stops
@@ -77,10 +77,11 @@ class Vocabulary:
         self._lone = lru_cache(_MEMORY)(self._alone)
         self._near = lru_cache(_MEMORY)(self._nearest)
         self._names = lru_cache(None)(sources.names_in)
+        self.of = lru_cache(None)(partial(LanguageWords, self))
 
     def of_map(self, labels: Iterable[str]) -> Vocabulary:
         """Return a vocabulary that knows every tag value among the labels of a map as well."""
-        return Vocabulary(self._sources, labels)
+        return Vocabulary(self.sources, labels)
 
     @staticmethod
     @lru_cache(maxsize=1)
@@ -147,7 +148,7 @@ class Vocabulary:
         """Say why a phrase has no senses: "unknown word; did you mean beach or bench?"."""
         if self._undrawn(phrase) or self._undrawn(phrase.rpartition(" ")[2]):
             return NOT_DRAWN
-        near = similar(singular(folded(normal(phrase))), [*self._sources.choices, *self._own])
+        near = similar(singular(folded(normal(phrase))), [*self.sources.choices, *self._own])
         return f"{UNKNOWN}; did you mean {' or '.join(near)}?" if near else UNKNOWN
 
     def _undrawn(self, phrase: str) -> bool:
@@ -187,8 +188,8 @@ class Vocabulary:
         forms = dict.fromkeys((form, singular(folded(form))))
         return any(
             form in self._starts
-            or form in self._sources.prefixes
-            or (not self._is_stop(form) and self._sources.world.starts(form))
+            or form in self.sources.prefixes
+            or (not self._is_stop(form) and self.sources.world.starts(form))
             for form in forms
         )
 
@@ -196,7 +197,7 @@ class Vocabulary:
         """Senses that the tables give a phrase."""
         tag = _TAG.fullmatch(phrase.strip())
         if tag:
-            return self._ranked({tag[0]: 1.0})
+            return self.sources.ranked({tag[0]: 1.0})
         form = normal(phrase)
         if not form:
             return ()
@@ -206,23 +207,25 @@ class Vocabulary:
                 return senses
         forms = dict.fromkeys((form, plain, singular(form)))
         for word in forms:
-            if senses := self._ranked(self._words.others.get(word, {})):
+            if senses := self.sources.ranked(self._words.others.get(word, {})):
                 return senses
         for word in () if self._is_stop(plain) else forms:
-            if senses := self._ranked(self._objects.by_rank(self._sources.world.senses(word))):
+            if senses := self.sources.ranked(
+                self._objects.by_rank(self.sources.world.senses(word))
+            ):
                 return senses
         return ()
 
     def _in_english(self, word: str) -> tuple[Sense, ...]:
         """Senses of an English word: its row in words.tsv, then tags and presets of its name."""
         made = self._words.english.get(word)
-        tagged = self._english.senses(word, strong=made is not None) or self._sources.listed.get(
+        tagged = self._english.senses(word, strong=made is not None) or self.sources.listed.get(
             word, {}
         )
         if made is not None:
             tagged = {label: _ASIDE * weight for label, weight in tagged.items()}
         found = dict(made or {})
-        for others in (self._objects.by_rank(tagged), self._sources.called.get(word, {})):
+        for others in (self._objects.by_rank(tagged), self.sources.called.get(word, {})):
             for label, weight in others.items():
                 if label not in (made or {}):
                     found[label] = max(weight, found.get(label, 0.0))
@@ -231,7 +234,7 @@ class Vocabulary:
         for label in self._own.get(word, ()):
             if aside == 1.0 or label.partition("=")[2] in values:
                 found.setdefault(label, aside)
-        return self._ranked(found)
+        return self.sources.ranked(found)
 
     def _alone(self, token: str) -> tuple[Sense, ...]:
         """Senses of a single word of a text: no ordinary word, no mere English search term."""
@@ -262,8 +265,8 @@ class Vocabulary:
         if rest and first in ARTICLES:
             return self._meant(rest)
         joined = folded(form).replace(" ", "")
-        if rest and joined in self._sources.solid:
-            return self._known(self._sources.solid[joined])
+        if rest and joined in self.sources.solid:
+            return self._known(self.sources.solid[joined])
         return self._built(form)
 
     def _built(self, form: str) -> tuple[Sense, ...]:
@@ -276,21 +279,11 @@ class Vocabulary:
                 if sense.label.partition("=")[0] in KIN.get(key, (key,))
             }
             found |= inner or {f"{key}={value.replace(' ', '_')}": _GUESS, f"{key}=*": _GUESS / 2}
-        return self._ranked(found)
-
-    def _ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
-        """Senses of nameable labels, likeliest first, otherwise in the given order."""
-        senses = [
-            Sense(label, round(weight, 3))
-            for label, weight in found.items()
-            if weight >= _LEAST and self._objects.names(label)
-        ]
-        senses.sort(key=lambda sense: -sense.weight)
-        return tuple(senses[:_MOST])
+        return self.sources.ranked(found)
 
     def _nearest(self, form: str) -> tuple[str, float] | None:
         if self._is_stop(form):
             return None
         if self._known(form):
             return form, 1.0
-        return corrected(form, self._sources.choices) if len(form) >= SHORTEST else None
+        return corrected(form, self.sources.choices) if len(form) >= SHORTEST else None

@@ -27,6 +27,8 @@ class Words:
     """Replaces what the lexicon says of these words."""
     others: Meanings
     """Words of other languages."""
+    tongues: dict[str, Meanings]
+    """The same, language by language."""
     spoken: dict[tuple[str, str], str]
     """(language, label) -> everyday name."""
     stops: frozenset[str]
@@ -43,18 +45,21 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> Words:
     """
     english: Meanings = {}
     others: Meanings = {}
+    tongues: dict[str, Meanings] = {}
     for where, language, words, labels in _rows("words.tsv", folder):
         meaning = english.get(normal(labels)) or _meaning(where, labels, objects)
         if not meaning:
             continue
-        book = english if language == "en" else others
+        foreign = (others, tongues.setdefault(language.partition("-")[0], {}))
+        books = (english,) if language == "en" else foreign
         for word in words.split(","):
             form = normal(word)
             if not form:
                 raise InputError(f"{where}: the field 'words' is {words!r}; it names no word.")
             for key in dict.fromkeys((form, folded(form))):
-                known = book.setdefault(key, {})
-                known.update({k: max(w, known.get(k, 0.0)) for k, w in meaning.items()})
+                for book in books:
+                    known = book.setdefault(key, {})
+                    known.update({k: max(w, known.get(k, 0.0)) for k, w in meaning.items()})
     _singulars(english)
     spoken = {}
     for where, language, word, label in _rows("spoken.tsv", folder):
@@ -65,7 +70,7 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> Words:
         for _, (line,) in rows(find("stop.tsv", folder), ("words",))
         for word in line.split()
     )
-    return Words(english, others, spoken, stops)
+    return Words(english, others, tongues, spoken, stops)
 
 
 def _rows(name: str, folder: Path | None) -> list[tuple[str, str, str, str]]:

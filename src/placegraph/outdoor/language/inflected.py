@@ -1,0 +1,170 @@
+"""Chunks of a language whose words bend: what stands in a text meets its dictionary form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from placegraph.language.islands import Chunk
+from placegraph.outdoor.language.chunk import Chunker
+from placegraph.outdoor.language.order import ordered
+from placegraph.outdoor.language.parse import Noun
+from placegraph.outdoor.language.proper import ProperNames
+from placegraph.outdoor.language.words import fold
+
+if TYPE_CHECKING:
+    from placegraph.language.words import Word
+    from placegraph.outdoor.language.description import Sense
+    from placegraph.outdoor.language.languages import Language
+    from placegraph.outdoor.language.proper import Known
+    from placegraph.outdoor.language.vocabulary.tongue import LanguageWords
+    from placegraph.outdoor.language.words import NameFinder
+
+_LONGEST_NAME = 4
+"""Words of the longest name that is looked for in other forms than it has on the map."""
+
+
+class InflectedChunker(Chunker):
+    """A `Chunker` of any language but English."""
+
+    def __init__(
+        self, text: str, language: Language, vocabulary: LanguageWords, names: NameFinder | None
+    ) -> None:
+        super().__init__(text, language, vocabulary, names)
+        self.dictionary = vocabulary
+        self.proper: InflectedNames = InflectedNames(text, language, vocabulary, names)
+
+    def known(self, word: str) -> bool:
+        """Tell whether something is a word: of the grammar, of things, or a name of the map."""
+        if word in self.lexicon.words or word in self.lexicon.counts:
+            return True
+        if len(word) == 1 and "\u3041" <= word <= "\u30ff":
+            return False  # a letter of Japanese, not a word
+        return self.dictionary.known(word) or (len(word) > 1 and self.proper.is_one(word))
+
+    def chunks(self, sentence: list[Word]) -> list[Chunk]:
+        """Chunks of a sentence, in the order of the grammar."""
+        self.proper.bent = {}
+        return ordered(self._marked(super().chunks(sentence)), self.lexicon)
+
+    def _mark(self, i: int, word: Word) -> Chunk:
+        if word.kind != "quoted":
+            return super()._mark(i, word)
+        written = self.text[word.start : word.end]
+        return self._chunk("NAME", i, 1, Noun(self.proper.kind(written), written))
+
+    def _marked(self, chunks: list[Chunk]) -> list[Chunk]:
+        """Chunks with what endings and particles stand for behind their things."""
+        found: list[Chunk] = []
+        for chunk in chunks:
+            case: tuple[str, ...] = ()
+            if chunk.type == "AFTER":
+                found += [replace(chunk, type=kind, value=None) for kind in chunk.value]
+                continue
+            if chunk.type == "NOUN" and (known := self.dictionary.find(chunk.words)) is not None:
+                chunk.words, case = known.word, known.case
+            elif chunk.type == "NAME":
+                case = self._case_of_name(chunk)
+            found.append(chunk)
+            found += [Chunk(kind, chunk.end, chunk.end) for kind in case]
+        return found
+
+    def _case_of_name(self, chunk: Chunk) -> tuple[str, ...]:
+        if chunk.start in self.proper.bent:
+            chunk.value.name, case = self.proper.bent[chunk.start]
+            return case
+        if self.proper.is_one(chunk.words):
+            return ()
+        forms = self.lexicon.forms.of(fold(chunk.words.rpartition(" ")[2]))
+        return next((form.case for form in reversed(forms) if form.case), ())
+
+
+class InflectedNames(ProperNames):
+    """`ProperNames` that may stand in another form than on the map: "Mannerheimintiellä"."""
+
+    bent: dict[int, tuple[str, tuple[str, ...]]]
+    """Names of a sentence that are not as on the map, by where they begin: as there, and case."""
+
+    def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
+        """How many words of a proper name begin at word i: on the map, or by its capitals."""
+        n = self._bent(i) if self.names is not None and self.lexicon.forms else 0
+        found = super().length(i, known, n_known, n_noun)
+        whole = bool(found) and self.is_one(" ".join(self.lower[i : i + found]))
+        if n > max(n_known, n_noun) and n >= found and not whole:
+            return n
+        self.bent.pop(self.words[i].start, None)
+        return found
+
+    def kind(self, name: str) -> tuple[Sense, ...]:
+        """What a name's last words say it is, or its first: "Bäckerei Schmidt"."""
+        found = super().kind(name)
+        first = name.split(maxsplit=1)[0] if " " in name else ""
+        return found or (super().kind(first) if first else ())
+
+    def _bent(self, i: int) -> int:
+        """How many words of a name in another form than the map's begin at word i."""
+        words = self.words[i : i + _LONGEST_NAME]
+        if len(words[0].lower) < 4 or not (words[0].capital or _lacks_capitals(words[0])):
+            return 0
+        for n in range(len(words), 0, -1):
+            if any(word.kind != "word" for word in words[:n]):
+                continue
+            for written, case in self._forms_of([fold(word.lower) for word in words[:n]]):
+                if self.is_one(" ".join(written)):
+                    self.bent[words[0].start] = (" ".join(written), case)
+                    return n
+        return 0
+
+    def _forms_of(self, words: list[str]) -> list[tuple[list[str], tuple[str, ...]]]:
+        """Names that words may be forms of: the last bends alone, or both of two do."""
+        dictionary = self.lexicon.forms.dictionary
+        found = [([*words[:-1], form.stem], form.case) for form in dictionary(words[-1])]
+        if len(words) == 2:
+            found += [
+                ([first.stem, last.stem], last.case)
+                for first in dictionary(words[0])
+                for last in dictionary(words[1])
+            ]
+        return found
+
+    def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
+        if self.lexicon.capitals:
+            return super()._capitals(i, known, n_noun)
+        word = self.words[i]
+        if not word.capital or self.shouting or known is not None:
+            return 0
+        end = i + 1
+        while end < len(self.words) and self.words[end].kind == "word" and self.words[end].capital:
+            if self.lexicon.longest(self.lower, end):
+                break
+            end += 1
+        if end - i > 1:
+            return end - i if n_noun < end - i else 0
+        street = any(word.lower.endswith(ending) for ending in self.lists["street_suffixes"])
+        article = i == 0 or self.lower[i - 1] in self.lists["articles"]
+        return 0 if (n_noun and not street) or (article and not street) else 1
+
+    def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
+        """Streets whose kind stands first, too: "rue de la Paix"."""
+        return self._street_after(i) or super()._small_street(i, known, n_noun)
+
+    def _street_after(self, i: int) -> int:
+        if self.lower[i] not in self.lists["street_prefixes"]:
+            return 0
+        at = i + 1
+        while at < len(self.words) and self.lower[at] in self.lists["connectives"]:
+            at += 1
+        if at >= len(self.words) or self.words[at].kind != "word":
+            return 0
+        bare = _lacks_capitals(self.words[at]) and not self.lexicon.longest(self.lower, at)
+        if not (self.words[at].capital or bare):
+            return 0
+        end = at + 1
+        while end < len(self.words) and self.words[end].kind == "word" and self.words[end].capital:
+            end += 1
+        return end - i
+
+
+def _lacks_capitals(word: Word) -> bool:
+    """Tell whether a word is in a script without capitals."""
+    return word.lower == word.lower.upper()

@@ -1,0 +1,159 @@
+"""Which language a text is in: told by its script, and by the words that a language's table knows."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from placegraph.outdoor.language.languages.language import english, language, tables
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from placegraph.outdoor.language.languages.language import Language
+
+UNKNOWN = ""
+"""Code of a text of which no language is recognised; it is read as English."""
+_SENTENCE = re.compile(r"[^.!?。！？؟\n]*(?:[.!?。！？؟]+(?=\s|$|[^\x00-\x7f])|\n|$|[.!?。！？؟]+)")
+_WORD = re.compile(r"[^\W\d_]+(?:['’][^\W\d_]+)*")
+_SCRIPTS = {
+    "Cyrillic": r"[\u0400-\u052f]",
+    "Hebrew": r"[\u0590-\u05ff]",
+    "Arabic": r"[\u0600-\u06ff]",
+    "Kana": r"[\u3041-\u30ff]",
+    "Han": r"[\u4e00-\u9fff]",
+    "Hangul": r"[\uac00-\ud7af\u1100-\u11ff]",
+    "Greek": r"[\u0370-\u03ff]",
+    "Devanagari": r"[\u0900-\u097f]",
+    "Thai": r"[\u0e00-\u0e7f]",
+}
+_SCRIPT = {name: re.compile(pattern) for name, pattern in _SCRIPTS.items()}
+_GRAMMAR = re.compile(
+    r"^\[(?!things|say|lists|forms|order|compass_short|\[)[^\n]*\n(.*?)(?=^\[|\Z)",
+    re.MULTILINE | re.DOTALL,
+)
+_PHRASE = re.compile(r'"([^"\n]*)"')
+_PLAIN = frozenset(("the", "is", "are", "and", "of", "with", "my", "there", "from", "you", "i"))
+"""English words of which nearly every English sentence has one, and hardly another's."""
+_LEAST = 0.2
+"""Share of a sentence's words that a language must know ..."""
+_FEW = 0.75
+"""... and how many words at least, each shared with those who know it as well."""
+
+
+class Stretch(NamedTuple):
+    """A part of a text in one language."""
+
+    start: int
+    end: int
+    language: Language
+    certain: bool = True
+    """False where no language was recognised."""
+
+
+class _Signs(NamedTuple):
+    words: dict[str, tuple[str, ...]]
+    """Languages of a word."""
+    scripts: dict[str, tuple[str, ...]]
+    """Languages of a script."""
+
+
+@cache
+def _signs(folder: Path | None) -> _Signs:
+    """Words of the grammar of every language: found without parsing the tables, which takes longer."""
+    words: dict[str, set[str]] = {}
+    scripts: dict[str, set[str]] = {}
+    for code, table in tables(folder).items():
+        text = table.read_text("utf-8")
+        head = text.partition("\n[")[0]
+        listed = re.search(r"^scripts\s*=\s*\[(.*)\]", head, re.MULTILINE)
+        for script in _PHRASE.findall(listed[1]) if listed else ():
+            scripts.setdefault(script, set()).add(code)
+        for section in _GRAMMAR.findall(text):
+            for phrase in _PHRASE.findall(section):
+                for word in phrase.split():
+                    words.setdefault(word.strip("'"), set()).add(code)
+    return _Signs(
+        {word: tuple(sorted(found)) for word, found in words.items()},
+        {script: tuple(sorted(found)) for script, found in scripts.items()},
+    )
+
+
+def stretches(text: str, code: str | None, folder: Path | None = None) -> list[Stretch]:
+    """Cut a text into parts of one language each.
+
+    Parameters
+    ----------
+    text
+        Cleaned (`scan.clean`).
+    code
+        The language, where it is known.
+    folder
+        A user's folder, whose ``languages`` are known too.
+
+    Raises
+    ------
+    OptionError
+        If there is no language of that code; lists the codes.
+    """
+    if code is not None:
+        return [Stretch(0, len(text), language(code, folder))]
+    spans = [m.span() for m in _SENTENCE.finditer(text) if m.end() > m.start()]
+    if text.isascii() and all(_is_english(text[a:b]) for a, b in spans):
+        return [Stretch(0, len(text), english())]
+    signs = _signs(folder)
+    whole = _best(_scores(text, signs), english=True)
+    found: list[Stretch] = []
+    for start, end in spans:
+        told = _best(_scores(text[start:end], signs), english=False) or whole
+        tongue = english() if told == UNKNOWN else language(told, folder)
+        if found and found[-1].language is tongue:
+            found[-1] = found[-1]._replace(end=end)
+        else:
+            found.append(Stretch(start, end, tongue, told != UNKNOWN))
+    return found or [Stretch(0, len(text), english(), whole != UNKNOWN)]
+
+
+def _is_english(sentence: str) -> bool:
+    words = {word.lower() for word in _WORD.findall(sentence)}
+    return not words or not _PLAIN.isdisjoint(words)
+
+
+def _scores(text: str, signs: _Signs) -> tuple[dict[str, float], int]:
+    """How much speaks for each language, and of how many words."""
+    scores: dict[str, float] = {}
+    words = [word.lower().replace("’", "'") for word in _WORD.findall(text)]
+    count = 0
+    for word in words:
+        script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
+        if script in ("Kana", "Han"):
+            # no spaces: letters stand for words, and kana are Japanese among Chinese signs
+            count += max(1, len(word) // 2)
+            for code in signs.scripts.get(script, ()):
+                share = 1.0 / len(signs.scripts[script])
+                scores[code] = scores.get(code, 0.0) + share * max(1, len(word) // 2)
+            continue
+        count += 1
+        codes = signs.words.get(word, ())
+        for code in codes:
+            scores[code] = scores.get(code, 0.0) + 1.0 / len(codes)
+        own = () if script == "Latin" or codes else signs.scripts.get(script, ())
+        for code in own:
+            scores[code] = scores.get(code, 0.0) + 0.7 / len(own)
+    return scores, count
+
+
+def _best(scored: tuple[dict[str, float], int], *, english: bool) -> str:
+    """Language for which most speaks; unknown where that is too little.
+
+    `english`: whether one known English word is enough, as it always was.
+    """
+    scores, count = scored
+    if not scores:
+        return UNKNOWN
+    code = max(scores, key=lambda code: (scores[code], code == "en"))
+    if english and scores.get("en", 0.0) >= 0.5 and scores["en"] >= scores[code] - 0.5:
+        return "en"
+    enough = scores[code] >= max(_FEW, _LEAST * count) if count > 1 else scores[code] >= _FEW
+    return code if enough else UNKNOWN

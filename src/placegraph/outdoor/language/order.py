@@ -1,0 +1,258 @@
+"""Word order: the chunks of a sentence of any language, brought into the order of the one grammar.
+
+The grammar speaks as English does: a relation stands before its thing ("north of the church"), a
+verb between what it speaks of. Where a language has postpositions or final verbs its table says so.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from placegraph.language.islands import Chunk
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from placegraph.outdoor.language.languages import Language
+
+CASES = frozenset(("GEN", "DROP"))
+"""Markers that only order needs; they are not in the grammar."""
+_LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF", "WITH")
+_PERSONS = ("ME", "YOU", "IT", "SPOT", "THIS")
+_OWNED = ("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD")
+_RELATIONS = ("DIR", "SHORT", "PREP", "BETWEEN", "ACROSS", "PART")
+_MEASURED = ("DIST", "AWAY")
+_FINAL = ("EXISTS", "BE", "SEE", "HAVE")
+
+
+@dataclass
+class _Item:
+    """A thing with its marker, a place, or another chunk."""
+
+    kind: str
+    """``thing``, ``place``, or the type of the one chunk."""
+    chunks: list[Chunk]
+    case: list[str] = field(default_factory=list)
+    """Types of the markers behind a thing."""
+
+    @property
+    def person(self) -> bool:
+        return self.kind == "thing" and self.chunks[0].type in _PERSONS
+
+
+def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
+    """Chunks of a sentence in the order of the grammar."""
+    order = language.order
+    if order.genitive:
+        chunks = list(_genitives(chunks))
+    if order.postpositions:
+        items = list(_related(_items(chunks), marked=order.marked))
+        if order.verb_final:
+            items = list(_verbs(items))
+        chunks = [chunk for item in items for chunk in _told(item)]
+    return _one_lead([chunk for chunk in chunks if chunk.type not in CASES])
+
+
+def _at(chunk: Chunk, kind: str) -> Chunk:
+    """Make a chunk of no words of its own, where another begins."""
+    return Chunk(kind, chunk.start, chunk.start)
+
+
+def _genitives(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
+    """Put an OF between a direction or a part and the thing that follows it: "nördlich der Kirche"."""
+    for i, chunk in enumerate(chunks):
+        following = chunks[i + 1].type if i + 1 < len(chunks) else ""
+        if chunk.type == "NEARBY" and following in (*_OWNED, "OF", "NOUN", "NAME"):
+            yield replace(chunk, type="PREP", value="near")  # "in der Nähe der Kirche"
+            continue
+        if chunk.type == "OF" and i and chunks[i - 1].type == "NEARBY":
+            continue
+        yield chunk
+        rest = [other.type for other in chunks[i + 1 : i + 3] if other.type != "ADVERB"]
+        if chunk.type not in ("DIR", "PART") or not rest:
+            continue
+        before = chunks[i - 1].type if i else ""
+        bare = rest[0] in ("NOUN", "NAME", "ME", "YOU", "IT", "WORD") and before not in _OWNED
+        if bare or rest[0] in ("DET", "THIS", "MY", "YOUR", "ITS"):
+            yield _at(chunks[i + 1], "OF")
+
+
+def _one_lead(chunks: list[Chunk]) -> list[Chunk]:
+    """Leave out a lead before another or before a preposition: "在公园里" is "in the park"."""
+    following = [*[chunk.type for chunk in chunks[1:]], ""]
+    return [
+        chunk
+        for chunk, after in zip(chunks, following, strict=True)
+        if not (chunk.type in ("IN", "ON", "AT", "TO") and after in (*_LEADS, "PREP", "BETWEEN"))
+    ]
+
+
+def _items(chunks: Sequence[Chunk]) -> list[_Item]:
+    """Group the chunks of a thing, and the markers behind it."""
+    items: list[_Item] = []
+    for chunk in chunks:
+        last = items[-1] if items else None
+        if chunk.type in (*CASES, *_LEADS):
+            if last is not None and last.kind == "thing":
+                last.case.append(chunk.type)
+            elif last is None or last.kind not in (*_RELATIONS, *_MEASURED):
+                items.append(_Item(chunk.type, [chunk]))
+        elif chunk.type in ("NOUN", "NAME", *_OWNED, *_PERSONS):
+            if last is not None and _continues(last, chunk):
+                last.chunks.append(chunk)
+            else:
+                items.append(_Item("thing", [chunk]))
+        else:
+            items.append(_Item(chunk.type, [chunk]))
+    items = [item for item in items if item.kind not in CASES]
+    for before, item in itertools.pairwise(items):
+        if item.kind == "NEARBY" and before.kind == "thing" and before.case:
+            item.kind, item.chunks = "PREP", [replace(item.chunks[0], type="PREP", value="near")]
+    return items
+
+
+def _continues(last: _Item, chunk: Chunk) -> bool:
+    """Tell whether a chunk is of the thing before it."""
+    if last.kind != "thing" or last.person or last.case or chunk.type in _PERSONS:
+        return False
+    before = last.chunks[-1].type
+    if before in _OWNED:
+        return True
+    return (before, chunk.type) in (("NAME", "NOUN"), ("NOUN", "NAME"))
+
+
+def _related(items: list[_Item], *, marked: bool) -> Iterator[_Item]:
+    """Bring a thing behind the relation that follows it: "kirkon vieressä" is "beside the church"."""
+    found: list[_Item] = []
+    i = 0
+    while i < len(items):
+        end = i
+        while end < len(items) and items[end].kind in (*_RELATIONS, *_MEASURED):
+            end += 1
+        if end == i:
+            found.append(items[i])
+            i += 1
+            continue
+        _relate(found, items[i:end], marked=marked)
+        i = end
+    return iter(_owners(found))
+
+
+def _relate(found: list[_Item], words: list[_Item], *, marked: bool) -> None:
+    """Append a relation, and what of the things before it is its own."""
+    kinds = [word.kind for word in words]
+    relations = [word for word in words if word.kind not in _MEASURED]
+    measured = [word for word in words if word.kind in _MEASURED]
+    if not _takes(found, kinds, marked=marked):
+        found += [*measured, *relations]
+        return
+    things = [found.pop()]
+    if relations and relations[0].kind in ("BETWEEN", "PART"):
+        while len(found) > 1 and found[-1].kind == "AND" and found[-2].kind == "thing":
+            things = [found[-2], found[-1], *things]
+            del found[-2:]
+    while found and found[-1].kind == "DIST" and not measured:
+        measured = [found.pop()]  # "50 metriä kirkosta pohjoiseen"
+    target = [chunk for thing in things for chunk in thing.chunks]
+    distance = [chunk for word in measured for chunk in word.chunks]
+    heads = [chunk for word in relations for chunk in word.chunks]
+    lead, between = _words_between(relations, target[0])
+    found.append(_Item("place", [*distance, *lead, *heads, *between, *target]))
+
+
+def _words_between(relations: list[_Item], target: Chunk) -> tuple[list[Chunk], list[Chunk]]:
+    """Words that the grammar wants before a relation, and between it and its thing."""
+    kind = relations[-1].kind if relations else ""
+    if kind in ("DIR", "SHORT"):
+        return [], [_at(target, "OF")]
+    if kind == "PART":
+        return [_at(target, "AT")], [_at(target, "OF")]
+    return [], [] if kind else [_at(target, "FROM")]
+
+
+def _takes(found: list[_Item], kinds: Sequence[str], *, marked: bool) -> bool:
+    """Tell whether the thing before a relation is what it relates to."""
+    if not found or found[-1].kind != "thing" or "DROP" in found[-1].case:
+        return False
+    case = found[-1].case
+    if len(found) > 1 and found[-2].kind == "SEE":
+        return False  # what is seen, and then where
+    if all(kind in _MEASURED for kind in kinds):
+        return "FROM" in case
+    if "IN" in case or "AT" in case or "ON" in case:
+        return False
+    return bool(case) or not marked
+
+
+def _owners(items: list[_Item]) -> list[_Item]:
+    """Bring an owner behind what it owns: "puiston portti" is "the gate of the park"."""
+    found: list[_Item] = []
+    for item in items:
+        owner = found[-1] if found else None
+        if (
+            owner is not None
+            and item.kind in ("thing", "place")
+            and owner.kind == "thing"
+            and owner.case == ["GEN"]
+        ):
+            found.pop()
+            if item.kind == "thing" and not owner.person and item.chunks[0].type not in _PERSONS:
+                place = _Item("place", [_at(owner.chunks[0], "OF"), *owner.chunks])
+                found += [item, place]
+                continue
+        found.append(item)
+    return found
+
+
+def _told(item: _Item) -> list[Chunk]:
+    """Chunks of an item; the case of a thing becomes a word before it."""
+    lead = [case for case in item.case if case in _LEADS][-1:]
+    return [*[_at(item.chunks[0], case) for case in lead], *item.chunks]
+
+
+def _verbs(items: list[_Item]) -> Iterator[_Item]:
+    """Bring final verbs to where the grammar has them."""
+    clause: list[_Item] = []
+    i = 0
+    while i < len(items):
+        item = items[i]
+        i += 1
+        if item.kind not in _FINAL:
+            clause.append(item)
+            if item.kind in ("CUT", "COND"):
+                yield from clause
+                clause = []
+            continue
+        verb = [item]
+        while i < len(items) and items[i].kind == "NOT":
+            verb.append(items[i])
+            i += 1
+        yield from _verb_placed(clause, verb)
+        clause = []
+    yield from clause
+
+
+def _verb_placed(clause: list[_Item], verb: list[_Item]) -> list[_Item]:
+    joints = []
+    while clause and clause[0].kind == "AND":
+        joints.append(clause[0])
+        clause = clause[1:]
+    free = [n for n, item in enumerate(clause) if item.kind == "thing" and not _lead(item)]
+    kind = verb[0].kind
+    if free and kind in ("EXISTS", "BE") and free[0] == 0 and (len(clause) > 1 or kind == "BE"):
+        return [*joints, clause[0], _Item("BE", [replace(verb[0].chunks[0], type="BE")]),
+                *verb[1:], *clause[1:]]  # fmt: skip
+    seen = [n for n in free if not clause[n].person]
+    if not seen or (kind == "BE" and seen[0] == 0):
+        kept = verb[1:] if kind in ("BE", "EXISTS") else verb  # "教会の北です": a place alone
+        return [*joints, *kept, *clause] if kind != "SEE" else [*joints, *clause, *kept]
+    at = seen[0]
+    while at and clause[at - 1].kind == "NOT":
+        at -= 1
+    return [*joints, *clause[:at], *verb, *clause[at:]]
+
+
+def _lead(item: _Item) -> bool:
+    return any(case in _LEADS for case in item.case)

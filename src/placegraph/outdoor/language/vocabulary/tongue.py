@@ -1,0 +1,158 @@
+"""The words of one language, in all their forms."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from placegraph.outdoor.language.vocabulary.text import folded, normal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from placegraph.outdoor.language.description import Sense
+    from placegraph.outdoor.language.languages import Language
+    from placegraph.outdoor.language.languages.forms import Form
+    from placegraph.outdoor.language.vocabulary.vocabulary import Vocabulary
+
+LONGEST = 5
+"""Words of the longest phrase that is looked up."""
+_KEY = 2
+"""Letters by which words are put into bins."""
+_CLEAR = 0.75
+"""Weight that the best sense of a lone word must have: more than that of a search term."""
+_MEMORY = 1 << 13
+
+
+class Found(NamedTuple):
+    """A phrase of a text in the dictionary."""
+
+    word: str
+    """Its dictionary form, without diacritics."""
+    senses: tuple[Sense, ...]
+    case: tuple[str, ...]
+    """Terminals that its last word's ending stands for."""
+
+
+class LanguageWords:
+    """What the chunker needs of a vocabulary (`words.Words`), of one language.
+
+    Parameters
+    ----------
+    vocabulary
+        Says what English words and tags mean, and holds the tables of all languages.
+    language
+        Its forms, and everyday words of its own.
+    """
+
+    def __init__(self, vocabulary: Vocabulary, language: Language) -> None:
+        self.language, self.vocabulary = language, vocabulary
+        sources = vocabulary.sources
+        self._world = sources.world
+        self._own: dict[str, tuple[Sense, ...]] = {}
+        for meaning, words in language.things.items():
+            senses = vocabulary.senses(meaning)
+            for word in words:
+                key = folded(normal(word))
+                merged = {s.label: s.weight for s in (*senses, *self._own.get(key, ()))}
+                self._own[key] = sources.ranked(merged)
+        for word, labels in sources.words.tongues.get(language.code, {}).items():
+            self._own.setdefault(folded(word), sources.ranked(labels))
+        self._letters = self._world.letters(language.code)
+        self._bins: dict[str, dict[str, list[str]]] = {}
+        self._own_bins: dict[str, list[str]] = {}
+        for word in self._own:
+            self._own_bins.setdefault(word[:_KEY], []).append(word)
+        self.find = lru_cache(_MEMORY)(self._find)
+
+    def senses(self, phrase: str) -> tuple[Sense, ...]:
+        """Labels a phrase may stand for, likeliest first; a tag's value where the language has no word."""
+        found = self.find(phrase)
+        if found is not None:
+            return found.senses
+        tag = "_" in phrase or "=" in phrase
+        return self.vocabulary.senses(phrase) if tag else ()
+
+    def longest_match(
+        self, tokens: Sequence[str], start: int = 0
+    ) -> tuple[int, tuple[Sense, ...]] | None:
+        """Longest phrase that begins at `start`: number of words and senses."""
+        for n in range(min(LONGEST, len(tokens) - start), 0, -1):
+            words = tokens[start : start + n]
+            if n > 1 and not all(normal(word) for word in words):
+                continue
+            found = self.find(" ".join(words))
+            if found is not None and found.senses[0].weight >= (_CLEAR if n == 1 else 0.0):
+                return n, found.senses
+        return None
+
+    def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
+        """Most similar known phrase; none is guessed in other languages than English."""
+        del phrase, cutoff
+        return None
+
+    def unknown(self, phrase: str) -> str:
+        """Say why a phrase has no senses."""
+        del phrase
+        return "unknown word"
+
+    def known(self, word: str) -> bool:
+        """Tell whether a word or phrase is one of things, in any form."""
+        return self.find(word) is not None
+
+    def _find(self, phrase: str) -> Found | None:
+        """Look a phrase up: as it stands, then by its stems, the longest first."""
+        words = folded(normal(phrase)).split(" ")
+        if not words[0]:
+            return None
+        forms = [self.language.forms.of(word) for word in words]
+        last = {form.stem: form.case for form in reversed(forms[-1])}
+        for first in forms[0]:
+            best: tuple[int, str, tuple[str, ...]] | None = None
+            for entry in self._beginning(first.stem):
+                case = self._case(entry.split(" "), forms, first.stem, last)
+                # a word as it stands before one whose own ending had to be cut as well
+                if case is not None and (best is None or len(entry) < best[0]):
+                    best = (len(entry), entry, case)
+            if best is not None and (senses := self._senses(best[1])):
+                return Found(best[1], senses, best[2])
+        return None
+
+    def _case(
+        self,
+        entry: list[str],
+        forms: Sequence[tuple[Form, ...]],
+        first: str,
+        last: Mapping[str, tuple[str, ...]],
+    ) -> tuple[str, ...] | None:
+        """Case of a phrase as a form of an entry of the dictionary; None if it is none."""
+        if len(entry) != len(forms):
+            return None
+        stems = self.language.forms.stems
+        if len(entry) == 1:
+            return last[first]
+        for word, could_be in zip(entry[1:-1], forms[1:-1], strict=True):
+            known = {form.stem for form in could_be}
+            if known.isdisjoint(stems(word)):
+                return None
+        return next((case for stem, case in last.items() if stem in stems(entry[-1])), None)
+
+    def _beginning(self, stem: str) -> list[str]:
+        """Phrases of the dictionary whose first word has this stem."""
+        key = stem[:_KEY]
+        if key not in self._bins:
+            letters, world = self._letters, self._world
+            words = {folded(word) for word in world.beginning(key, letters)} if letters else set()
+            bins: dict[str, list[str]] = {}
+            for word in sorted({*words, *self._own_bins.get(key, ())}):
+                for first in self.language.forms.stems(word.partition(" ")[0]):
+                    bins.setdefault(first, []).append(word)
+            self._bins[key] = bins
+        return self._bins[key].get(stem, [])
+
+    def _senses(self, entry: str) -> tuple[Sense, ...]:
+        if entry in self._own:
+            return self._own[entry]
+        sources = self.vocabulary.sources
+        found = self._world.senses(entry, letters=self._letters)
+        return sources.ranked(sources.objects.by_rank(found))
