@@ -73,7 +73,7 @@ def chunks(sentence: Sequence[Word], text: str) -> list[Chunk]:
     while i < len(sentence):
         n = _take(sentence, lower, i, text, found)
         i += n
-    return _paired(list(_settled(found)))
+    return list(_denied(_paired(list(_settled(found)))))
 
 
 def _plain(word: Word) -> str:
@@ -160,6 +160,17 @@ def _paired(found: list[Chunk]) -> list[Chunk]:
     return found
 
 
+def _denied(found: list[Chunk]) -> Iterator[Chunk]:
+    """Say no of both: "no tub or shower", "neither a sofa nor table"."""
+    no = False
+    for i, chunk in enumerate(found):
+        yield chunk
+        no = chunk.type == "NO" or (no and chunk.type in ("WORD", "AND"))
+        after = found[i + 1] if i + 1 < len(found) else None
+        if no and chunk.words in ("or", "nor") and after is not None and after.type == "WORD":
+            yield Chunk("NO", after.start, after.start, "no")
+
+
 def _middle(one: float, other: float) -> float:
     """The direction between two [rad]."""
     return atan2(sin(one) + sin(other), cos(one) + cos(other))
@@ -183,7 +194,7 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
     opposite = chunk.words == "opposite" and after == "WORD"  # "on the opposite wall"
     if (kind == "DIR" or opposite) and before in ("DET", "A") and single:
         return replace(chunk, type="WORD")
-    if kind == "BE" and chunk.words in _STANDS and after not in _PLACES:
+    if kind == "BE" and chunk.words in _STANDS and after not in _PLACES | _DETERMINERS:
         return replace(chunk, type="WORD")  # "two tv stands"
     if kind == "BE" and before in _DETERMINERS:
         return None

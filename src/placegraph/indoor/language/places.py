@@ -93,7 +93,7 @@ class Places(Statements):
     def _direct(self, subject: int, place: Where) -> int:
         """As "on my left", "next to me", "in sight" of a thing."""
         if subject < 0:
-            if place.how != "sight":
+            if place.how == "towards":
                 self.ignore([place], "says no thing")
             return subject
         kinds = {"towards": Kind.TOWARDS, "here": Kind.NEAR, "sight": Kind.HOLDS}

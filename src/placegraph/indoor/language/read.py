@@ -9,7 +9,7 @@ from placegraph.indoor.language.chunk import chunks, clauses
 from placegraph.indoor.language.parse import Noun, Where, parse
 from placegraph.indoor.language.places import Places
 from placegraph.indoor.language.sentence import ME, Kind, Sentence
-from placegraph.indoor.language.statements import SCENE, looks_of
+from placegraph.indoor.language.statements import SCENE, is_room, looks_of
 from placegraph.language.check import Ignored, check
 from placegraph.language.words import scan
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.language.parse import Clause, Item
 
 _EXAMPLE = "I am next to the sofa, facing the window."
+
+_WAYS = frozenset(("door", "doors", "doorway", "opening", "entrance", "passage", "access", "exit"))
 
 
 def read(text: str) -> Sentence:
@@ -149,6 +151,8 @@ class Reader(Places):
                 if attributes:
                     self.look(anchor if anchor >= 0 else SCENE, attributes)  # "a hall, quite empty"
                     continue
+                if _leads_to(items[i - 1] if i else None) and is_room(item):
+                    continue  # "a door to the balcony"
                 node = self.node(item)
                 if node is None:
                     continue
@@ -176,10 +180,16 @@ class Reader(Places):
             rest and isinstance(rest[0], Where) and rest[0].how in ("towards", "here", "sight")
         )
         if owner >= 0 and owner != node and not goes_on:
+            self._parts.add(node)
             self.state(Kind.RELATED, (node, owner), item, relation="with")
         else:
             self._hold(node, item.things[0])
         return node
+
+
+def _leads_to(item: Item | None) -> bool:
+    """Whether an item is a way out."""
+    return isinstance(item, Noun) and bool(item.words) and item.words[-1].words in _WAYS
 
 
 def _turned(after: Sequence[Item], before: Sequence[Item]) -> list[Item]:

@@ -56,6 +56,7 @@ class Statements:
         self.statements: list[Statement] = []
         self.ignored: list[Ignored] = []
         self._spoken: list[int] = []
+        self._parts: set[int] = set()  # what things come with: "it" is rarely one of them
         self.certainty = 1.0
         self._before = ""  # kind of room that sentences before were about
 
@@ -111,7 +112,9 @@ class Statements:
         if thing.kind == "SPOT":
             return SCENE
         if thing.kind == "IT":
-            return next((row for row in reversed(self._spoken) if row != other_than), None)
+            spoken = [row for row in reversed(self._spoken) if row != other_than]
+            whole = (row for row in spoken if row not in self._parts)
+            return next(whole, spoken[0] if spoken else None)
         if thing.kind == "PART":
             return None
         mention = _mention(thing, self.text)
@@ -194,6 +197,11 @@ def looks_of(thing: Noun) -> tuple[str, ...]:
         return ()
     found, first = leading([*words, ""])
     return found if first == len(words) else ()
+
+
+def is_room(thing: Noun) -> bool:
+    """Whether a noun phrase names a kind of room."""
+    return thing.kind == "thing" and bool(room_kind(" ".join(c.words for c in thing.words)))
 
 
 def _mention(thing: Noun, text: str) -> Mention:
