@@ -10,7 +10,6 @@ import numpy as np
 
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.described import triples
-from placegraph.indoor.language.held import ratios
 from placegraph.indoor.language.likeness import (
     EXACT,
     fits,
@@ -19,6 +18,7 @@ from placegraph.indoor.language.likeness import (
     likenesses,
     table,
 )
+from placegraph.indoor.language.looks_fit import ratios
 from placegraph.indoor.language.score import sayings
 from placegraph.indoor.language.seen import COLUMNS, seen
 from placegraph.indoor.language.sentence import Kind

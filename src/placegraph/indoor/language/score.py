@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.indoor.language.held import ratios, room_ratios
 from placegraph.indoor.language.likeness import EXACT, fits, table, usual
+from placegraph.indoor.language.looks_fit import ratios, room_ratios
 from placegraph.indoor.language.sentence import Kind
 from placegraph.indoor.map.relations import NEXT_TO
 from placegraph.indoor.map.relations.words import readings
