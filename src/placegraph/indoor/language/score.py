@@ -29,10 +29,12 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Floats32 = NDArray[np.float32]
 
-WRONG = 0.1
+WRONG = 0.3
 """Share of statements that are wrong, or about what a map does not have."""
-NOTED = 0.5
+NOTED = 0.8
 """Power of how much a room holds, with which a thing in it is spoken of more rarely."""
+AGAIN = 0.3
+"""How much it counts that what was spoken of is there by another word: books of a bookcase."""
 UNSURE_ROOM = 0.25
 """The same of what kind of room it is: a study is an office, what it holds only hints at it."""
 APART = 0.3
@@ -116,7 +118,8 @@ def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[T
             not_ = thing.negated or (s.negated and not paired)
             built_in = _built_in(thing.label)
             fit = known.fit(t) if not_ or built_in else known.fit(t) * known.noted
-            yield Term(row, *_unless(fit, usual(thing.label), not_=not_), sure)
+            news = 1.0 if known.claim(thing) else AGAIN
+            yield Term(row, *_unless(fit, usual(thing.label), not_=not_), news * sure)
         if s.kind is Kind.RELATED and not any(thing.negated for thing in things):
             fit, both = known.related(s)
             yield Term(row, *_unless(fit, _RELATED, not_=s.negated), sure, both)
@@ -168,12 +171,22 @@ class _Known:
         self._sentence, self._columns, self._library = sentence, columns, library
         self._labels: dict[str, NDArray[np.float32]] = {}
         self._held: dict[int, Floats] = {}
+        self._claimed: dict[int, str] = {}
         self.noted = (library.much.mean() / columns.much) ** NOTED
 
     def _fits(self, label: str) -> NDArray[np.float32]:
         if label not in self._labels:
             self._labels[label] = self._columns.fits(label)
         return self._labels[label]
+
+    def claim(self, thing: Mention) -> bool:
+        """Whether a thing is news: what is called so was not spoken of by another word."""
+        weights = self._library.fits(thing.label)
+        if not weights.any():
+            return True
+        best = int(weights.argmax())
+        word = thing.label.rpartition(" ")[2]
+        return self._claimed.setdefault(best, word) == word
 
     def room(self, thing: Mention) -> Floats:
         """How well (U,) units are such a room, or so many."""
