@@ -17,7 +17,7 @@ _UNITS = {
         "block blocks": 100.0,
         "pace paces step steps": 0.75,
         "door doors": 8.0,  # along a street of shops
-        "walk walking distance": 80.0,  # a minute's walk
+        "walk walking distance min mins minute minutes": 80.0,  # a minute's walk
     }.items()
     for name in names.split()
 }
@@ -29,8 +29,16 @@ class Measure(float):
 
     blocks: float = 0.0
     """How many blocks, where it is told in blocks: the map at hand may know their length."""
+    unit: float = 1.0
+    """Metres of the unit it was told in."""
     at_most: bool = False
     """Whether it is that or less: "within 50 m"."""
+
+    def again(self, count: float) -> Self:
+        """As many of the same unit: "9 blocks west, then 4 north"."""
+        measure = type(self)(self.unit * count)
+        measure.unit, measure.blocks = self.unit, count if self.blocks else 0.0
+        return measure
 
     @classmethod
     def within(cls, metres: float, *, blocks: float = 0.0) -> Self:
@@ -61,7 +69,7 @@ _UNIT = r"""(?:
   | ft | feet | foot | yds? | yards? | miles? | mi
   | (?:city\s+|long\s+|short\s+|more\s+)?blocks? | paces?
   | (?:steps?|doors?)(?=\s+(?:of|from|away|down|up|along|further)\b)
-  | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
+  | min(?:ute)?s?(?=\s+(?:away|from|on\s+foot)\b) | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
 )"""
 _HALF = r"(?:\s*(?:&|\band\b)\s*(?:an?\s+|one\s+)?half)?"
 # "a block" is a distance only before a direction: otherwise it is what stands between streets
@@ -94,6 +102,7 @@ def metres(text: str, number: str | None) -> Measure:
     count = sum(values) / len(values) + half
     measure = Measure(_UNITS[unit] * count)
     measure.blocks = count if unit.startswith("block") else 0.0
+    measure.unit = _UNITS[unit]
     measure.at_most = text.startswith(_AT_MOST)
     return measure
 

@@ -180,6 +180,8 @@ def lengths(bearing):
         ),
         ("From the station walk north for 300 metres, then 100 m east.", "the station", 100, 300),
         ("Walk until you reach the church, then go 2 blocks east.", "the church", 500, 0),
+        ("It is 9 blocks west of you, then 4 north.", "you", -2250, 320),
+        ("Go south 8 blocks and then east 2.", "you", 500, -640),
         ("Starting at the church, go 2 blocks east.", "the church", 500, 0),
         ("I'm two blocks south of the church.", "the church", 0, -160),
     ],

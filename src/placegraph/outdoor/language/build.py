@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
-from placegraph.outdoor.language.parse import Place, Thing, joins, placed, shared
+from placegraph.outdoor.language.items import (
+    arrived,
+    has_no,
+    is_bare_word,
+    is_leg,
+    is_person,
+    joins,
+    placed,
+    shared,
+)
+from placegraph.outdoor.language.parse import Place, Thing
 from placegraph.outdoor.language.refer import Referents
 from placegraph.outdoor.language.relate import Relator
 from placegraph.outdoor.language.statements import NO_MAP, UNKNOWN, Said
@@ -72,7 +82,7 @@ class Builder:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
         words = self.text[clause.start : clause.end]
         said = Said(words, certainty, clause.negated, walked=self.walk.legs > 0)
-        before = len(self.relator.statements), len(self.ignored)
+        before = self._told()
         self.relator.reason = "says nothing about where things stand"
         if clause.condition:
             self._on_the_way(clause, said)
@@ -82,10 +92,14 @@ class Builder:
                 self.walk.join(before[0])
         else:
             self.relator.reason = "not understood"
-        if (len(self.relator.statements), len(self.ignored)) == before and clause.verb != "too_far":
+        if self._told() == before and clause.verb != "too_far":
             self.ignored.append(Ignored(words, self.relator.reason))
         self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._remember()
+
+    def _told(self) -> tuple[int, int, int]:
+        """How much has been said, understood or not; it grows with every clause that tells anything."""
+        return len(self.relator.statements), len(self.ignored), self.walk.told
 
     def finish(self) -> None:
         """Where nothing says where the speaker is, a walk leads there."""
@@ -143,8 +157,11 @@ class Builder:
             self.relator.goals.add(node)
 
     def _exists(self, clause: Clause, said: Said, _opens: bool) -> None:
-        owner = clause.before[0] if clause.before else None
         places: Items = clause.before
+        if places and is_person(places[-1]):  # "facing north, I have a river to my right"
+            self._say(places[:-1], [SPEAKER], said)
+            places = ()
+        owner = places[0] if places else None
         if isinstance(owner, Thing):
             places = clause.before[1:]
             if owner.kind == "thing" and clause.after and isinstance(clause.after[0], Thing):
@@ -190,7 +207,7 @@ class Builder:
         self._shown(placed(places, after), replace(said, certainty=sure), always=mine)
 
     def _meets(self, clause: Clause, said: Said, _opens: bool) -> None:
-        places = tuple([item for item in (*clause.before, *clause.after) if not _is_person(item)])
+        places = tuple([item for item in (*clause.before, *clause.after) if not is_person(item)])
         if places and isinstance(places[0], Thing):  # "meet me the garden"
             thing = places[0]
             places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
@@ -200,7 +217,7 @@ class Builder:
             )
             self.finish()
             return
-        self._say((*[_arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)
+        self._say((*[arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)
 
     def _goes(self, clause: Clause, said: Said, _opens: bool) -> None:
         subject = clause.before[0] if clause.before else None
@@ -226,17 +243,17 @@ class Builder:
 
     def _fragment(self, clause: Clause, said: Said, opens: bool) -> None:
         items = clause.before
-        goes_on = self.walking or (self.walk.way.row is not None and _is_leg(items[0]))
+        goes_on = self.walking or (self.walk.way.row is not None and is_leg(items[0]))
         if isinstance(items[0], Place) and goes_on and not opens:  # "then west"
             self.walk.go(items, "GO", said)
         elif isinstance(items[0], Place):  # "..., but not near the church"
             self._say(items, [SPEAKER] if opens else self.heads, said)
-        elif all(_is_person(item) for item in items):
+        elif all(is_person(item) for item in items):
             self.relator.reason = "says nothing about where things stand"
-        elif _is_bare_word(items):
+        elif is_bare_word(items):
             self.relator.reason = UNKNOWN  # "Hello", "Qué": a capital alone makes no name
         else:
-            bare = len(items) == 1 and not _has_no(items[0])
+            bare = len(items) == 1 and not has_no(items[0])
             sure = (LED if self.directive else MENTIONED) if bare else 1.0
             self._shown(items, replace(said, certainty=said.certainty * sure))
 
@@ -280,35 +297,3 @@ class Builder:
         return [
             node for head in group if (node := self.relator.relate(place, head, said)) is not None
         ]
-
-
-def _is_person(item: Thing | Place) -> bool:
-    return isinstance(item, Thing) and item.kind != "thing"
-
-
-def _is_leg(item: Thing | Place) -> bool:
-    """Tell whether a place may be a further leg of a way: "then 500 m north"."""
-    if not isinstance(item, Place) or item.distance is None:
-        return False
-    return item.how in ("towards", "away") and not item.targets
-
-
-def _has_no(item: Thing | Place) -> bool:
-    return isinstance(item, Thing) and item.determiner == "NO"
-
-
-def _is_bare_word(items: Items) -> bool:
-    """Tell whether a clause is one word with a capital that nothing is known of."""
-    thing = items[0]
-    return (
-        len(items) == 1
-        and isinstance(thing, Thing)
-        and bool(thing.name)
-        and not thing.senses
-        and " " not in thing.name
-    )
-
-
-def _arrived(item: Thing | Place) -> Thing | Place:
-    """Take "come to the garden" as meeting at the garden."""
-    return replace(item, word="AT") if isinstance(item, Place) and item.word == "TO" else item

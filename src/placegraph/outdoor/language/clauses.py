@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from placegraph.language.islands import Chunk
-from placegraph.outdoor.language.settle import JOINTS, VERBS, settled
+from placegraph.outdoor.language.settle import JOINTS, LEADS, VERBS, settled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,7 +84,8 @@ class _Cutter:
 
     def _verb(self, kind: str) -> None:
         subject = None
-        if self.current and self.current[-1].type in _SUBJECTS:
+        placed = kind == "EXISTS" and len(self.current) > 1 and self.current[-2].type in LEADS
+        if self.current and self.current[-1].type in _SUBJECTS and not placed:
             subject = self.current.pop()
         if self.has_verb and (subject is not None or kind in _STARTS):
             self.cut()  # "head south | meet me at the park"

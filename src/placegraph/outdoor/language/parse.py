@@ -11,7 +11,7 @@ from placegraph.language.islands import Chunk, Islands
 from placegraph.outdoor.language.words import NORTH, Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from placegraph.outdoor.language.description import Sense
 
@@ -247,31 +247,3 @@ def _take_nouns(thing: Thing, nouns: list[Chunk]) -> None:
     for noun in nouns[:-1]:
         special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])
         thing.senses = special or thing.senses
-
-
-def placed(places: Items, after: Items) -> Items:
-    """Put places before a verb behind the things after it: "south of me are a school and a park"."""
-    n = next((i for i, item in enumerate(after) if isinstance(item, Place)), len(after))
-    return (*after[:n], *places, *after[n:])
-
-
-def joins(last: Place, thing: Thing, heads: Sequence[int], following: Thing | Place | None) -> bool:
-    """Tell whether a thing after a place is one more of its targets."""
-    mine = isinstance(following, Place) and (
-        following.owner == "MY" or any(thing.kind == "ME" for thing in following.targets)
-    )
-    listed = not mine and (bool(heads) or not isinstance(following, Place))
-    things = bool(last.targets) and last.targets[-1].kind == thing.kind == "thing"
-    return listed and things and last.how != "between"
-
-
-def shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:
-    """Target of the direction beside one that names none."""
-    if item.how != "towards" or item.targets:
-        return None
-    for other in (following, last):
-        if isinstance(other, Place) and other.targets and other.how in ("towards", "start"):
-            return other.targets[0]
-        if isinstance(other, Place) and other.how == "across" and len(other.targets) == 2:
-            return other.targets[1]
-    return None

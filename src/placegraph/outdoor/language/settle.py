@@ -24,16 +24,19 @@ NEXT_BLOCK = Measure.within(0.0, blocks=1.5)
 """How far things on "the next block" are at most."""
 LOOSE = 0.8
 """Certainty of what is said to be "mostly" so."""
-_LEADS = frozenset(("ON", "IN", "AT", "TO", "FROM", "OF", "PREP"))
+LEADS = frozenset(("ON", "IN", "AT", "TO", "FROM", "OF", "PREP"))
 _BEFORE_THING = frozenset(("DET", "THIS", "NAME", "MY", "YOUR", "A"))
 _DETERMINED = frozenset(("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS"))
 _IN_THING = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "WORD", "ADVERB"))
+_ENDS = frozenset(("NOUN", "NAME", "ME", "DIR", "HERE", "NEARBY"))
+"""What a place may end with: a thing that follows without a joint is what is there."""
 _THINGS = frozenset(("NOUN", "NAME"))
 
 
 def settled(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
     """Decide what the ambiguous chunks of a sentence are; drop those that say nothing."""
     before, hedge, hedged_at = "", "", 0
+    measured: Measure | None = None
     for i, chunk in enumerate(chunks):
         if chunk.type == "ADVERB":
             if chunk.value in ("sharp", "loose"):
@@ -41,6 +44,10 @@ def settled(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
             elif chunk.value == "unsure":
                 yield replace(chunk, type="UNSURE")
             continue
+        if chunk.type == "DIST":
+            measured = chunk.value
+        elif chunk.type == "NUM" and measured and chunk.value and _counts(before, chunks[i + 1 :]):
+            chunk.type, chunk.value = "DIST", measured.again(chunk.value)
         rule = _RULES.get(chunk.type)
         if chunk.type == "WORD":
             rule = partial(_word, language=language)
@@ -55,6 +62,14 @@ def _hedged(direction: Direction, hedge: str) -> Direction:
     if hedge == "sharp":
         return direction._replace(sigma=SHARP_SIGMA)
     return direction._replace(sigma=LOOSE_SIGMA, certainty=LOOSE)
+
+
+def _counts(before: str, rest: Sequence[Chunk]) -> bool:
+    """Tell whether a number stands for a distance whose unit was said before: "then 4 north"."""
+    after = [other.type for other in rest[:4] if other.type != "ADVERB"][:2]
+    if before == "DIR":
+        return not after or after[0] in JOINTS
+    return after[:1] == ["DIR"] and after[1:] not in (["OF"], ["PART"])
 
 
 def _next(rest: Sequence[Chunk]) -> str:
@@ -144,16 +159,18 @@ def _to(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
     return (chunk,)
 
 
-def _article(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
+def _article(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
     """Drop what stands before a measure: "a 2 minute walk", "for another 5 m", "a bit south of"."""
     after = [other.type for other in rest[:4] if other.type != "ADVERB"][:2]
+    if chunk.type == "A" and before in _ENDS and after[:1] in (["NOUN"], ["NAME"], ["WORD"]):
+        return (replace(chunk, type="EXISTS"), chunk)  # "next to me a bank, to the north a park"
     measured = after[:1] == ["DIST"] or (chunk.type == "OF" and after == ["ANOTHER", "DIST"])
     return () if measured or (chunk.type == "A" and after == ["DIR", "OF"]) else (chunk,)
 
 
 def _its(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
     """Read "at it's end" as "at its end"."""
-    if chunk.words == "it's" and before in _LEADS:
+    if chunk.words == "it's" and before in LEADS:
         return (replace(chunk, type="ITS"),)
     return (chunk,)
 
@@ -167,9 +184,11 @@ def _its_own(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, .
 
 
 def _be(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the verb of "at it's end" and of "you are too far"."""
+    """Drop the verb of "at it's end", of "you are too far" and "I'm looking at"."""
     return (
-        () if (chunk.words == "it's" and before == "ITS") or _next(rest) == "TOOFAR" else (chunk,)
+        ()
+        if (chunk.words == "it's" and before == "ITS") or _next(rest) in ("TOOFAR", "SEE")
+        else (chunk,)
     )
 
 

@@ -12,6 +12,8 @@ from placegraph.outdoor.language.statements import LEGS, ROUTE, WALKED
 from placegraph.outdoor.language.words import Direction
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from placegraph.outdoor.language.parse import Items
     from placegraph.outdoor.language.relate import Relator
     from placegraph.outdoor.language.statements import Said
@@ -66,6 +68,20 @@ class Legs:
         return Direction(atan2(self.east, self.north) % (2.0 * pi), sigma), far
 
 
+def _measured(items: Items) -> Iterator[Thing | Place]:
+    """Places of a leg, "south" and "8 blocks" taken as one."""
+    rest = list(items)
+    while rest:
+        item = rest.pop(0)
+        after = rest[0] if rest else None
+        if isinstance(item, Place) and isinstance(after, Place):
+            bare = item.how == "towards" and not item.targets and item.distance is None
+            if bare and after.how == "away" and not after.targets:
+                rest.pop(0)
+                item = replace(item, distance=after.distance, end=after.end)
+        yield item
+
+
 class Walk:
     """What a text says of a walk, leg by leg."""
 
@@ -73,6 +89,8 @@ class Walk:
         self.relator, self.refer = relator, relator.refer
         self.way = Legs()
         self.legs = 0
+        self.told = 0
+        """How often the end of a measured way was told; each time replaces the one before."""
         self.on_the_way: int | None = None
         """What was last said to be met on the way."""
         self.led_to: int | None = None
@@ -81,7 +99,7 @@ class Walk:
     def go(self, items: Items, travel: str, said: Said) -> None:
         """A leg of a walk to the place: where it leads, and what lies on the way."""
         said = replace(said, travel=True)
-        for item in items:
+        for item in _measured(items):
             if isinstance(item, Thing):
                 self._meet_on_the_way(item, travel, said)
             elif item.how == "start" and item.distance is None:
@@ -145,6 +163,7 @@ class Walk:
             replace(said, text=text), Relation.DIRECTION, SPEAKER, self.way.start,
             direction=end[0], distance=end[1], certainty=WALKED,
         )  # fmt: skip
+        self.told += 1
         if self.way.row is None:
             self.way.row = len(statements) - 1
         else:
