@@ -97,9 +97,10 @@ class InflectedNames(ProperNames):
 
     def kind(self, name: str) -> tuple[Sense, ...]:
         """What a name's last words say it is, or its first: "Bäckerei Schmidt"."""
-        found = super().kind(name)
-        first = name.split(maxsplit=1)[0] if " " in name else ""
-        return found or (super().kind(first) if first else ())
+        first = super().kind(name.split(maxsplit=1)[0]) if " " in name else ()
+        if self.lexicon.order.head_first and first:
+            return first  # "Hôtel de la Gare" is no station
+        return super().kind(name) or first
 
     def _bent(self, i: int) -> int:
         """How many words of a name in another form than the map's begin at word i."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
+from placegraph.outdoor.language.head_first import head_first
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -45,6 +46,8 @@ class _Item:
 def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Chunks of a sentence in the order of the grammar."""
     order = language.order
+    if order.head_first:
+        chunks = head_first(chunks, pro_drop=order.pro_drop)
     if order.genitive:
         chunks = list(_genitives(chunks))
     if order.postpositions:

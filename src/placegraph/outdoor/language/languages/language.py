@@ -42,6 +42,10 @@ class Order:
     """A thing before its postposition always has an ending or a particle."""
     genitive: bool = False
     """A thing follows its direction or part without a word between: "nördlich der Kirche"."""
+    head_first: bool = False
+    """What is said of a noun follows it: "côté nord", "Hôtel de la Gare"; "à côté de" is one word."""
+    pro_drop: bool = False
+    """A verb needs no subject: "está al norte"."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +185,7 @@ def _lists(code: str, lists: Mapping[str, list[str]]) -> dict[str, frozenset[str
     if code == "en":
         return found
     theirs = english().lists
-    theirs = theirs | {"street_prefixes": frozenset()}
+    theirs = theirs | {"street_prefixes": frozenset(), "place_prefixes": frozenset()}
     return {
         name: found.get(name, theirs[name] if name in _OF_LABELS else frozenset())
         for name in theirs

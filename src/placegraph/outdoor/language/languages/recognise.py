@@ -34,7 +34,7 @@ _GRAMMAR = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 _PHRASE = re.compile(r'"([^"\n]*)"')
-_PLAIN = frozenset(("the", "is", "are", "and", "of", "with", "my", "there", "from", "you", "i"))
+_PLAIN = frozenset(("the", "is", "are", "and", "of", "with", "my", "there", "from", "you"))
 """English words of which nearly every English sentence has one, and hardly another's."""
 _LEAST = 0.2
 """Share of a sentence's words that a language must know ..."""

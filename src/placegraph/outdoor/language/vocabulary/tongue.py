@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -107,9 +108,11 @@ class LanguageWords:
             return None
         forms = [self.language.forms.of(word) for word in words]
         last = {form.stem: form.case for form in reversed(forms[-1])}
-        for first in forms[0]:
+        for own, first in itertools.product((True, False), forms[0]):
             best: tuple[int, str, tuple[str, ...]] | None = None
             for entry in self._beginning(first.stem):
+                if (entry in self._own) is not own:
+                    continue
                 case = self._case(entry.split(" "), forms, first.stem, last)
                 # a word as it stands before one whose own ending had to be cut as well
                 if case is not None and (best is None or len(entry) < best[0]):
