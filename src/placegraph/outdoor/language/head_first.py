@@ -12,10 +12,13 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
-from placegraph.outdoor.language.words import Direction
+from placegraph.outdoor.language.settle import VERBS
+from placegraph.outdoor.language.words import Direction, tokens
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from placegraph.outdoor.language.languages import Language
 
 _LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF")
 _LINKS = ("OF", "AT", "TO", "FROM")
@@ -30,17 +33,17 @@ _PLACES = (*_LEADS, "PREP", "DIR", "NEARBY", "ACROSS", "BETWEEN", "DIST")
 _VERBS = ("BE", "EXISTS", "SEE", "HAVE")
 _JOINTS = ("AND", "CUT", "COND", "THAT_IS")
 _CORNERS = ("corner", "crossing")
+_SIDES = ("side", "end", "corner")
 _BODY = {"front": 0.0, "behind": pi}
 
 
-def head_first(chunks: list[Chunk], *, pro_drop: bool) -> list[Chunk]:
-    """Chunks of a sentence in the order of the grammar.
-
-    `pro_drop`: a verb alone may have a subject: "está al norte" is "it is to the north".
-    """
-    for step in (_sides, _corners, _links, _repeated, _negated, _existing):
+def head_first(chunks: list[Chunk], language: Language) -> list[Chunk]:
+    """Chunks of a sentence in the order of the grammar."""
+    chunks = _streets(chunks, language)
+    chunks = _qualities(_sides(chunks, language), language)
+    for step in (_corners, _links, _repeated, _negated, _existing):
         chunks = step(chunks)
-    return _subjects(chunks) if pro_drop else chunks
+    return _subjects(chunks) if language.order.pro_drop else chunks
 
 
 def _type(chunks: Sequence[Chunk], i: int) -> str:
@@ -59,12 +62,40 @@ def _at(chunk: Chunk, kind: str) -> Chunk:
     return Chunk(kind, chunk.start, chunk.start)
 
 
-def _sides(chunks: list[Chunk]) -> list[Chunk]:
+def _streets(chunks: list[Chunk], language: Language) -> list[Chunk]:
+    """Let one be "on" a street that is only named: "je suis rue de la Paix"."""
+    found: list[Chunk] = []
+    for chunk in chunks:
+        if chunk.type == "NAME" and _type(found, len(found) - 1) == "BE":
+            if language.is_road(tokens(chunk.value.name)):
+                found.append(_at(chunk, "ON"))
+        found.append(chunk)
+    return found
+
+
+def _qualities(chunks: list[Chunk], language: Language) -> list[Chunk]:
+    """Put a common adjective before its noun: "plaza grande"; leave the article of "la mia" out."""
+    found: list[Chunk] = []
+    for i, chunk in enumerate(chunks):
+        if chunk.type == "DET" and _type(chunks, i + 1) in ("MY", "YOUR", "ITS"):
+            continue
+        quality = chunk.type == "WORD" and chunk.words in language.words
+        found.insert(len(found) - (quality and _type(found, len(found) - 1) == "NOUN"), chunk)
+    return found
+
+
+def _sides(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Put a direction before its part or noun: "côté nord", "l'entrée nord"; lead it by a place's word."""
     found: list[Chunk] = []
     for i, chunk in enumerate(chunks):
-        before, after = _type(found, -1 + len(found)), _type(chunks, i + 1)
-        if chunk.type == "DIR" and before == "PART" and not _owned_part(found):
+        after = _type(chunks, i + 1)
+        if chunk.type == "DIR" and _type(found, len(found) - 1) == "NEARBY":
+            side = language.longest([found[-1].words.rpartition(" ")[2]], 0)
+            if side is not None and side[1][0].type == "PART":  # "al lado | norte"
+                part = replace(found[-1], type="PART", value=side[1][0].value)
+                found[-1:] = [_at(chunk, "ON"), part]
+        before = _type(found, len(found) - 1)
+        if chunk.type == "DIR" and before == "PART" and found[-1].value in _SIDES:
             part = found.pop()
             lead = len(found) - 1 - (_type(found, len(found) - 1) in _OWNED)
             if _type(found, lead) == "OF" and _type(found, lead - 1) not in ("DIR", "PREP", "NEARBY"):
@@ -85,11 +116,6 @@ def _sides(chunks: list[Chunk]) -> list[Chunk]:
     return found
 
 
-def _owned_part(found: Sequence[Chunk]) -> bool:
-    """Tell whether the part that ends a list has said already what it is a part of."""
-    return found[-1].value not in ("side", "end", "corner")
-
-
 def _corners(chunks: list[Chunk]) -> list[Chunk]:
     """Let a corner be "of A and B": "en la esquina de A con B", "all'angolo tra A e B"."""
     found: list[Chunk] = []
@@ -104,6 +130,8 @@ def _corners(chunks: list[Chunk]) -> list[Chunk]:
             if _type(chunks, i + 1) in ("NAME", "NOUN"):
                 found.append(_at(chunks[i + 1], "OF"))
             continue
+        if chunk.type == "AT" and _type(found, len(found) - 1) == "PART" and _leads_thing(chunks, i + 1):
+            chunk = replace(chunk, type="OF", value=None)  # "in fondo alla strada"
         if chunk.type in ("WITH", "BETWEEN") and len(found) - corner <= 7:
             if len(found) == corner + 1:
                 chunk = replace(chunk, type="OF", value=None)
@@ -172,7 +200,7 @@ def _repeated(chunks: list[Chunk]) -> list[Chunk]:
 
 
 def _negated(chunks: list[Chunk]) -> list[Chunk]:
-    """Put "no" where the grammar has it: behind "is" and "there is", before "see"."""
+    """Put "no" where the grammar has it: behind "is" and "there is", before "see"; "not far" is near."""
     found = list(chunks)
     i = 0
     while i < len(found):
@@ -184,6 +212,10 @@ def _negated(chunks: list[Chunk]) -> list[Chunk]:
             found.insert(at if _type(found, at - 1) in ("BE", "EXISTS") else at - 1, negation)
             i = at
         i += 1
+    for i in range(len(found) - 2, -1, -1):
+        again = _plain(found, i + 1)
+        if found[i].type == _type(found, again) == "NOT":
+            del found[again], found[i]
     return found
 
 
@@ -191,6 +223,9 @@ def _existing(chunks: list[Chunk]) -> list[Chunk]:
     """Put a place behind "there is" before it: "il y a à ma gauche une église"."""
     found: list[Chunk] = []
     i = 0
+    told = _type(chunks, 0) in _PLACES and not any(c.type in VERBS for c in chunks)
+    if told and (bare := _new_thing(chunks, 0)):  # "devant moi, une église"
+        chunks = [*chunks[:bare], _at(chunks[bare], "EXISTS"), *chunks[bare:]]
     while i < len(chunks):
         if chunks[i].type == "EXISTS" and _type(found, len(found) - 1) in ("NOUN", "NAME"):
             after = _plain(chunks, i + 1)

@@ -47,7 +47,7 @@ def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Chunks of a sentence in the order of the grammar."""
     order = language.order
     if order.head_first:
-        chunks = head_first(chunks, pro_drop=order.pro_drop)
+        chunks = head_first(chunks, language)
     if order.genitive:
         chunks = list(_genitives(chunks))
     if order.postpositions:

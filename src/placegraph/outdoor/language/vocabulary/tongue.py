@@ -80,6 +80,8 @@ class LanguageWords:
         """Longest phrase that begins at `start`: number of words and senses."""
         for n in range(min(LONGEST, len(tokens) - start), 0, -1):
             words = tokens[start : start + n]
+            if n == 1 and words[0] in self.language.counts:
+                continue
             if n > 1 and not all(normal(word) for word in words):
                 continue
             found = self.find(" ".join(words))
