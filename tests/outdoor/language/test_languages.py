@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from math import degrees, radians
+from pathlib import Path
 
 import pytest
 
@@ -20,7 +21,19 @@ SURE = 0.5
 """A thing's word must have the meant label at least with this weight."""
 
 
+HAND = Path(__file__).parent / "hand"
+"""Sentences that people wrote before they looked at a table, as "text @heading => meaning | meaning"."""
+
+
 def examples():
+    for file in sorted(HAND.glob("*.txt")):
+        for line in file.read_text("utf-8").splitlines():
+            text, _, means = line.partition(" => ")
+            text, _, heading = text.partition(" @")
+            example = {"text": text, "means": means.split(" | ")}
+            if heading:
+                example["heading"] = float(heading)
+            yield pytest.param(file.stem, example, id=f"{file.stem}: {text}")
     for code, table in sorted(tables().items()):
         for example in tomllib.loads(table.read_text("utf-8")).get("examples", ()):
             yield pytest.param(code, example, id=f"{code}: {example['text']}")

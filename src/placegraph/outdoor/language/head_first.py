@@ -1,8 +1,7 @@
-"""Word order of languages whose nouns come before what is said of them, brought into that of the grammar.
+"""Nouns that come before what is said of them: "côté nord", "à côté de l'église", "l'église et de l'école".
 
-French, Spanish, Italian and Portuguese say "côté nord" and "il y a à ma gauche une église", join a
-preposition of two words to its thing ("à côté de l'église"), repeat it in a list, put "no" before
-the verb, and leave out who the verb speaks of.
+French, Spanish, Italian and Portuguese speak so; their sentences are brought into the order of the
+grammar. Their verbs: `verb_first`.
 """
 
 from __future__ import annotations
@@ -11,28 +10,33 @@ from dataclasses import replace
 from math import pi
 from typing import TYPE_CHECKING
 
-from placegraph.language.islands import Chunk
-from placegraph.outdoor.language.settle import VERBS
+from placegraph.outdoor.language.verb_first import (
+    LEADS,
+    NEW,
+    OWNED,
+    STATED,
+    THINGS,
+    existing,
+    kind,
+    mark,
+    negated,
+    plain,
+    subjects,
+)
 from placegraph.outdoor.language.words import Direction, tokens
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from placegraph.language.islands import Chunk
     from placegraph.outdoor.language.languages import Language
 
-_LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF")
 _LINKS = ("OF", "AT", "TO", "FROM")
 """What joins a preposition of two words to its thing."""
-_OWNED = ("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD")
-_NEW = ("A", "ANOTHER", "NUM", "NO")
-_PERSONS = ("ME", "YOU", "IT", "THIS", "SPOT")
-_THINGS = ("NOUN", "NAME", *_PERSONS, "HERE")
-_ENDS = (*_THINGS, "DIR", "NEARBY", "AWAY", "DIST", "PART")
-"""What a place may end with."""
-_PLACES = (*_LEADS, "PREP", "DIR", "NEARBY", "ACROSS", "BETWEEN", "DIST")
-_VERBS = ("BE", "EXISTS", "SEE", "HAVE")
-_JOINTS = ("AND", "CUT", "COND", "THAT_IS")
+_LINKED = ("PREP", "NEARBY", "ACROSS", "BETWEEN", "FROM", "TO", "FACE")
 _CORNERS = ("corner", "crossing")
+_FAR = 7
+"""So many chunks after its corner a street may stand at most."""
 _SIDES = ("side", "end", "corner")
 _BODY = {"front": 0.0, "behind": pi}
 
@@ -41,34 +45,24 @@ def head_first(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Chunks of a sentence in the order of the grammar."""
     chunks = _streets(chunks, language)
     chunks = _qualities(_sides(chunks, language), language)
-    for step in (_corners, _links, _repeated, _negated, _existing):
+    for step in (_corners, _links, _repeated, negated, existing):
         chunks = step(chunks)
-    return _subjects(chunks) if language.order.pro_drop else chunks
+    return subjects(chunks) if language.order.pro_drop else chunks
 
 
-def _type(chunks: Sequence[Chunk], i: int) -> str:
-    return chunks[i].type if 0 <= i < len(chunks) else ""
-
-
-def _plain(chunks: Sequence[Chunk], i: int, step: int = 1) -> int:
-    """Index of the first chunk from i on that is no adverb."""
-    while 0 <= i < len(chunks) and chunks[i].type == "ADVERB":
-        i += step
-    return i
-
-
-def _at(chunk: Chunk, kind: str) -> Chunk:
-    """Make a chunk of no words of its own, where another begins."""
-    return Chunk(kind, chunk.start, chunk.start)
+def _last(found: Sequence[Chunk]) -> str:
+    return kind(found, len(found) - 1)
 
 
 def _streets(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Let one be "on" a street that is only named: "je suis rue de la Paix"."""
     found: list[Chunk] = []
     for chunk in chunks:
-        if chunk.type == "NAME" and _type(found, len(found) - 1) == "BE":
-            if language.is_road(tokens(chunk.value.name)):
-                found.append(_at(chunk, "ON"))
+        if chunk.type == "NAME" and language.is_road(tokens(chunk.value.name)):
+            if _last(found) == "NUM":
+                found.pop()  # the number of a house
+            if _last(found) == "BE":
+                found.append(mark(chunk, "ON"))
         found.append(chunk)
     return found
 
@@ -77,10 +71,10 @@ def _qualities(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Put a common adjective before its noun: "plaza grande"; leave the article of "la mia" out."""
     found: list[Chunk] = []
     for i, chunk in enumerate(chunks):
-        if chunk.type == "DET" and _type(chunks, i + 1) in ("MY", "YOUR", "ITS"):
+        if chunk.type == "DET" and kind(chunks, i + 1) in ("MY", "YOUR", "ITS"):
             continue
         quality = chunk.type == "WORD" and chunk.words in language.words
-        found.insert(len(found) - (quality and _type(found, len(found) - 1) == "NOUN"), chunk)
+        found.insert(len(found) - (quality and _last(found) == "NOUN"), chunk)
     return found
 
 
@@ -88,56 +82,65 @@ def _sides(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Put a direction before its part or noun: "côté nord", "l'entrée nord"; lead it by a place's word."""
     found: list[Chunk] = []
     for i, chunk in enumerate(chunks):
-        after = _type(chunks, i + 1)
-        if chunk.type == "DIR" and _type(found, len(found) - 1) == "NEARBY":
+        after = kind(chunks, i + 1)
+        if chunk.type == "DIR" and _last(found) == "NEARBY":
             side = language.longest([found[-1].words.rpartition(" ")[2]], 0)
             if side is not None and side[1][0].type == "PART":  # "al lado | norte"
                 part = replace(found[-1], type="PART", value=side[1][0].value)
-                found[-1:] = [_at(chunk, "ON"), part]
-        before = _type(found, len(found) - 1)
-        if chunk.type == "DIR" and before == "PART" and found[-1].value in _SIDES:
-            part = found.pop()
-            lead = len(found) - 1 - (_type(found, len(found) - 1) in _OWNED)
-            if _type(found, lead) == "OF" and _type(found, lead - 1) not in ("DIR", "PREP", "NEARBY"):
-                found[lead] = replace(found[lead], type="ON")  # "du côté nord de la rue"
-            elif _type(found, lead) not in (*_LEADS, "PREP") and after == "OF":
-                found.insert(lead + 1, _at(chunk, "ON"))
-            found += [chunk, part]
-            continue
-        if chunk.type == "DIR" and before == "NOUN" and _type(found, len(found) - 2) in ("DET", "A"):
-            if after not in ("OF", "FROM") or chunk.words.startswith(("l'", "el ", "al ")):
-                found.insert(len(found) - 1, chunk)
-                continue
-        led = before in (*_LEADS, "PREP", "FACE")
-        direction = after == "DIR" and not led and _type(chunks, i + 2) not in ("PART", "NOUN")
-        if chunk.type == "DET" and (direction or after in ("A", "THIS", "NO")):
-            chunk = replace(chunk, type="AT")  # "a norte da igreja", "em frente a uma igreja"
-        found.append(chunk)
+                found[-1:] = [mark(chunk, "ON"), part]
+        led = _last(found) in (*LEADS, "PREP", "FACE")
+        bare = after == "DIR" and not led and kind(chunks, i + 2) not in ("PART", "NOUN")
+        if chunk.type == "DIR" and _last(found) == "PART" and found[-1].value in _SIDES:
+            _side(found, chunk, after)
+        elif chunk.type == "DIR" and _names_entrance(found, chunk, after):
+            found.insert(len(found) - 1, chunk)
+        elif chunk.type == "DET" and (bare or after in ("A", "THIS", "NO")):
+            found.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
+        else:
+            found.append(chunk)
     return found
+
+
+def _side(found: list[Chunk], direction: Chunk, after: str) -> None:
+    """Put a direction before the part at the end of what was found."""
+    part = found.pop()
+    lead = len(found) - 1 - (_last(found) in OWNED)
+    before = kind(found, lead - 1)
+    if kind(found, lead) == "OF" and before not in ("DIR", "PREP", "NEARBY"):
+        found[lead] = replace(found[lead], type="ON")  # "du côté nord de la rue"
+    elif kind(found, lead) not in (*LEADS, "PREP") and after == "OF":
+        found.insert(lead + 1, mark(direction, "ON"))
+    found += [direction, part]
+
+
+def _names_entrance(found: Sequence[Chunk], direction: Chunk, after: str) -> bool:
+    """Tell whether a direction is that of the noun before it: "l'entrée nord"."""
+    if _last(found) != "NOUN" or kind(found, len(found) - 2) not in ("DET", "A"):
+        return False
+    return after not in ("OF", "FROM") or direction.words.startswith(("l'", "el ", "al "))
 
 
 def _corners(chunks: list[Chunk]) -> list[Chunk]:
     """Let a corner be "of A and B": "en la esquina de A con B", "all'angolo tra A e B"."""
     found: list[Chunk] = []
-    corner = -9
+    corner = -_FAR
     for i, chunk in enumerate(chunks):
+        told = chunk
         if chunk.type == "PART" and chunk.value in _CORNERS:
+            if _last(found) in ("NOUN", "NAME", "AND", ""):
+                found.append(mark(chunk, "AT"))  # "en Alcalá esquina Goya"
             corner = len(found)
-            if _type(found, corner - 1) in ("NOUN", "NAME", "AND", ""):
-                found.append(_at(chunk, "AT"))  # "en Alcalá esquina Goya"
-                corner += 1
-            found.append(chunk)
-            if _type(chunks, i + 1) in ("NAME", "NOUN"):
-                found.append(_at(chunks[i + 1], "OF"))
-            continue
-        if chunk.type == "AT" and _type(found, len(found) - 1) == "PART" and _leads_thing(chunks, i + 1):
-            chunk = replace(chunk, type="OF", value=None)  # "in fondo alla strada"
-        if chunk.type in ("WITH", "BETWEEN") and len(found) - corner <= 7:
+            if kind(chunks, i + 1) in ("NAME", "NOUN"):
+                found.append(chunk)
+                told = mark(chunks[i + 1], "OF")
+        elif chunk.type == "AT" and _last(found) == "PART" and _leads_thing(chunks, i + 1):
+            told = replace(chunk, type="OF", value=None)  # "in fondo alla strada"
+        elif chunk.type in ("WITH", "BETWEEN") and len(found) - corner <= _FAR:
             if len(found) == corner + 1:
-                chunk = replace(chunk, type="OF", value=None)
-            elif chunk.type == "WITH" and _type(found, len(found) - 1) in ("NAME", "NOUN"):
-                chunk = replace(chunk, type="AND", value=None)
-        found.append(chunk)
+                told = replace(chunk, type="OF", value=None)
+            elif chunk.type == "WITH" and _last(found) in ("NAME", "NOUN"):
+                told = replace(chunk, type="AND", value=None)
+        found.append(told)
     return found
 
 
@@ -145,20 +148,23 @@ def _links(chunks: list[Chunk]) -> list[Chunk]:
     """Leave out what joins a preposition of two words to its thing: "à côté | de | l'église"."""
     found: list[Chunk] = []
     for i, chunk in enumerate(chunks):
-        at = _plain(found, len(found) - 1, -1)
-        before, after = _type(found, at), _plain(chunks, i + 1)
-        if chunk.type in _LINKS and before in ("PREP", "NEARBY", "ACROSS", "BETWEEN", "FROM", "TO", "FACE"):
-            if _leads_thing(chunks, after) or (before in ("FACE", "TO") and _type(chunks, after)):
-                if before == "NEARBY":
-                    found[at] = replace(found[at], type="PREP", value="near")
-                continue
-        if chunk.type == "DET" and before == "FACE" and _type(chunks, after) == "DIR":
+        at = plain(found, len(found) - 1, -1)
+        before, after = kind(found, at), plain(chunks, i + 1)
+        facing = before in ("FACE", "TO") and bool(kind(chunks, after))
+        joins = chunk.type in _LINKS and before in _LINKED
+        if joins and (_leads_thing(chunks, after) or facing):
+            if before == "NEARBY":
+                found[at] = replace(found[at], type="PREP", value="near")
             continue
-        lone = before in ("PREP",) and found[at].value in _BODY
-        if lone and chunk.type not in (*_OWNED, *_THINGS, "PART", "DIR"):
+        if chunk.type == "DET" and before == "FACE" and kind(chunks, after) == "DIR":
+            continue
+        relation = found[at].value if before == "PREP" else ""
+        if relation == "opposite" and chunk.type in NEW and kind(chunks, i - 1) not in _LINKS:
+            found.append(mark(chunk, "EXISTS"))  # "y enfrente un banco"
+        if relation in _BODY and chunk.type not in (*OWNED, *THINGS, "PART", "DIR"):
             found[at] = _ahead(found[at])
         found.append(chunk)
-    if found and found[-1].type == "PREP" and found[-1].value in _BODY:
+    if _last(found) == "PREP" and found[-1].value in _BODY:
         found[-1] = _ahead(found[-1])
     return found
 
@@ -170,10 +176,10 @@ def _ahead(chunk: Chunk) -> Chunk:
 
 def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
     """Tell whether a thing begins at i, and no direction or relation."""
-    while _type(chunks, i) in (*_OWNED, "ADVERB"):
+    while kind(chunks, i) in (*OWNED, "ADVERB"):
         i += 1
-    following = _type(chunks, i)
-    return following in (*_THINGS, "PART") or (following == "DIR" and _type(chunks, i + 1) == "PART")
+    side = kind(chunks, i) == "DIR" and kind(chunks, i + 1) == "PART"
+    return side or kind(chunks, i) in (*THINGS, "PART")
 
 
 def _repeated(chunks: list[Chunk]) -> list[Chunk]:
@@ -181,119 +187,20 @@ def _repeated(chunks: list[Chunk]) -> list[Chunk]:
     found: list[Chunk] = []
     link = ""
     for i, chunk in enumerate(chunks):
-        before = _type(found, _plain(found, len(found) - 1, -1))
+        before = kind(found, plain(found, len(found) - 1, -1))
         thing = _leads_thing(chunks, i + 1)
-        some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH", "") or (before == "AND" and not link)
-        contracted = _type(chunks, i + 1) == "DET" and chunks[i + 1].start == chunk.start
-        if chunk.type == "OF" and thing and some and (before or contracted):
+        some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH") or (before == "AND" and not link)
+        if not before and kind(chunks, i + 1) == "DET":
+            some = chunks[i + 1].start == chunk.start  # "Des arbres ..."
+        listed = before == "AND" and chunk.type == link and kind(chunks, i + 1) != "PART"
+        if thing and (listed or (chunk.type == "OF" and some)):
             continue
-        if before == "AND" and chunk.type == link and thing and _type(chunks, i + 1) != "PART":
-            continue
-        if chunk.type in _VERBS:
+        if chunk.type in STATED:
             link = ""
-        elif chunk.type in _LEADS:
+        elif chunk.type in LEADS:
             link = chunk.type
         elif chunk.type in ("PREP", "NEARBY", "ACROSS"):
-            link = next((c.type for c in chunks[i + 1 : i + 2] if c.type in _LINKS), "OF")
+            following = kind(chunks, i + 1)
+            link = following if following in _LINKS else "OF"
         found.append(chunk)
     return found
-
-
-def _negated(chunks: list[Chunk]) -> list[Chunk]:
-    """Put "no" where the grammar has it: behind "is" and "there is", before "see"; "not far" is near."""
-    found = list(chunks)
-    i = 0
-    while i < len(found):
-        at = i + 1
-        while _type(found, at) in ("ADVERB", "ME", "YOU", "IT"):
-            at += 1
-        if found[i].type == "NOT" and _type(found, at) in _VERBS:
-            negation = found.pop(i)
-            found.insert(at if _type(found, at - 1) in ("BE", "EXISTS") else at - 1, negation)
-            i = at
-        i += 1
-    for i in range(len(found) - 2, -1, -1):
-        again = _plain(found, i + 1)
-        if found[i].type == _type(found, again) == "NOT":
-            del found[again], found[i]
-    return found
-
-
-def _existing(chunks: list[Chunk]) -> list[Chunk]:
-    """Put a place behind "there is" before it: "il y a à ma gauche une église"."""
-    found: list[Chunk] = []
-    i = 0
-    told = _type(chunks, 0) in _PLACES and not any(c.type in VERBS for c in chunks)
-    if told and (bare := _new_thing(chunks, 0)):  # "devant moi, une église"
-        chunks = [*chunks[:bare], _at(chunks[bare], "EXISTS"), *chunks[bare:]]
-    while i < len(chunks):
-        if chunks[i].type == "EXISTS" and _type(found, len(found) - 1) in ("NOUN", "NAME"):
-            after = _plain(chunks, i + 1)
-            if _type(chunks, after) in _PLACES and not _new_thing(chunks, after):
-                found.append(replace(chunks[i], type="BE"))  # "la torre se ve al norte"
-                i += 1
-                continue
-        if chunks[i].type not in ("EXISTS", "SEE", "HAVE"):
-            found.append(chunks[i])
-            i += 1
-            continue
-        verb = i
-        i += 1
-        while _type(chunks, i) in ("NOT", "ADVERB"):
-            i += 1
-        start = i + (_type(chunks, i) == "AND")
-        end = _new_thing(chunks, start) if _type(chunks, start) in _PLACES else 0
-        mine = []
-        if end and chunks[verb].type != "EXISTS":
-            while found and found[-1].type in ("ME", "YOU", "NOT"):
-                mine.insert(0, found.pop())
-        if end:
-            found += [c for c in chunks[start:end] if c.type != "AND" or c is not chunks[end - 1]]
-            start = end
-        else:
-            start = i
-        found += [*mine, *chunks[verb:i]]
-        i = start
-    return found
-
-
-def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
-    """Where, behind a whole place that begins at `start`, a new thing begins; 0 if none does."""
-    for i in range(start + 1, len(chunks)):
-        if chunks[i].type in (*_VERBS, "CUT", "COND"):
-            return 0
-        before = _type(chunks, i - 1 - (_type(chunks, i - 1) == "AND"))
-        bare = chunks[i].type == "NOUN" and before in ("DIR", "NEARBY", "ME", "HERE")
-        if (chunks[i].type in _NEW or bare) and before in _ENDS:
-            listed = _type(chunks, i - 1) == "AND" and chunks[i - 1].words not in (",", ":")
-            return 0 if listed else i
-    return 0
-
-
-def _subjects(chunks: list[Chunk]) -> list[Chunk]:
-    """Give a verb the subject that it carries: "está al norte", and none to one that has its own."""
-    found: list[Chunk] = []
-    for i, chunk in enumerate(chunks):
-        before = _type(found, _plain(found, len(found) - 1, -1))
-        own = chunk.type == "ME" and _type(chunks, i + 1) == "BE" and chunks[i + 1].start == chunk.start
-        if own and before in ("NOUN", "NAME"):
-            continue  # "i negozi sono a nord"
-        if chunk.type == "BE" and before in ("", *_JOINTS):
-            after = _plain(chunks, i + 1)
-            after = _plain(chunks, after + 1) if _type(chunks, after) == "NOT" else after
-            if _type(chunks, after) in (*_OWNED, "NOUN", "NAME") and _has_place(chunks, after):
-                chunk = replace(chunk, type="EXISTS")  # "está la iglesia a mi derecha"
-            else:
-                found.append(_at(chunk, "IT"))
-        found.append(chunk)
-    return found
-
-
-def _has_place(chunks: Sequence[Chunk], start: int) -> bool:
-    """Tell whether a place is said of the thing at `start`."""
-    for chunk in chunks[start:]:
-        if chunk.type in (*_VERBS, *_JOINTS):
-            break
-        if chunk.type in _PLACES and chunk.type != "OF":
-            return True
-    return False

@@ -150,11 +150,12 @@ class InflectedNames(ProperNames):
         return self._street_after(i) or super()._small_street(i, known, n_noun)
 
     def _street_after(self, i: int) -> int:
-        if self.lower[i] not in self.lists["street_prefixes"]:
-            return 0
         at = i + 1
         while at < len(self.words) and self.lower[at] in self.lists["connectives"]:
             at += 1
+        place = self.lower[i] in self.lists["place_prefixes"] and at > i + 1
+        if not place and self.lower[i] not in self.lists["street_prefixes"]:
+            return 0
         if at >= len(self.words) or self.words[at].kind != "word":
             return 0
         bare = _lacks_capitals(self.words[at]) and not self.lexicon.longest(self.lower, at)

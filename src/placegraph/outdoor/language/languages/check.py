@@ -59,7 +59,9 @@ def keys(table: Mapping[str, Any]) -> dict[str, frozenset[str]]:
     found = {section: _parts(table, (section,)) for section in OWN}
     terminals = _parts(table, PHRASES) | set(_MARKERS)
     return found | dict.fromkeys((*PHRASES, "endings"), terminals) | {
-        "order": frozenset(("postpositions", "verb_final", "marked", "genitive"))
+        "order": frozenset(
+            ("postpositions", "verb_final", "marked", "genitive", "head_first", "pro_drop")
+        )
     }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from placegraph.outdoor.language.languages.language import english, language, tables
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from placegraph.outdoor.language.languages.language import Language
@@ -33,11 +34,16 @@ _GRAMMAR = re.compile(
     r"^\[(?!things|say|lists|forms|order|compass_short|\[)[^\n]*\n(.*?)(?=^\[|\Z)",
     re.MULTILINE | re.DOTALL,
 )
+_THINGS = re.compile(r"^\[things\]\n(.*?)(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
 _PHRASE = re.compile(r'"([^"\n]*)"')
-_PLAIN = frozenset(("the", "is", "are", "and", "of", "with", "my", "there", "from", "you"))
+_PLAIN = frozenset(
+    "the are and with my there from you near north south east street behind next between".split()  # noqa: SIM905
+)
 """English words of which nearly every English sentence has one, and hardly another's."""
 _LEAST = 0.2
 """Share of a sentence's words that a language must know ..."""
+_THING = 0.5
+"""How much a word for a thing tells of its language, where one of the grammar tells 1."""
 _FEW = 0.75
 """... and how many words at least, each shared with those who know it as well."""
 
@@ -57,6 +63,8 @@ class _Signs(NamedTuple):
     """Languages of a word."""
     scripts: dict[str, tuple[str, ...]]
     """Languages of a script."""
+    things: dict[str, tuple[str, ...]]
+    """Languages of a word for a thing."""
 
 
 @cache
@@ -64,20 +72,30 @@ def _signs(folder: Path | None) -> _Signs:
     """Words of the grammar of every language: found without parsing the tables, which takes longer."""
     words: dict[str, set[str]] = {}
     scripts: dict[str, set[str]] = {}
+    things: dict[str, set[str]] = {}
     for code, table in tables(folder).items():
         text = table.read_text("utf-8")
         head = text.partition("\n[")[0]
         listed = re.search(r"^scripts\s*=\s*\[(.*)\]", head, re.MULTILINE)
         for script in _PHRASE.findall(listed[1]) if listed else ():
             scripts.setdefault(script, set()).add(code)
-        for section in _GRAMMAR.findall(text):
-            for phrase in _PHRASE.findall(section):
-                for word in phrase.split():
-                    words.setdefault(word.strip("'"), set()).add(code)
+        for pattern, kept in ((_GRAMMAR, words), (_THINGS, things)):
+            for word in _listed(pattern, text):
+                kept.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
     return _Signs(
-        {word: tuple(sorted(found)) for word, found in words.items()},
-        {script: tuple(sorted(found)) for script, found in scripts.items()},
+        *(
+            {word: tuple(sorted(found)) for word, found in kept.items()}
+            for kept in (words, scripts, things)
+        )
     )
+
+
+def _listed(pattern: re.Pattern[str], text: str) -> Iterator[str]:
+    """Words of the phrases that sections of a table list."""
+    for section in pattern.findall(text):
+        for line in section.splitlines():
+            for phrase in _PHRASE.findall(line.partition("=")[2]):
+                yield from phrase.lower().split()
 
 
 def stretches(text: str, code: str | None, folder: Path | None = None) -> list[Stretch]:
@@ -123,9 +141,8 @@ def _is_english(sentence: str) -> bool:
 def _scores(text: str, signs: _Signs) -> tuple[dict[str, float], int]:
     """How much speaks for each language, and of how many words."""
     scores: dict[str, float] = {}
-    words = [word.lower().replace("’", "'") for word in _WORD.findall(text)]
     count = 0
-    for word in words:
+    for word in _words(text, signs):
         script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
         if script in ("Kana", "Han"):
             # no spaces: letters stand for words, and kana are Japanese among Chinese signs
@@ -135,13 +152,27 @@ def _scores(text: str, signs: _Signs) -> tuple[dict[str, float], int]:
                 scores[code] = scores.get(code, 0.0) + share * max(1, len(word) // 2)
             continue
         count += 1
-        codes = signs.words.get(word, ())
+        codes, weight = signs.words.get(word, ()), 1.0
+        if not codes:
+            codes, weight = signs.things.get(word, ()), _THING
         for code in codes:
-            scores[code] = scores.get(code, 0.0) + 1.0 / len(codes)
+            scores[code] = scores.get(code, 0.0) + weight / len(codes)
         own = () if script == "Latin" or codes else signs.scripts.get(script, ())
         for code in own:
             scores[code] = scores.get(code, 0.0) + 0.7 / len(own)
     return scores, count
+
+
+def _words(text: str, signs: _Signs) -> Iterator[str]:
+    """Words of a text in lower case; of an unknown one with an apostrophe both parts: "l'", "est"."""
+    for found in _WORD.findall(text):
+        word = found.lower().replace("’", "'")
+        before, apostrophe, after = word.partition("'")
+        if apostrophe and after and word not in signs.words:
+            yield before + apostrophe
+            yield after
+        else:
+            yield word
 
 
 def _best(scored: tuple[dict[str, float], int], *, english: bool) -> str:
