@@ -25,6 +25,19 @@ SAID = {
     "sideboard pale green, a chair in red against the wall": [
         "holds(pale green sideboard)", "holds(red against the wall chair)",
     ],
+    "two chairs, a red one and a blue one": [
+        "holds(2 chairs)", "holds(red chairs)", "holds(1 blue chairs)",
+    ],
+    "The sofa, which is red, stands in the middle.": ["holds(in the middle red sofa)"],
+    "no tub or shower, neither a bin nor a stool": [
+        "not holds(tub)", "not holds(shower)", "not holds(bin)", "not holds(stool)",
+    ],
+    "In the middle of the room stands a table, on the wall hangs a mirror": [
+        "holds(in the middle table)", "holds(against the wall mirror)",
+    ],
+    "a door to the balcony, desk, light and a chair beside": [
+        "holds(door)", "holds(desk)", "related(chair, light) next to",
+    ],
     "three armchairs side by side and a white heater on the opposite wall": [
         "holds(3 in a row armchairs)", "holds(white against the wall heater)",
     ],

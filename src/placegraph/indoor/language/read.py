@@ -83,6 +83,10 @@ class Reader(Places):
         of = [t for t in subjects if isinstance(t, Noun)]
         rest = [item for item in subjects if isinstance(item, Where)]
         for thing in of:
+            attributes = looks_of(thing)
+            if attributes and self._spoken:
+                self.look(self._spoken[-1], attributes)  # "the sofa, which is red, is ..."
+                continue
             self._walk([thing, *rest, *[p for p in places if isinstance(p, Where)]], ME)
             rest = []
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from placegraph.indoor.language.likeness import room_kind
-from placegraph.indoor.language.looks import leading, looks, trailing
+from placegraph.indoor.language.looks import is_look, leading, looks, trailing
 from placegraph.indoor.language.parse import Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
 from placegraph.indoor.map.relations.words import same_thing
@@ -33,6 +33,8 @@ _MANY_IN_ONE = frozenset(
      "bunks", "drawers", "walls", "shelves")
 )  # fmt: skip
 """Plurals that a map has as one thing."""
+_THINGS_TOO = frozenset(("light", "glass", "flat", "orange", "brick"))
+"""Words for looks that name things when they stand alone."""
 _MADE = ("made", "out", "built")
 _NOTHING = frozenset(
     ("thing", "things", "something", "anything", "nothing", "everything", "one", "ones", "furniture",
@@ -118,6 +120,11 @@ class Statements:
         if thing.kind == "PART":
             return None
         mention = _mention(thing, self.text)
+        if is_look(mention.label) and mention.label not in _THINGS_TOO:
+            # "two chairs, a red one and a blue one"
+            looks_ = (*mention.attributes, mention.label)
+            alike = self.mentions[self._spoken[-1]].label if self._spoken else ""
+            mention = replace(mention, label=alike, attributes=looks_, plural=False)
         last = mention.label.rpartition(" ")[2]
         if last in _NOTHING or not mention.label:
             self.ignored.append(Ignored(mention.words, "names no thing"))
@@ -194,6 +201,8 @@ def looks_of(thing: Noun) -> tuple[str, ...]:
     if thing.owner is not None and words in ([w] for w in _MADE):
         return looks_of(thing.owner)  # "made of dark wood"
     if thing.kind != "thing" or not words or thing.owner is not None or thing.determiners:
+        return ()
+    if len(words) == 1 and words[0] in _THINGS_TOO:
         return ()
     found, first = leading([*words, ""])
     return found if first == len(words) else ()

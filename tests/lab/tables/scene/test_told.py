@@ -13,6 +13,7 @@ from placegraph_lab.tables.scene.told import (
     reader,
     report,
     rooms_told,
+    thinned,
     told,
 )
 
@@ -32,6 +33,13 @@ def test_the_office_is_a_room():
     assert sofa.coloured is False  # one colour alone
 
 
+def test_poor_maps_miss_things():
+    room = office()
+    poor = thinned(room, np.random.default_rng(0))
+    assert 0.5 * len(room) < len(poor) < 0.85 * len(room)
+    assert len(thinned(poor, np.random.default_rng(0), 1.0)) == 1
+
+
 def test_first_places_are_counted():
     room = office()
     own = [part_of(room, np.array([i])) for i in (0, room.graph.labels.index("plant"))]
@@ -42,7 +50,7 @@ def test_first_places_are_counted():
         draws=2, alike=True,
     )  # fmt: skip
     assert found["ours"] == found["bag"] == [1.0]
-    row = {"half": "test", "alike": True, "texts": 1, "rooms": 2, "unread": 0.0}
+    row = {"half": "test", "others": "any", "texts": 1, "rooms": 2, "unread": 0.0}
     share = {"mean": 1.0, "low": 1.0, "high": 1.0}
     assert "1.00 (1.00 to 1.00)" in report([row | {"first": {"bag": share}, "ahead": share}])
 

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 AMONG = 10
 """Rooms that a text is asked of."""
+MISSING = 1.0 / 3.0
+"""Share of its things that a poor map misses."""
 OTHERS = 30
 """Homes that nobody described, whose rooms stand among the others."""
 _WORD = re.compile(r"[a-z]+")
@@ -231,30 +233,45 @@ def hits(
 def ask(house: SceneMap | None, rng: Generator, *, draws: int) -> list[dict[str, Any]]:
     """Share of texts whose room comes first, of each half, with intervals; one entry a row."""
     rooms = rooms_told(house)
-    maps = list(rooms.values())
-    rankers = {
-        "bag of words": bag(maps),
-        "without colours": reader([m.graph for m in maps]),
-        "all": reader(maps),
-    }
+    names, maps = list(rooms), list(rooms.values())
+    whole = _rankers(maps)
+    settings = (
+        ("any", False, whole),
+        ("of its kind first", True, whole),
+        ("any, a third of the things missing", False, _rankers([thinned(m, rng) for m in maps])),
+    )
     texts = told()
     out = []
     for half, name in enumerate(("tuned on", "test")):
         own = [t for t in texts[half::2] if t.room in rooms]
         unread = float(np.mean([len(read(t.text).ignored) for t in own]))
-        for alike in (False, True):
-            found = hits(own, list(rooms), rankers, rng, draws=draws, alike=alike)
+        for others, alike, rankers in settings:
+            found = hits(own, names, rankers, rng, draws=draws, alike=alike)
             shares = {
                 ranker: paired_interval([(first, np.zeros(len(own)))], rng)
                 for ranker, first in found.items()
             }
             ahead = paired_interval([(found["all"], found["bag of words"])], rng)
             out.append({
-                "half": name, "alike": alike, "texts": len(own), "rooms": len(maps),
+                "half": name, "others": others, "texts": len(own), "rooms": len(maps),
                 "unread": unread, "first": {k: v._asdict() for k, v in shares.items()},
                 "ahead": ahead._asdict(),
             })  # fmt: skip
     return out
+
+
+def _rankers(maps: Sequence[SceneMap]) -> dict[str, Ranker]:
+    return {
+        "bag of words": bag(maps),
+        "without colours": reader([m.graph for m in maps]),
+        "all": reader(maps),
+    }
+
+
+def thinned(scene: SceneMap, rng: Generator, share: float = MISSING) -> SceneMap:
+    """A map that misses a share of its objects, drawn at random, but at least one is left."""
+    kept = np.flatnonzero(rng.random(len(scene)) >= share)
+    return part_of(scene, kept if len(kept) else np.array([0]))
 
 
 def report(rows: Sequence[dict[str, Any]]) -> str:
@@ -265,7 +282,7 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         [
             [
                 f"{row['texts']}, {row['half']}",
-                "of its kind first" if row["alike"] else "any",
+                row["others"],
                 *[_between(share) for share in row["first"].values()],
                 _between(row["ahead"]),
                 f"{row['unread']:.1f}",
