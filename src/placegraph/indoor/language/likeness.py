@@ -38,17 +38,23 @@ def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
 
     A "desk" is a "table" by half. Labels that name nothing fit nothing.
     """
+    return _fits(asked, tuple(labels))
+
+
+@lru_cache(maxsize=1024)
+def _fits(asked: str, labels: tuple[str, ...]) -> NDArray[np.float32]:
     out = _alike(asked, labels)
     for word, weight in everyday(asked):
         out = np.maximum(out, weight * _alike(word, labels))
+    out.flags.writeable = False
     return out
 
 
-def _alike(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
+def _alike(asked: str, labels: tuple[str, ...]) -> NDArray[np.float32]:
     """`fits` by the tree of things alone."""
     if not labels:
         return np.zeros(0, np.float32)
-    cosines = np.stack([_vector(label) for label in labels]) @ _vector(asked)
+    cosines = _vectors(labels) @ _vector(asked)
     out = SYNONYM * np.clip((cosines - LEAST) / (1.0 - LEAST), 0.0, 1.0)
     start = _start(asked)
     for i, label in enumerate(labels):
@@ -56,6 +62,11 @@ def _alike(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
             said, own = set(label_words(asked)[:-1]), set(label_words(label)[:-1])
             out[i] = 1.0 if said <= own else max(out[i], GENERAL)
     return np.asarray(out, np.float32)
+
+
+@lru_cache(maxsize=64)
+def _vectors(labels: tuple[str, ...]) -> NDArray[np.float32]:
+    return np.stack([_vector(label) for label in labels])
 
 
 @lru_cache(maxsize=_MANY)
