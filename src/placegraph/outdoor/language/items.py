@@ -30,7 +30,9 @@ def joins(last: Place, thing: Thing, heads: Sequence[int], following: Thing | Pl
 
 
 def shared(item: Place, last: Place | None, following: Thing | Place | None) -> Thing | None:
-    """Target of the direction beside one that names none."""
+    """Target of the direction beside one that names none, or of "..., across the street"."""
+    if item.how == "across" and len(item.targets) < 2 and isinstance(last, Place) and last.targets:
+        return last.targets[-1] if last.how in ("towards", "prep") else None
     if item.how != "towards" or item.targets:
         return None
     for other in (following, last):

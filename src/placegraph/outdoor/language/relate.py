@@ -184,6 +184,9 @@ class Relator(Directions):
             self.add(said, Relation.ACROSS, source, LISTENER, target2=between, certainty=0.6)
         else:
             self.reason = NO_TARGET
+            target = self._target(said.shared, source) if said.shared is not None else None
+            if target is not None and not self.refer.is_line(target):
+                self.add(said, Relation.ACROSS, source, target, target2=between, certainty=0.8)
 
     def _can_be_crossed(self, node: int) -> bool:
         labels = [sense.label for sense in self.refer.mentions[node].senses]

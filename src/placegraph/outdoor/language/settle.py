@@ -184,10 +184,10 @@ def _its_own(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, .
 
 
 def _be(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the verb of "at it's end", of "you are too far" and "I'm looking at"."""
+    """Drop the verb of "at it's end", of "you are too far", "I'm looking at", "where the bank is"."""
     return (
         ()
-        if (chunk.words == "it's" and before == "ITS") or _next(rest) in ("TOOFAR", "SEE")
+        if (chunk.words == "it's" and before == "ITS") or _next(rest) in ("TOOFAR", "SEE", "")
         else (chunk,)
     )
 
