@@ -143,7 +143,8 @@ class Builder:
         """Two names of one thing: "it is the last pub on the block"."""
         if thing.kind != "thing" or not (thing.senses or thing.name) or not heads:
             return
-        if heads[0] == SPEAKER and not thing.determiner and not thing.name:
+        bare = not thing.determiner and bool(self.refer.lists["articles"])
+        if heads[0] == SPEAKER and bare and not thing.name:
             return  # "I'm buying flowers"
         node, subject = self.refer.resolve(thing), heads[0]
         if node is None or node == subject:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _STARTS = VERBS - {"BE", "SEE", "HAVE"}
 """Verbs that open a clause of their own even without a joint before them."""
+_BEFORE_TARGET = frozenset(("AND", "COND", "PREP", "OF", "FROM", "BETWEEN"))
+"""What a person after them is no subject of, or joined to already: "next to it is a bank"."""
 _SUBJECTS = frozenset(("ME", "YOU", "IT", "SPOT", "THIS"))
 LONGEST = 60
 """Chunks in a clause; nobody speaks in longer ones."""
@@ -92,7 +94,7 @@ class _Cutter:
         if kind in _STARTS or (kind == "BE" and subject is None):
             self._drop_joints()  # "to the north, there is"
         if subject is not None:
-            if self.current and self.current[-1].type not in ("AND", "COND"):
+            if self.current and self.current[-1].type not in _BEFORE_TARGET:
                 self.current.append(Chunk("AND", subject.start, subject.start))
             self.current.append(subject)  # "north of here you see"
         self.has_verb = True

@@ -132,7 +132,8 @@ class InflectedNames(ProperNames):
         if self.lexicon.capitals:
             return super()._capitals(i, known, n_noun)
         word = self.words[i]
-        if not word.capital or self.shouting or known is not None:
+        counted = word.lower in self.lexicon.counts
+        if not word.capital or self.shouting or counted or known is not None:
             return 0
         end = i + 1
         while end < len(self.words) and self.words[end].kind == "word" and self.words[end].capital:
@@ -143,7 +144,7 @@ class InflectedNames(ProperNames):
             return end - i if n_noun < end - i else 0
         street = any(word.lower.endswith(ending) for ending in self.lists["street_suffixes"])
         article = i == 0 or self.lower[i - 1] in self.lists["articles"]
-        return 0 if (n_noun and not street) or (article and not street) else 1
+        return 0 if n_noun or (article and not street) else 1
 
     def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
         """Streets whose kind stands first, too: "rue de la Paix"."""

@@ -6,8 +6,8 @@ verb between what it speaks of. Where a language has postpositions or final verb
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field, replace
+from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
@@ -51,7 +51,7 @@ def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     if order.genitive:
         chunks = list(_genitives(chunks))
     if order.postpositions:
-        items = list(_related(_items(chunks), marked=order.marked))
+        items = list(_related(_items(chunks, final=order.verb_final), marked=order.marked))
         if order.verb_final:
             items = list(_verbs(items))
         chunks = [chunk for item in items for chunk in _told(item)]
@@ -77,7 +77,8 @@ def _genitives(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
         if chunk.type not in ("DIR", "PART") or not rest:
             continue
         before = chunks[i - 1].type if i else ""
-        bare = rest[0] in ("NOUN", "NAME", "ME", "YOU", "IT", "WORD") and before not in _OWNED
+        owned = chunk.type == "DIR" and before in _OWNED  # "der nördliche Eingang"
+        bare = rest[0] in ("NOUN", "NAME", "ME", "YOU", "IT", "WORD") and not owned
         if bare or rest[0] in ("DET", "THIS", "MY", "YOUR", "ITS"):
             yield _at(chunks[i + 1], "OF")
 
@@ -92,7 +93,7 @@ def _one_lead(chunks: list[Chunk]) -> list[Chunk]:
     ]
 
 
-def _items(chunks: Sequence[Chunk]) -> list[_Item]:
+def _items(chunks: Sequence[Chunk], *, final: bool) -> list[_Item]:
     """Group the chunks of a thing, and the markers behind it."""
     items: list[_Item] = []
     for chunk in chunks:
@@ -102,6 +103,8 @@ def _items(chunks: Sequence[Chunk]) -> list[_Item]:
                 last.case.append(chunk.type)
             elif last is None or last.kind not in (*_RELATIONS, *_MEASURED):
                 items.append(_Item(chunk.type, [chunk]))
+        elif chunk.type == "ADVERB" and chunk.value == "skip":
+            continue
         elif chunk.type in ("NOUN", "NAME", *_OWNED, *_PERSONS):
             if last is not None and _continues(last, chunk):
                 last.chunks.append(chunk)
@@ -110,8 +113,10 @@ def _items(chunks: Sequence[Chunk]) -> list[_Item]:
         else:
             items.append(_Item(chunk.type, [chunk]))
     items = [item for item in items if item.kind not in CASES]
-    for before, item in itertools.pairwise(items):
-        if item.kind == "NEARBY" and before.kind == "thing" and before.case:
+    for i, item in enumerate(items):
+        behind = i and items[i - 1].kind == "thing" and items[i - 1].case
+        before = not final and i + 1 < len(items) and items[i + 1].kind == "thing"
+        if item.kind == "NEARBY" and (behind or before):  # "kirkon lähellä", "lähellä kirkkoa"
             item.kind, item.chunks = "PREP", [replace(item.chunks[0], type="PREP", value="near")]
     return items
 
@@ -146,10 +151,11 @@ def _related(items: list[_Item], *, marked: bool) -> Iterator[_Item]:
 def _relate(found: list[_Item], words: list[_Item], *, marked: bool) -> None:
     """Append a relation, and what of the things before it is its own."""
     kinds = [word.kind for word in words]
+    hedges = [found.pop()] if found and found[-1].kind == "ADVERB" else []
     relations = [word for word in words if word.kind not in _MEASURED]
     measured = [word for word in words if word.kind in _MEASURED]
     if not _takes(found, kinds, marked=marked):
-        found += [*measured, *relations]
+        found += [*hedges, *measured, *relations]
         return
     things = [found.pop()]
     if relations and relations[0].kind in ("BETWEEN", "PART"):
@@ -160,19 +166,34 @@ def _relate(found: list[_Item], words: list[_Item], *, marked: bool) -> None:
         measured = [found.pop()]  # "50 metriä kirkosta pohjoiseen"
     target = [chunk for thing in things for chunk in thing.chunks]
     distance = [chunk for word in measured for chunk in word.chunks]
-    heads = [chunk for word in relations for chunk in word.chunks]
+    heads = [_as_of_a_thing(chunk, target[0]) for word in relations for chunk in word.chunks]
     lead, between = _words_between(relations, target[0])
+    found += hedges
     found.append(_Item("place", [*distance, *lead, *heads, *between, *target]))
 
 
 def _words_between(relations: list[_Item], target: Chunk) -> tuple[list[Chunk], list[Chunk]]:
     """Words that the grammar wants before a relation, and between it and its thing."""
     kind = relations[-1].kind if relations else ""
+    if kind == "DIR" and _stands_in_line(relations[-1].chunks[0], target):
+        return [], []
     if kind in ("DIR", "SHORT"):
         return [], [_at(target, "OF")]
     if kind == "PART":
         return [_at(target, "AT")], [_at(target, "OF")]
     return [], [] if kind else [_at(target, "FROM")]
+
+
+def _stands_in_line(chunk: Chunk, target: Chunk) -> bool:
+    """Tell whether "in front" or "behind" is said of a thing, which has no heading."""
+    turned = chunk.value.bearing if chunk.type == "DIR" and chunk.value.facing else None
+    return turned in (0.0, pi) and target.type not in ("ME", "YOU")
+
+
+def _as_of_a_thing(chunk: Chunk, target: Chunk) -> Chunk:
+    if not _stands_in_line(chunk, target):
+        return chunk
+    return replace(chunk, type="PREP", value="behind" if chunk.value.bearing else "front")
 
 
 def _takes(found: list[_Item], kinds: Sequence[str], *, marked: bool) -> bool:

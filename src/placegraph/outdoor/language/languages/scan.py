@@ -62,12 +62,15 @@ def _pattern(language: Language) -> re.Pattern[str]:
     # words are told apart by spaces, if the language has any
     start, end = (r"(?<!\w)", r"(?!\w)") if language.spaces else ("", "")
     gap = r"[\s-]*" if not language.spaces else r"(?:(?<=\d)\s*|[\s-]+)"
+    units = either(measures.units)
+    # without spaces a distance may begin within a stretch of letters
+    letter = r"[^\W_]" if language.spaces else rf"(?!{before}(?:{number}){gap}(?:{units}))[^\W_]"
     return re.compile(
         rf"""
-        (?P<measure>{start}{before}(?P<number>{number}){gap}(?P<unit>{either(measures.units)}){end})
+        (?P<measure>{start}{before}(?P<number>{number}){gap}(?P<unit>{units}){end})
       | (?P<quoted>{_QUOTED.pattern})
       | (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
-      | (?P<word>[^\W_]+(?:['’`´״׳"][^\W_]+)*['’]?|&)
+      | (?P<word>(?:{letter})+(?:['’`´״׳"][^\W_]+)*['’]?|&)
       | (?P<comma>[{_COMMAS}]|\s--?\s)
       | (?P<stop>[{_STOPS}]+|\n\s*\n)
         """,
