@@ -159,7 +159,8 @@ class Builder:
 
     def _exists(self, clause: Clause, said: Said, _opens: bool) -> None:
         places: Items = clause.before
-        if places and is_person(places[-1]):  # "facing north, I have a river to my right"
+        more = any(isinstance(item, Place) for item in clause.after)
+        if more and places and is_person(places[-1]):  # "facing north, I have a river to my right"
             self._say(places[:-1], [SPEAKER], said)
             places = ()
         owner = places[0] if places else None
@@ -170,6 +171,8 @@ class Builder:
                     self.refer.topic = self.refer.resolve(owner)
                 has = Place("at", owner.start, owner.end, (owner,), "TO")
                 places = (*places, has)  # "the street has a bakery"
+        else:  # "to my right I have a river"
+            places = tuple([item for item in places if isinstance(item, Place)])
         self._shown(placed(places, clause.after), said)
 
     def _shown(self, items: Items, said: Said, *, always: bool = False) -> None:

@@ -73,6 +73,8 @@ def _qualities(chunks: list[Chunk], language: Language) -> list[Chunk]:
     for i, chunk in enumerate(chunks):
         if chunk.type == "DET" and kind(chunks, i + 1) in ("MY", "YOUR", "ITS"):
             continue
+        if chunk.type == "NO" and _last(found) in ("NOUN", "NAME"):
+            found.append(mark(chunk, "AND"))  # "ni église ni mosquée"
         quality = chunk.type == "WORD" and chunk.words in language.words
         found.insert(len(found) - (quality and _last(found) == "NOUN"), chunk)
     return found
@@ -92,7 +94,7 @@ def _sides(chunks: list[Chunk], language: Language) -> list[Chunk]:
         bare = after == "DIR" and not led and kind(chunks, i + 2) not in ("PART", "NOUN")
         if chunk.type == "DIR" and _last(found) == "PART" and found[-1].value in _SIDES:
             _side(found, chunk, after)
-        elif chunk.type == "DIR" and _names_entrance(found, chunk, after):
+        elif chunk.type == "DIR" and _names_entrance(found, chunk, after, language):
             found.insert(len(found) - 1, chunk)
         elif chunk.type == "DET" and (bare or after in ("A", "THIS", "NO")):
             found.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
@@ -113,11 +115,15 @@ def _side(found: list[Chunk], direction: Chunk, after: str) -> None:
     found += [direction, part]
 
 
-def _names_entrance(found: Sequence[Chunk], direction: Chunk, after: str) -> bool:
+def _names_entrance(
+    found: Sequence[Chunk], direction: Chunk, after: str, language: Language
+) -> bool:
     """Tell whether a direction is that of the noun before it: "l'entrée nord"."""
     if _last(found) != "NOUN" or kind(found, len(found) - 2) not in ("DET", "A"):
         return False
-    return after not in ("OF", "FROM") or direction.words.startswith(("l'", "el ", "al "))
+    first = language.longest(direction.words.split(" ")[:1], 0)
+    led = first is not None and first[1][0].type in (*LEADS, "DET")  # "un bosque al este"
+    return after not in ("OF", "FROM") and not led
 
 
 def _corners(chunks: list[Chunk]) -> list[Chunk]:
@@ -176,8 +182,11 @@ def _ahead(chunk: Chunk) -> Chunk:
 
 def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
     """Tell whether a thing begins at i, and no direction or relation."""
+    start = i
     while kind(chunks, i) in (*OWNED, "ADVERB"):
         i += 1
+    if i > start and kind(chunks, i - 1) == "WORD":
+        return True  # a thing that is not known
     side = kind(chunks, i) == "DIR" and kind(chunks, i + 1) == "PART"
     return side or kind(chunks, i) in (*THINGS, "PART")
 

@@ -199,9 +199,23 @@ def _phrases(
     for section in SPOKEN:
         for key, phrases in table.get(section, {}).items():
             for phrase in phrases:
-                words = tuple(phrase.split())
+                words = tuple(
+                    part
+                    for word in phrase.split()
+                    for part in _cut(word, table.get("prefixes", ()))
+                )
                 known.setdefault(words, tuple(_terminals(section, key, words, counts)))
     return known
+
+
+def _cut(word: str, prefixes: Sequence[str]) -> Iterator[str]:
+    """Cut elided words off a word of a phrase, as `scan` does in a text: "l'autre"."""
+    for prefix in prefixes:
+        rest = word.removeprefix(prefix)
+        if prefix.endswith("'") and 2 <= len(rest) < len(word):
+            yield prefix
+            word = rest
+    yield word
 
 
 def _terminals(
