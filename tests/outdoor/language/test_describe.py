@@ -259,6 +259,9 @@ def test_a_text_of_the_papers_form_takes_little_time():
         ("Go north on 6th Ave. After passing the bank turn left.", ["6th Ave", "bank"]),
         ("Wanna join me? I'm at the bank.", ["bank"]),
         ("Zappos is near me.", ["Zappos"]),
+        ("I'm at the corner of 5th and West 34th.", ["5th", "West 34th"]),
+        ("I'm at 125 Main Street, on the 5th floor.", ["125 Main Street"]),
+        ("There are 12 benches on Elm Street.", ["benches", "Elm Street"]),
     ],
 )
 def test_names_and_common_nouns(text, found):

@@ -203,6 +203,24 @@ def test_all_names_count(build_world):
         assert estimate.evidence[0].objects[0].id == "node/1", name
 
 
+@pytest.mark.parametrize(
+    ("tags", "found"),
+    [
+        ({"amenity": "post_box", "operator": "USPS"}, ("USPS",)),
+        ({"amenity": "bank", "name": "Chase", "operator": "JPMorgan"}, ("Chase",)),
+        ({"highway": "primary", "operator": "The City"}, ()),
+        ({"name": "Ерму", "int_name": "Ermou", "name:sr-Latn": "Ermu"}, ("Ерму", "Ermou", "Ermu")),
+        (
+            {"shop": "yes", "name": "Elm", "addr:housenumber": "1,3", "addr:street": "Main St"},
+            ("Elm", "1 Main St"),
+        ),
+        ({"building": "yes", "addr:housenumber": "1"}, ()),
+    ],
+)
+def test_who_runs_it_and_where_it_stands_are_names(tags, found):
+    assert names_of(tags) == found
+
+
 @given(
     st.dictionaries(
         st.sampled_from(["name", "alt_name", "brand", "name:de", "name:zh", "shop", "note"]),

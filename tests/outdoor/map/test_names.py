@@ -112,6 +112,16 @@ def test_names_in_part(written, names):
     assert {TOWN[i] for i in found} == set(filter(None, names.split(", ")))
 
 
+def test_house_numbers():
+    names = ["125 Main Street", "127a Main Street", "Main Street", "West 38th Street", "7th Inn"]
+    index = NameIndex.build(Objects(*names))
+    assert index.named("125 Main St.") == {0: 1.0}
+    assert index.named("128 Main Street") == {2: 0.5}, "the map lacks the house, not the street"
+    assert index.named("Main Street") == {2: 1.0}, "no house of it"
+    assert set(index.named("W. 38th")) == {3}
+    assert index.named("7th") == {}, "a number alone is a street"
+
+
 def test_a_part_of_many_names_means_each_of_them_less():
     index = NameIndex.build(Objects("Rex Tower", "Elm House", *(f"Elm {i}" for i in range(9))))
     (one,), several = index.named("Rex").values(), index.named("Elm").values()

@@ -29,6 +29,7 @@ _TELLS = frozenset(
     ("BE", "HAVE", "AND", "ON", "IN", "AT", "PREP", "ACROSS", "BETWEEN", "WITH", "DIR")
 )
 """What follows a name that opens a sentence."""
+_BEFORE_STREET = frozenset(("on", "onto", "at", "of", "and", "&", "between", "from", "to", "past"))
 _ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
 
 
@@ -75,6 +76,8 @@ class ProperNames:
         words = [word.lower() for word in name.split()]
         while len(words) > 2 and words[-1] in self.lexicon.compass:
             words.pop()  # "King Street West" is a street
+        if len(words) > 2 and words[0].isdecimal() and words[-1] in self.lists["street_suffixes"]:
+            words = ["building"]  # a house number
         for n in (2, 1) if len(words) > 2 else (1,):
             phrase = " ".join(words[-n:])
             senses = self.vocabulary.senses(phrase) if len(phrase) <= LONGEST_NOUN else ()
@@ -84,7 +87,11 @@ class ProperNames:
 
     def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
         """How many words of a proper name begin at word i: on the map, or by its capitals."""
-        spelt = self._capitals(i, known, n_noun) or self._small_street(i, known, n_noun)
+        spelt = (
+            self._house(i)
+            or self._capitals(i, known, n_noun)
+            or self._small_street(i, known, n_noun)
+        )
         if self.names is None:
             return spelt
         k = self.name_at[i]
@@ -128,7 +135,7 @@ class ProperNames:
         """How many words of a name written with capitals begin at word i."""
         word = self.words[i]
         if self._counted(i, known):
-            return self._span(i + 1) - i
+            return self._span(i + (known is not None)) - i
         if self.shouting or not (word.capital or word.lower[0].isdigit()):
             return 0
         if not word.capital and not self._numbered(i):
@@ -155,7 +162,14 @@ class ProperNames:
         return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
 
     def _counted(self, i: int, known: Known | None) -> bool:
-        """Tell whether a point of the compass counts a street: "W. 38th", "east 34th"."""
+        """Tell whether a number counts a street: "W. 38th", "east 34th", "at 5th and 34th"."""
+        if _ORDINAL.fullmatch(self.lower[i]) and i and self.lower[i - 1] in _BEFORE_STREET:
+            following = self.lexicon.longest(self.lower, i + 1) if i + 1 < len(self.words) else None
+            return (
+                i + 1 == len(self.words)
+                or self.words[i + 1].kind != "word"
+                or (following is not None and following[1][0].type in _TELLS)
+            )
         return (
             known is not None
             and known[0] == 1
@@ -163,6 +177,15 @@ class ProperNames:
             and i + 1 < len(self.words)
             and _ORDINAL.fullmatch(self.lower[i + 1]) is not None
         )
+
+    def _house(self, i: int) -> int:
+        """How many words a house number at word i has with its street: "125 Main Street"."""
+        if not self.lower[i].isdecimal() or self.words[i + 1 : i + 2] == []:
+            return 0
+        if self.words[i + 1].kind != "word":
+            return 0
+        n = self._capitals(i + 1, self.lexicon.longest(self.lower, i + 1), 0)
+        return n + 1 if n > 1 and self.lower[i + n] in self.lists["street_suffixes"] else 0
 
     def _told_of(self, i: int) -> bool:
         """Tell whether something is said of the word: "Lidl is near me", not "Wanna join me"."""

@@ -147,6 +147,8 @@ class Referents:
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""
         name = tokens(self.mentions[node].name)
+        if len(name) > 2 and name[0].isdecimal():
+            return False  # a house: "125 Main Street"
         return self.heads[node] in self.lists["roads"] or self.language.is_road(name)
 
     def is_line(self, node: int) -> bool:

@@ -34,8 +34,11 @@ UNKNOWN = "name=*"
 NOT_THINGS = frozenset({"boundary", "route", "type"})
 """What carries such a key and no known tag is a line on the map, not a thing."""
 NAME_KEY = re.compile(
-    r"(name|alt_name|official_name|short_name|loc_name|old_name|brand|name:[a-z]{2,3})$"
+    r"(name|alt_name|official_name|short_name|loc_name|old_name|int_name|nat_name|reg_name|brand"
+    r"|(name|brand|official_name):[a-z]{2,3}(-[A-Za-z]+)?)$"
 )
+RUN = frozenset({"amenity", "shop", "office", "craft", "healthcare", "leisure", "tourism"})
+"""What carries such a key and no name is called by who runs it: a letter box of the post."""
 
 
 @dataclass
@@ -94,14 +97,19 @@ def _label(elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Pro
 
 
 def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
-    """Names of an element, the name proper first, without repetitions."""
+    """Names of an element, the name proper first, the address last, without repetitions."""
     found = [tags["name"]] if "name" in tags else []
     found += [
         value
         for key, value in sorted(tags.items())
-        if "name" in key or key == "brand"
+        if "name" in key or "brand" in key
         if NAME_KEY.match(key)
     ]
+    if not found and "operator" in tags and not RUN.isdisjoint(tags):
+        found.append(tags["operator"])
+    if "addr:housenumber" in tags and "addr:street" in tags:
+        number = tags["addr:housenumber"].partition(",")[0]
+        found.append(f"{number} {tags['addr:street']}")
     split = (part.strip() for value in found for part in value.split(";"))
     return tuple(dict.fromkeys(part for part in split if part))
 

@@ -96,6 +96,8 @@ class NameIndex:
                 for row in self.by_words[name]:
                     found.setdefault(row, fit)
             rest = words[:-1]
+            if not found and _is_address(words):  # the map may lack the house
+                found = dict.fromkeys(self.by_words.get(" ".join(words[1:]), ()), PART)
             road = _is_road(words) or _is_road(rest)
             if not found and rest and not road and not _tells_apart(words[-1]):
                 # "Starbucks Cafe" is Starbucks, "HSBC UK" HSBC
@@ -114,6 +116,10 @@ class NameIndex:
             return
         rarest = max(known, key=lambda word: told[word])
         names = self._postings[rarest]
+        if all(map(_tells_apart, said)):  # "W. 38th" is a street
+            names = [name for name in names if _is_counted(name.split())]
+        if not names:
+            return
         if len(names) > MANY:
             return
         shares = {name: self._shares(said, told, name, whole=whole) for name in names}
@@ -191,6 +197,8 @@ class NameIndex:
         """Names by the stems of their words."""
         found: dict[str, list[str]] = {}
         for name in self.by_words:
+            if _is_address(name.split()):
+                continue  # of which a part means the street
             for word in dict.fromkeys(map(_stem, name.split())):
                 found.setdefault(word, []).append(name)
         return found
@@ -213,6 +221,20 @@ def _inflected(one: str, other: str) -> bool:
 def _tells_apart(word: str) -> bool:
     """Whether a name that lacks this word is another one: "4th Street" is not "Street"."""
     return word in COMPASS or any(c.isdigit() for c in word)
+
+
+def _is_address(words: Sequence[str]) -> bool:
+    """Whether words are a house number and a street: "125 East 34th Street"."""
+    return (
+        len(words) > 2
+        and words[0][0].isdecimal()
+        and not words[0].endswith(("st", "nd", "rd", "th"))
+    )
+
+
+def _is_counted(words: Sequence[str]) -> bool:
+    """Whether words are a street with a number, and no more: "West 38th Street"."""
+    return _is_road(words) and all(_tells_apart(word) or word in ROADS for word in words)
 
 
 def _is_road(words: Sequence[str]) -> bool:
