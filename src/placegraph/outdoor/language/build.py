@@ -159,10 +159,11 @@ class Builder:
 
     def _exists(self, clause: Clause, said: Said, _opens: bool) -> None:
         places: Items = clause.before
-        more = any(isinstance(item, Place) for item in clause.after)
-        if more and places and is_person(places[-1]):  # "facing north, I have a river to my right"
-            self._say(places[:-1], [SPEAKER], said)
-            places = ()
+        if places and is_person(places[-1]):
+            if any(isinstance(item, Place) for item in clause.after):
+                self._say(places[:-1], [SPEAKER], said)  # "facing north, I have a bar to my right"
+                places = ()
+            places = places[:-1]  # "to my right I have a bar"
         owner = places[0] if places else None
         if isinstance(owner, Thing):
             places = clause.before[1:]
@@ -171,8 +172,6 @@ class Builder:
                     self.refer.topic = self.refer.resolve(owner)
                 has = Place("at", owner.start, owner.end, (owner,), "TO")
                 places = (*places, has)  # "the street has a bakery"
-        else:  # "to my right I have a river"
-            places = tuple([item for item in places if isinstance(item, Place)])
         self._shown(placed(places, clause.after), said)
 
     def _shown(self, items: Items, said: Said, *, always: bool = False) -> None:
@@ -182,10 +181,9 @@ class Builder:
             return
         first = len(self.relator.statements)
         heads = self._say(items, [], said, collect=True)
-        placed = {s.source for s in self.relator.statements[first:]}
-        seen = {
-            s.source for s in self.relator.statements[first:] if SPEAKER in (s.source, s.target)
-        }
+        made = self.relator.statements[first:]
+        placed = {s.source for s in made}
+        seen = {s.source for s in made if SPEAKER in (s.source, s.target)}
         for head in heads:
             mention = self.refer.mentions[head]
             if head in (seen if always else placed):
@@ -216,9 +214,8 @@ class Builder:
             thing = places[0]
             places = (Place("at", thing.start, thing.end, (thing,), "AT"), *places[1:])
         if not places:  # "you will see a bank. Meet me there."
-            self.walk.led_to = (
-                self.heads[0] if self.heads and self.heads[0] > LISTENER else self.walk.led_to
-            )
+            if self.heads and self.heads[0] > LISTENER:
+                self.walk.led_to = self.heads[0]
             self.finish()
             return
         self._say((*[arrived(place) for place in places[:1]], *places[1:]), [SPEAKER], said)

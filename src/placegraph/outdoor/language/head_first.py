@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _LINKS = ("OF", "AT", "TO", "FROM")
 """What joins a preposition of two words to its thing."""
 _LINKED = ("PREP", "NEARBY", "ACROSS", "BETWEEN", "FROM", "TO", "FACE")
+_PLACED = (*_LINKS, "IN", "ON", "PREP", "DIR", "NEARBY", "ACROSS", "BETWEEN")
 _CORNERS = ("corner", "crossing")
 _FAR = 7
 """So many chunks after its corner a street may stand at most."""
@@ -73,11 +74,24 @@ def _qualities(chunks: list[Chunk], language: Language) -> list[Chunk]:
     for i, chunk in enumerate(chunks):
         if chunk.type == "DET" and kind(chunks, i + 1) in ("MY", "YOUR", "ITS"):
             continue
-        if chunk.type == "NO" and _last(found) in ("NOUN", "NAME"):
+        if chunk.type == "DET" and _last(found) == "NO":
+            continue  # "né la chiesa"
+        if chunk.type == "NO" and _last(found) in ("NOUN", "NAME", "DIR"):
             found.append(mark(chunk, "AND"))  # "ni église ni mosquée"
-        quality = chunk.type == "WORD" and chunk.words in language.words
+        if chunk.type == "NO" and kind(chunks, i + 1) in _PLACED:
+            if kind(found, plain(found, len(found) - 1, -1)) != "NOT" and not _says_no(found):
+                found.append(replace(chunk, type="NOT"))  # "ni al norte"
+            continue
+        quality = chunk.type == "WORD" and not language.words.isdisjoint(
+            (chunk.words, *[form.stem for form in language.forms.of(chunk.words)])
+        )
         found.insert(len(found) - (quality and _last(found) == "NOUN"), chunk)
     return found
+
+
+def _says_no(found: Sequence[Chunk]) -> bool:
+    """Tell whether what was found ends with a verb that says no already: "no está | ni"."""
+    return _last(found) in STATED and any(chunk.type == "NOT" for chunk in found[-4:])
 
 
 def _sides(chunks: list[Chunk], language: Language) -> list[Chunk]:

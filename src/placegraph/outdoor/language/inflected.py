@@ -50,7 +50,7 @@ class InflectedChunker(Chunker):
     def _mark(self, i: int, word: Word) -> Chunk:
         if word.kind != "quoted":
             return super()._mark(i, word)
-        written = self.text[word.start : word.end]
+        written = self.text[word.start : word.end].strip()
         return self._chunk("NAME", i, 1, Noun(self.proper.kind(written), written))
 
     def _marked(self, chunks: list[Chunk]) -> list[Chunk]:

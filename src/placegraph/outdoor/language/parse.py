@@ -213,7 +213,8 @@ class _Build:
     here = partialmethod(_place, how="here")
 
     def thing(self, children: list[Any]) -> Thing:
-        thing = Thing("thing", children[0].start, children[-1].end)
+        start, end = min(c.start for c in children), max(c.end for c in children)
+        thing = Thing("thing", start, end)
         nouns = [child for child in children if child.type == "NOUN"]
         words = [child.words for child in children if child.type == "WORD"]
         for child in children:

@@ -21,7 +21,7 @@ _UNKNOWN = 3.0
 """Price of a letter of no known word, of which a known word costs 1."""
 _STOPS = ".!?;…。！？｡؟؛।"
 _COMMAS = r",:()\[\]–—/、，،：（）《》〈〉"
-_QUOTED = re.compile(r"[「『“„«][^」』”“»\n]{1,60}[」』”“»]")
+_QUOTED = re.compile(r"[「『“„«][^」』”“»\n]{1,60}[」』”“»]|(?<!\w)\"[^\"\n]{1,60}\"(?!\w)")
 _KATAKANA = re.compile(r"[ァ-ヺー]+")
 
 
