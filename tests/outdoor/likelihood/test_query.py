@@ -37,3 +37,12 @@ def test_what_stands_in_for_an_unknown_name_gets_no_credit_for_being_rare(city, 
         here = read(city, text)
         for place in (*LANDMARKS, (210.0, 5.0)):
             assert score(city, here, at(city, place[:2]))[0][0] < 4.0, text
+
+
+def test_one_is_in_a_quarter_though_its_name_is_drawn_as_a_point(build_world, score, at):
+    quarter = (5.0, 5.0, {"place": "neighbourhood", "name": "Kips Bay"})
+    city = build_world([quarter, *BENCHES])
+    inside, near = (read(city, f"I am {how} Kips Bay.") for how in ("in", "next to"))
+    away = at(city, (240.0, 5.0))
+    assert score(city, inside, away)[0][0] > score(city, near, away)[0][0] + 1.0
+    assert score(city, inside, at(city, (5.0, 5.0)))[0][0] > score(city, inside, away)[0][0]

@@ -22,6 +22,7 @@ from placegraph.outdoor.likelihood.statements import (
     columns_of,
     ends,
 )
+from placegraph.outdoor.map.objects import POINT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,6 +43,7 @@ RARE = 12
 """Mentions of no more objects than this may be spoken of from out of sight."""
 NEARBY, FAR = 80.0, 350.0
 """Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
+QUARTERS = frozenset(f"place={kind}" for kind in ("suburb", "neighbourhood", "quarter", "borough"))
 SALIENT = 20.0
 """About so many things out of sight come to mind."""
 
@@ -168,23 +170,32 @@ def _far(
     ]
     if not on_a_way:  # of many, no particular one comes to mind
         members = [(o, f * min(1.0, RARE / max(1, len(o)))) for o, f in members]
-    objects = np.concatenate([o for o, _ in members] or [nothing[0]])
-    if not len(objects):
+    if not any(len(o) for o, _ in members):
         return None
+    quarters = {m + 2 for m, (rows, _) in enumerate(members) if _are_quarters(rows, city)}
+
+    def scale(s: Statement) -> float:
+        inside = s.relation is Relation.INSIDE and s.target in quarters
+        return FAR if s.far or inside else NEARBY
+
     rarest = sorted((o for o, _ in members if 0 < len(o) <= RARE), key=len)
     return Far(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
-        objects=objects,
+        objects=np.concatenate([o for o, _ in members]),
         fits=np.concatenate([f for _, f in members]).astype(np.float32),
-        scale=np.array(
-            [max(FAR if s.far else NEARBY, s.distance or 0.0) for s in used], np.float32
-        ),
+        scale=np.array([max(scale(s), s.distance or 0.0) for s in used], np.float32),
         share=np.array(
             [(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)],
             np.float32,
         ),
         anchors=np.concatenate(rarest or [nothing[0]]),
     )
+
+
+def _are_quarters(rows: NDArray[np.int64], city: City) -> bool:
+    """Whether objects are names of quarters, which a map draws as points: one is "in" them."""
+    o = city.objects
+    return len(rows) > 0 and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
 
 
 def _meaning(statement: Statement, description: Description) -> tuple[object, ...]:
