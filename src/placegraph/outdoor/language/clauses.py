@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from placegraph.language.islands import Chunk
-from placegraph.outdoor.language.settle import JOINTS, LEADS, VERBS, settled
+from placegraph.outdoor.language.settle import JOINTS, VERBS, settled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,6 +18,8 @@ _STARTS = VERBS - {"BE", "SEE", "HAVE"}
 _BEFORE_TARGET = frozenset(("AND", "COND", "PREP", "OF", "FROM", "BETWEEN"))
 """What a person after them is no subject of, or joined to already: "next to it is a bank"."""
 _SUBJECTS = frozenset(("ME", "YOU", "IT", "SPOT", "THIS"))
+_GOVERNS = frozenset(("PREP", "OF", "FROM", "BETWEEN", "ACROSS", "IN", "ON", "AT", "TO", "WITH"))
+"""What makes a pronoun no subject of the verb behind it: "next to it is a bakery"."""
 LONGEST = 60
 """Chunks in a clause; nobody speaks in longer ones."""
 UNSURE = 0.6
@@ -86,8 +88,8 @@ class _Cutter:
 
     def _verb(self, kind: str) -> None:
         subject = None
-        placed = kind == "EXISTS" and len(self.current) > 1 and self.current[-2].type in LEADS
-        if self.current and self.current[-1].type in _SUBJECTS and not placed:
+        before = self.current[-2].type if len(self.current) > 1 else ""
+        if self.current and self.current[-1].type in _SUBJECTS and before not in _GOVERNS:
             subject = self.current.pop()
         if self.has_verb and (subject is not None or kind in _STARTS):
             self.cut()  # "head south | meet me at the park"

@@ -105,7 +105,9 @@ class InflectedNames(ProperNames):
     def _bent(self, i: int) -> int:
         """How many words of a name in another form than the map's begin at word i."""
         words = self.words[i : i + _LONGEST_NAME]
-        if len(words[0].lower) < 4 or not (words[0].capital or _lacks_capitals(words[0])):
+        street = words[0].lower in self.lists["street_prefixes"]  # "na ulicy Długiej"
+        told = words[0].capital or _lacks_capitals(words[0]) or street
+        if not told or (len(words[0].lower) < 4 and not street):
             return 0
         for n in range(len(words), 0, -1):
             if any(word.kind != "word" for word in words[:n]):
@@ -117,9 +119,11 @@ class InflectedNames(ProperNames):
         return 0
 
     def _forms_of(self, words: list[str]) -> list[tuple[list[str], tuple[str, ...]]]:
-        """Names that words may be forms of: the last bends alone, or both of two do."""
+        """Names that words may be forms of: the last or the first bends alone, or both of two do."""
         dictionary = self.lexicon.forms.dictionary
         found = [([*words[:-1], form.stem], form.case) for form in dictionary(words[-1])]
+        if len(words) > 1:  # "на улице Ленина"
+            found += [([form.stem, *words[1:]], form.case) for form in dictionary(words[0])]
         if len(words) == 2:
             found += [
                 ([first.stem, last.stem], last.case)

@@ -11,6 +11,7 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
+from placegraph.outdoor.language.cases import told
 from placegraph.outdoor.language.head_first import head_first
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class _Item:
 def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Chunks of a sentence in the order of the grammar."""
     order = language.order
+    if order.cases or order.verbless:
+        chunks = told(chunks, order)
     if order.head_first:
         chunks = head_first(chunks, language)
     if order.genitive:

@@ -60,7 +60,8 @@ def keys(table: Mapping[str, Any]) -> dict[str, frozenset[str]]:
     terminals = _parts(table, PHRASES) | set(_MARKERS)
     return found | dict.fromkeys((*PHRASES, "endings"), terminals) | {
         "order": frozenset(
-            ("postpositions", "verb_final", "marked", "genitive", "head_first", "pro_drop")
+            ("postpositions", "verb_final", "marked", "genitive", "head_first", "pro_drop", "cases",
+             "verbless")
         )
     }  # fmt: skip
 
@@ -112,7 +113,8 @@ def _section(
     for key, inner in value.items():
         angle, _, part = key.partition(" ")
         if section.startswith("compass") or section == "facing":
-            right = angle in _ANGLES and (not part or known is None or part in known["parts"])
+            of_what = known is None or part in ("", "OF", *known["parts"])
+            right = angle in _ANGLES and of_what
             choice = ", ".join(sorted(_ANGLES))
         else:
             allowed = known.get(section) if known is not None else None

@@ -14,6 +14,7 @@ from placegraph.language.measures import COUNTS
 from placegraph.language.phrases import Phrases, Terminal
 from placegraph.outdoor.language.languages.check import checked, keys
 from placegraph.outdoor.language.languages.forms import Forms
+from placegraph.outdoor.language.vocabulary.text import folded
 from placegraph.outdoor.language.words import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ class Order:
     """What is said of a noun follows it: "côté nord", "Hôtel de la Gare"; "à côté de" is one word."""
     pro_drop: bool = False
     """A verb needs no subject: "está al norte"."""
+    cases: bool = False
+    """What a thing belongs to stands behind it in the genitive: "brama parku"."""
+    verbless: bool = False
+    """Where something is can be said without a verb: "слева парк"."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,15 @@ class Language(Phrases):
             for phrase, terminals in entries
             if terminals[0].type == "DIR" and not terminals[0].value.facing and len(phrase) == 1
         }
+
+    def has_thing(self, word: str) -> bool:
+        """Tell whether a word is one of its everyday words of things, in any form."""
+        return any(form.stem in self._thing_stems for form in self.forms.of(folded(word)))
+
+    @cached_property
+    def _thing_stems(self) -> frozenset[str]:
+        words = {folded(word) for spelt in self.things.values() for word in spelt}
+        return frozenset(stem for word in words for stem in self.forms.stems(word))
 
     def is_road(self, name: Sequence[str]) -> bool:
         """Tell whether a name, as `words.tokens`, is that of a street."""
@@ -228,7 +242,9 @@ def _terminals(
             sigma = DIAGONAL_SIGMA if degrees % 90 else CARDINAL_SIGMA
             direction = Direction(radians(degrees), sigma, facing=section == "facing")
             yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
-            if part:  # "nordseite": the north side
+            if part == "OF":  # "севернее": north of
+                yield Terminal(part)
+            elif part:  # "nordseite": the north side
                 yield Terminal("PART", part)
         case "relations":
             relation, *others = key.split()

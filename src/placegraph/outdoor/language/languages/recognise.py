@@ -46,6 +46,8 @@ _THING = 0.5
 """How much a word for a thing tells of its language, where one of the grammar tells 1."""
 _FEW = 0.75
 """... and how many words at least, each shared with those who know it as well."""
+_ALIKE = 0.1
+"""Languages whose scores differ by less are as likely as each other."""
 
 
 class Stretch(NamedTuple):
@@ -65,6 +67,8 @@ class _Signs(NamedTuple):
     """Languages of a script."""
     things: dict[str, tuple[str, ...]]
     """Languages of a word for a thing."""
+    letters: dict[str, frozenset[str]]
+    """Letters of the words of a language."""
 
 
 @cache
@@ -73,6 +77,7 @@ def _signs(folder: Path | None) -> _Signs:
     words: dict[str, set[str]] = {}
     scripts: dict[str, set[str]] = {}
     things: dict[str, set[str]] = {}
+    letters: dict[str, set[str]] = {}
     for code, table in tables(folder).items():
         text = table.read_text("utf-8")
         head = text.partition("\n[")[0]
@@ -81,12 +86,14 @@ def _signs(folder: Path | None) -> _Signs:
             scripts.setdefault(script, set()).add(code)
         for pattern, kept in ((_GRAMMAR, words), (_THINGS, things)):
             for word in _listed(pattern, text):
+                letters.setdefault(code, set()).update(word)
                 kept.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
     return _Signs(
         *(
             {word: tuple(sorted(found)) for word, found in kept.items()}
             for kept in (words, scripts, things)
-        )
+        ),
+        {code: frozenset(found) for code, found in letters.items()},
     )
 
 
@@ -121,10 +128,11 @@ def stretches(text: str, code: str | None, folder: Path | None = None) -> list[S
     if text.isascii() and all(_is_english(text[a:b]) for a, b in spans):
         return [Stretch(0, len(text), english())]
     signs = _signs(folder)
-    whole = _best(_scores(text, signs), english=True)
+    whole = _best(_scores(text, signs, folder), english=True)
     found: list[Stretch] = []
     for start, end in spans:
-        told = _best(_scores(text[start:end], signs), english=False) or whole
+        scored = _scores(text[start:end], signs, folder)
+        told = _best(scored, english=False, likely=whole) or whole
         tongue = english() if told == UNKNOWN else language(told, folder)
         if found and found[-1].language is tongue:
             found[-1] = found[-1]._replace(end=end)
@@ -138,11 +146,12 @@ def _is_english(sentence: str) -> bool:
     return not words or not _PLAIN.isdisjoint(words)
 
 
-def _scores(text: str, signs: _Signs) -> tuple[dict[str, float], int]:
+def _scores(text: str, signs: _Signs, folder: Path | None) -> tuple[dict[str, float], int]:
     """How much speaks for each language, and of how many words."""
     scores: dict[str, float] = {}
     count = 0
-    for word in _words(text, signs):
+    words = list(_words(text, signs))
+    for word in words:
         script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
         if script in ("Kana", "Han"):
             # no spaces: letters stand for words, and kana are Japanese among Chinese signs
@@ -158,8 +167,10 @@ def _scores(text: str, signs: _Signs) -> tuple[dict[str, float], int]:
         for code in codes:
             scores[code] = scores.get(code, 0.0) + weight / len(codes)
         own = () if script == "Latin" or codes else signs.scripts.get(script, ())
+        own = tuple(code for code in own if signs.letters[code].issuperset(word)) or own
         for code in own:
             scores[code] = scores.get(code, 0.0) + 0.7 / len(own)
+    _untie(scores, [word for word in words if word not in signs.words], folder)
     return scores, count
 
 
@@ -175,15 +186,27 @@ def _words(text: str, signs: _Signs) -> Iterator[str]:
             yield word
 
 
-def _best(scored: tuple[dict[str, float], int], *, english: bool) -> str:
+def _untie(scores: dict[str, float], words: list[str], folder: Path | None) -> None:
+    """Let everyday words of things speak where those of the grammar speak for several alike."""
+    best = max(scores.values(), default=0.0)
+    tied = [code for code, score in scores.items() if score > best - _ALIKE and code != "en"]
+    for code in tied if len(tied) > 1 else ():
+        tongue = language(code, folder)
+        scores[code] += _ALIKE * sum(tongue.has_thing(word) for word in words)
+
+
+def _best(scored: tuple[dict[str, float], int], *, english: bool, likely: str = "") -> str:
     """Language for which most speaks; unknown where that is too little.
 
-    `english`: whether one known English word is enough, as it always was.
+    `english`: whether one known English word is enough, as it always was. `likely`: which it is if
+    several are as good.
     """
     scores, count = scored
     if not scores:
         return UNKNOWN
     code = max(scores, key=lambda code: (scores[code], code == "en"))
+    if scores.get(likely, 0.0) > scores[code] - 0.5 * _ALIKE:
+        code = likely
     if english and scores.get("en", 0.0) >= 0.5 and scores["en"] >= scores[code] - 0.5:
         return "en"
     enough = scores[code] >= max(_FEW, _LEAST * count) if count > 1 else scores[code] >= _FEW

@@ -45,7 +45,7 @@ def clean(text: str) -> str:
         elif "\uff01" <= letter <= "\uffee" or letter == "\u3000":
             kept.append(unicodedata.normalize("NFKC", letter))
         else:
-            kept.append(letter)
+            kept.append("'" if letter == "ʼ" else letter)  # an apostrophe that is a letter
     return unicodedata.normalize("NFC", "".join(kept))
 
 

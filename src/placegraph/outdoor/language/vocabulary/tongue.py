@@ -50,20 +50,23 @@ class LanguageWords:
         self.language, self.vocabulary = language, vocabulary
         sources = vocabulary.sources
         self._world = sources.world
-        self._own: dict[str, tuple[Sense, ...]] = {}
+        self._own: dict[str, dict[str, tuple[Sense, ...]]] = {}
+        """Words without diacritics, each with its spellings: in Swedish "bank" and "bänk"."""
         for meaning, words in language.things.items():
             senses = vocabulary.senses(meaning)
             for word in words:
-                key = folded(normal(word))
-                merged = {s.label: s.weight for s in (*senses, *self._own.get(key, ()))}
-                self._own[key] = sources.ranked(merged)
+                spelt = self._own.setdefault(folded(normal(word)), {})
+                merged = {s.label: s.weight for s in (*senses, *spelt.get(normal(word), ()))}
+                spelt[normal(word)] = sources.ranked(merged)
         for word, labels in sources.words.tongues.get(language.code, {}).items():
-            self._own.setdefault(folded(word), sources.ranked(labels))
+            self._own.setdefault(folded(word), {word: sources.ranked(labels)})
         self._letters = self._world.letters(language.code)
         self._bins: dict[str, dict[str, list[str]]] = {}
         self._own_bins: dict[str, list[str]] = {}
         for word in self._own:
-            self._own_bins.setdefault(word[:_KEY], []).append(word)
+            # stems may differ in their first letters, too: "міст", "мосту"
+            for key in {stem[:_KEY] for stem in self.language.forms.stems(word.partition(" ")[0])}:
+                self._own_bins.setdefault(key, []).append(word)
         self.find = lru_cache(_MEMORY)(self._find)
 
     def senses(self, phrase: str) -> tuple[Sense, ...]:
@@ -119,7 +122,7 @@ class LanguageWords:
                 # a word as it stands before one whose own ending had to be cut as well
                 if case is not None and (best is None or len(entry) < best[0]):
                     best = (len(entry), entry, case)
-            if best is not None and (senses := self._senses(best[1])):
+            if best is not None and (senses := self._senses(best[1], normal(phrase))):
                 return Found(best[1], senses, best[2])
         return None
 
@@ -135,12 +138,14 @@ class LanguageWords:
             return None
         stems = self.language.forms.stems
         if len(entry) == 1:
-            return last[first]
+            bare = first != entry[0] and first == forms[0][0].stem
+            return ("GEN",) if bare and self.language.order.cases else last[first]
         for word, could_be in zip(entry[1:-1], forms[1:-1], strict=True):
             known = {form.stem for form in could_be}
             if known.isdisjoint(stems(word)):
                 return None
-        return next((case for stem, case in last.items() if stem in stems(entry[-1])), None)
+        ends = stems(entry[-1])
+        return next((form.case for form in forms[-1] if form.stem in ends), None)
 
     def _beginning(self, stem: str) -> list[str]:
         """Phrases of the dictionary whose first word has this stem."""
@@ -155,9 +160,15 @@ class LanguageWords:
             self._bins[key] = bins
         return self._bins[key].get(stem, [])
 
-    def _senses(self, entry: str) -> tuple[Sense, ...]:
+    def _senses(self, entry: str, phrase: str) -> tuple[Sense, ...]:
+        """Senses of an entry, by its spelling that is most like that of a phrase."""
         if entry in self._own:
-            return self._own[entry]
+            spelt = self._own[entry]
+            if len(spelt) == 1:
+                return next(iter(spelt.values()))
+            from rapidfuzz.distance import Prefix
+
+            return spelt[max(spelt, key=lambda word: Prefix.similarity(word, phrase))]
         sources = self.vocabulary.sources
         found = self._world.senses(entry, letters=self._letters)
         return sources.ranked(sources.objects.by_rank(found))
