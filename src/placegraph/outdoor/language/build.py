@@ -295,5 +295,6 @@ class Builder:
         return node
 
     def _relate_all(self, place: Place, group: Sequence[int], said: Said) -> list[int]:
-        found = [self.relator.relate(place, head, said) for head in group]
-        return [node for node in found if node is not None]
+        return [
+            node for head in group if (node := self.relator.relate(place, head, said)) is not None
+        ]
