@@ -88,13 +88,12 @@ def _signs(folder: Path | None) -> _Signs:
             for word in _listed(pattern, text):
                 letters.setdefault(code, set()).update(word)
                 kept.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
-    return _Signs(
-        *(
-            {word: tuple(sorted(found)) for word, found in kept.items()}
-            for kept in (words, scripts, things)
-        ),
-        {code: frozenset(found) for code, found in letters.items()},
-    )
+    alphabets = {code: frozenset(found) for code, found in letters.items()}
+    return _Signs(_sorted(words), _sorted(scripts), _sorted(things), alphabets)
+
+
+def _sorted(kept: dict[str, set[str]]) -> dict[str, tuple[str, ...]]:
+    return {word: tuple(sorted(found)) for word, found in kept.items()}
 
 
 def _listed(pattern: re.Pattern[str], text: str) -> Iterator[str]:
