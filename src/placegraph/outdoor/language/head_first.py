@@ -74,6 +74,9 @@ def _qualities(chunks: list[Chunk], language: Language) -> list[Chunk]:
     for i, chunk in enumerate(chunks):
         if chunk.type == "DET" and kind(chunks, i + 1) in ("MY", "YOUR", "ITS"):
             continue
+        if chunk.type == "THIS" and _last(found) == "NOUN" and kind(chunks, i + 1) in _PLACED:
+            found.append(replace(chunk, type="BE"))  # "la farmacia esta al norte", for "está"
+            continue
         if chunk.type == "DET" and _last(found) == "NO":
             continue  # "né la chiesa"
         if chunk.type == "NO" and _last(found) in ("NOUN", "NAME", "DIR"):

@@ -85,6 +85,11 @@ class InflectedNames(ProperNames):
     bent: dict[int, tuple[str, tuple[str, ...]]]
     """Names of a sentence that are not as on the map, by where they begin: as there, and case."""
 
+    def take(self, sentence: list[Word], *, shouting: bool) -> None:
+        """Go on to a sentence; a short one that is all capitals is no name either."""
+        written = self.text[sentence[0].start : sentence[-1].end]
+        super().take(sentence, shouting=shouting or (len(sentence) > 2 and written.isupper()))
+
     def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
         """How many words of a proper name begin at word i: on the map, or by its capitals."""
         n = self._bent(i) if self.names is not None and self.lexicon.forms else 0
