@@ -110,7 +110,8 @@ class InflectedNames(ProperNames):
     def _bent(self, i: int) -> int:
         """How many words of a name in another form than the map's begin at word i."""
         words = self.words[i : i + _LONGEST_NAME]
-        street = words[0].lower in self.lists["street_prefixes"]  # "na ulicy Długiej"
+        prefixes = self.lists["street_prefixes"] | self.lists["place_prefixes"]
+        street = words[0].lower in prefixes  # "na ulicy Długiej"
         told = words[0].capital or _lacks_capitals(words[0]) or street
         if not told or (len(words[0].lower) < 4 and not street):
             return 0
@@ -163,7 +164,9 @@ class InflectedNames(ProperNames):
         at = i + 1
         while at < len(self.words) and self.lower[at] in self.lists["connectives"]:
             at += 1
-        place = self.lower[i] in self.lists["place_prefixes"] and at > i + 1
+        place = self.lower[i] in self.lists["place_prefixes"] and (
+            at > i + 1 or self.lexicon.order.cases  # "площадь Революции"
+        )
         if not place and self.lower[i] not in self.lists["street_prefixes"]:
             return 0
         if at >= len(self.words) or self.words[at].kind != "word":
