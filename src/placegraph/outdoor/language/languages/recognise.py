@@ -153,11 +153,10 @@ def _scores(text: str, signs: _Signs, folder: Path | None) -> tuple[dict[str, fl
     for word in words:
         script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
         if script in ("Kana", "Han"):
-            # no spaces: letters stand for words, and kana are Japanese among Chinese signs
+            # no spaces: letters stand for words; Chinese signs without kana are Chinese
             count += max(1, len(word) // 2)
-            for code in signs.scripts.get(script, ()):
-                share = 1.0 / len(signs.scripts[script])
-                scores[code] = scores.get(code, 0.0) + share * max(1, len(word) // 2)
+            for code in signs.scripts.get(script, ())[-1:]:
+                scores[code] = scores.get(code, 0.0) + max(1, len(word) // 2)
             continue
         count += 1
         codes, weight = signs.words.get(word, ()), 1.0
