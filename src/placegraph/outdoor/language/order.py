@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from placegraph.outdoor.language.languages import Language
+    from placegraph.outdoor.language.languages.language import Order
 
 CASES = frozenset(("GEN", "DROP"))
 """Markers that only order needs; they are not in the grammar."""
@@ -54,7 +55,7 @@ def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     if order.genitive:
         chunks = list(_genitives(chunks))
     if order.postpositions:
-        items = list(_related(_items(chunks, final=order.verb_final), marked=order.marked))
+        items = list(_related(_items(chunks, order), marked=order.marked))
         if order.verb_final:
             items = list(_verbs(items))
         chunks = [chunk for item in items for chunk in _told(item)]
@@ -96,7 +97,7 @@ def _one_lead(chunks: list[Chunk]) -> list[Chunk]:
     ]
 
 
-def _items(chunks: Sequence[Chunk], *, final: bool) -> list[_Item]:
+def _items(chunks: Sequence[Chunk], order: Order) -> list[_Item]:
     """Group the chunks of a thing, and the markers behind it."""
     items: list[_Item] = []
     for chunk in chunks:
@@ -117,8 +118,8 @@ def _items(chunks: Sequence[Chunk], *, final: bool) -> list[_Item]:
             items.append(_Item(chunk.type, [chunk]))
     items = [item for item in items if item.kind not in CASES]
     for i, item in enumerate(items):
-        behind = i and items[i - 1].kind == "thing" and items[i - 1].case
-        before = not final and i + 1 < len(items) and items[i + 1].kind == "thing"
+        behind = i and items[i - 1].kind == "thing" and (items[i - 1].case or not order.marked)
+        before = not order.verb_final and i + 1 < len(items) and items[i + 1].kind == "thing"
         if item.kind == "NEARBY" and (behind or before):  # "kirkon lähellä", "lähellä kirkkoa"
             item.kind, item.chunks = "PREP", [replace(item.chunks[0], type="PREP", value="near")]
     return items
@@ -161,6 +162,8 @@ def _relate(found: list[_Item], words: list[_Item], *, marked: bool) -> None:
         found += [*hedges, *measured, *relations]
         return
     things = [found.pop()]
+    if found and found[-1].kind == "FROM":
+        found.pop()  # "离我100米", from me 100 m: the grammar has it the other way round
     if relations and relations[0].kind in ("BETWEEN", "PART"):
         while len(found) > 1 and found[-1].kind == "AND" and found[-2].kind == "thing":
             things = [found[-2], found[-1], *things]
@@ -207,7 +210,7 @@ def _takes(found: list[_Item], kinds: Sequence[str], *, marked: bool) -> bool:
     if len(found) > 1 and found[-2].kind == "SEE":
         return False  # what is seen, and then where
     if all(kind in _MEASURED for kind in kinds):
-        return "FROM" in case
+        return "FROM" in case or (len(found) > 1 and found[-2].kind == "FROM")
     if "IN" in case or "AT" in case or "ON" in case:
         return False
     return bool(case) or not marked

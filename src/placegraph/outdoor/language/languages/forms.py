@@ -10,8 +10,8 @@ from placegraph.outdoor.language.vocabulary.text import folded
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-SHORTEST = 2
-"""Letters of the shortest stem."""
+_SYLLABLES = "\u1100"
+"""From here on a letter is a syllable or more, as in Korean."""
 _FOLLOWING = 3
 """So many letters may stand behind a change of a stem: Kirch|e, Wald -> Wäld|er."""
 _MEMORY = 1 << 14
@@ -62,7 +62,7 @@ class Forms:
         found = [Form(word)]
         for ending, case in self.endings:
             stem = word[: -len(ending)]
-            if len(stem) >= SHORTEST and word.endswith(ending):
+            if _is_stem(stem) and word.endswith(ending):
                 found.append(Form(stem, case))
         return tuple(found)
 
@@ -72,7 +72,7 @@ class Forms:
         found += [
             word[: -len(ending)]
             for ending in self._nominative
-            if word.endswith(ending) and len(word) - len(ending) >= SHORTEST
+            if word.endswith(ending) and _is_stem(word[: -len(ending)])
         ]
         for old, new in self._changes:
             for stem in tuple(found):
@@ -92,3 +92,8 @@ class Forms:
                 if len(stem) < len(word) and at > 0 and len(stem) - at - len(new) <= _FOLLOWING:
                     found.append(Form(stem[:at] + old + stem[at + len(new) :], case))
         return tuple(dict.fromkeys(found))
+
+
+def _is_stem(word: str) -> bool:
+    """Tell whether letters may be a stem: two of them, or a syllable."""
+    return len(word) > 1 or word >= _SYLLABLES

@@ -70,6 +70,10 @@ class _Signs(NamedTuple):
     letters: dict[str, frozenset[str]]
     """Letters of the words of a language."""
 
+    def written(self, code: str) -> int:
+        """How many scripts a language is written in."""
+        return sum(code in codes for codes in self.scripts.values())
+
 
 @cache
 def _signs(folder: Path | None) -> _Signs:
@@ -155,7 +159,9 @@ def _scores(text: str, signs: _Signs, folder: Path | None) -> tuple[dict[str, fl
         if script in ("Kana", "Han"):
             # no spaces: letters stand for words; Chinese signs without kana are Chinese
             count += max(1, len(word) // 2)
-            for code in signs.scripts.get(script, ())[-1:]:
+            codes = signs.scripts.get(script, ())
+            few = min((signs.written(code) for code in codes), default=0)
+            for code in (code for code in codes if signs.written(code) == few):
                 scores[code] = scores.get(code, 0.0) + max(1, len(word) // 2)
             continue
         count += 1
