@@ -14,6 +14,7 @@ import numpy as np
 from placegraph.estimate import Status
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.map.objects import POINT
 from placegraph.outdoor.search.posterior import WITHIN
 
 if TYPE_CHECKING:
@@ -67,9 +68,9 @@ class Claim:
     """Of the share within `WITHIN`, which a place's probability speaks of."""
 
 
-IN_SIGHT = Claim(WITHIN, Trust(-0.4, 0.9), Trust(-0.4, 0.9))
+IN_SIGHT = Claim(WITHIN, Trust(-0.14, 0.91), Trust(-0.14, 0.91))
 """Of a text about what is in sight of the speaker."""
-AT_A_PLACE = Claim(250.0, Trust(0.0, 0.44), Trust(-0.44, 0.37))
+AT_A_PLACE = Claim(250.0, Trust(-0.13, 0.43), Trust(-0.57, 0.37))
 """Of a text that tells the way, or which thing one stands at: people mean the block, and landmarks
 are drawn as points."""
 
@@ -103,10 +104,11 @@ class Doubt:
 def doubt_of(query: Query, city: City) -> Doubt:
     """What of a query stands in the way of being sure.
 
-    A name counts where something is said of it, unless the map holds nothing of its kind at all: a
-    map without streets lacks every street.
+    A name counts where something is said of it, unless it is no wonder that the map lacks it: a map
+    of points alone is a list of landmarks, and a map without any thing of its kind lacks them all.
     """
     told = query.description
+    unread = [i.text.strip() for i in told.ignored if i.reason in UNREAD]
     spoken = {node for s in told.statements for node in (*ends(s), s.target2)}
     missing = [
         told.mentions[node].name
@@ -114,7 +116,8 @@ def doubt_of(query: Query, city: City) -> Doubt:
         if not (senses := told.mentions[node].senses)
         or any(sense.label in city.label_index for sense in senses)
     ]
-    unread = [i.text.strip() for i in told.ignored if i.reason in UNREAD]
+    if (city.objects.kind == POINT).all():
+        missing = []
     return Doubt(tuple(dict.fromkeys(missing)), tuple(dict.fromkeys(filter(None, unread))))
 
 

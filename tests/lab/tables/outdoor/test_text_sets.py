@@ -9,6 +9,7 @@ from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.named.statuses import Verdict, rates
 from placegraph_lab.tables.outdoor.diagram import diagrams
 from placegraph_lab.tables.outdoor.text_sets import TRAPS, Filler
+from placegraph_lab.tables.outdoor.trust import logistic
 
 
 def test_every_gap_is_filled_with_what_the_map_lacks(harbour):
@@ -46,3 +47,11 @@ def test_a_diagram_is_a_panel_wide(many):
     image = diagrams({str(k): reliability(sure, rng.random(100) < sure) for k in range(many)})
     assert image.width == many * diagrams({"": reliability(sure, sure > 0.5)}).width
     assert len(np.unique(np.asarray(image))) > 10, "something is drawn"
+
+
+def test_the_fit_finds_how_far_odds_were_shrunk():
+    rng = np.random.default_rng(0)
+    share = rng.uniform(0.01, 0.99, 20_000)
+    p = 1.0 / (1.0 + np.exp(0.5 - 0.4 * np.log(share / (1.0 - share))))
+    trust = logistic(share, rng.random(len(p)) < p)
+    assert (trust.level, trust.slope) == pytest.approx((-0.5, 0.4), abs=0.05)

@@ -28,6 +28,7 @@ from placegraph_lab.tables.outdoor.text_sets import (
     Told,
     text_sets,
 )
+from placegraph_lab.tables.outdoor.trust import fitted
 from placegraph_lab.tables.run import LAB, Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, share
 
@@ -162,11 +163,18 @@ def statuses(
     texts: Annotated[int, option("Texts a town and setting.")] = 100,
     seed: Seed = 0,
     *,
+    fit: Annotated[
+        bool, option("Fit the coefficients of confidence.py, and print only them.")
+    ] = False,
     quick: Quick = False,
 ) -> None:
     """Is `OK` right, and said often enough? Templates, people's words, and traps."""
     cities = maps(run)
     sets = text_sets(run.osm, run.data / "text", cities, 20 if quick else texts, seed)
+    if fit:
+        for name, trust in fitted(run.track(sets, "sets"), cities).items():
+            print(f"{name}: Trust({trust.level:.2f}, {trust.slope:.2f})")
+        return
     run.one_core()
     judged = []
     for asked in run.track(sets, "sets"):
