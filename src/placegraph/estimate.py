@@ -24,9 +24,9 @@ class Status(StrEnum):
     """How far an estimate may be trusted."""
 
     OK = "OK"
-    """One mode holds most of the probability."""
+    """One mode holds most of the probability, and nothing that was named is missing from the map."""
     AMBIGUOUS = "AMBIGUOUS"
-    """Several places fit; ask a question, or look at all modes."""
+    """Several places fit, or the reason names what stands in the way; ask, or look at all modes."""
     LOST = "LOST"
     """Nothing fits better than being somewhere else, or nothing was understood."""
 
