@@ -114,9 +114,10 @@ def test_measured_motion_is_sharper_than_told(twins):
 def test_the_first_sentence_is_located(text, harbour):
     told, located = CityTracker(harbour).tell(text), harbour.locate(text)
     sound(told, harbour)
-    assert told.status is located.status
+    assert told.status is not Status.LOST
     assert told.best.cell == located.best.cell
-    assert told.best.probability == pytest.approx(located.best.probability, abs=0.15)
+    # the sentence alone claims less than what a way is followed to
+    assert told.best.probability > located.best.probability - 0.05
     assert metres(harbour, told.best, (located.best.longitude, located.best.latitude)) < 5.0
 
 

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted, place, support
 from placegraph.outdoor.search.confidence import (
-    AT_A_PLACE,
     IN_SIGHT,
     believed,
-    claim_of,
     doubt_of,
     status_of,
 )
@@ -45,13 +43,12 @@ def estimate(
 ) -> CityEstimate:
     """Where the speaker is by what is believed at a stop; `why` the last text added nothing to it."""
     query, understood = stop.query, stop.query.description if stop.query else None
-    told = [m.query.description for m in memory] + ([understood] if understood else [])
-    claim = next((c for c in map(claim_of, told) if c is AT_A_PLACE), IN_SIGHT)
     doubt = doubt_of(query, city) if query else None
     found = stop.posterior(grid, MOST_SUPPORT)
     peaks = modes(found, top, SPACING)
-    status, reason = status_of(found, peaks, claim, doubt)
-    found, peaks = believed(found, peaks, claim, doubt)
+    # a way is followed to what is in sight, whatever its texts alone would claim
+    status, reason = status_of(found, peaks, IN_SIGHT, doubt)
+    found, peaks = believed(found, peaks, IN_SIGHT, doubt)
     places = tuple(
         place(mode, city, partial(explained, mode.position, city, query, memory)) for mode in peaks
     )
