@@ -96,7 +96,15 @@ def test_what_is_claimed(text, claim):
 CLEAR = "I am on Speicherweg. The museum is south of me."
 
 
-@pytest.mark.parametrize("more", ["", " I am on King Street West.", " The Xyzal is next to me."])
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        " I am on King Street West.",
+        " Xyzal Motors is next to me.",
+        " The Golden Dragon Restaurant is west.",
+    ],
+)
 def test_what_the_map_lacks_is_named(harbour, more):
     estimate = harbour.locate(CLEAR + more)
     assert (estimate.status is Status.OK) == (not more)

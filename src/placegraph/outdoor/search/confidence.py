@@ -104,18 +104,13 @@ class Doubt:
 def doubt_of(query: Query, city: City) -> Doubt:
     """What of a query stands in the way of being sure.
 
-    A name counts where something is said of it, unless it is no wonder that the map lacks it: a map
-    of points alone is a list of landmarks, and a map without any thing of its kind lacks them all.
+    A name counts where something is said of it, but not on a map of points alone: that is a list of
+    landmarks, and it is no wonder what it lacks.
     """
     told = query.description
     unread = [i.text.strip() for i in told.ignored if i.reason in UNREAD]
     spoken = {node for s in told.statements for node in (*ends(s), s.target2)}
-    missing = [
-        told.mentions[node].name
-        for node in sorted(query.by_kind & spoken)
-        if not (senses := told.mentions[node].senses)
-        or any(sense.label in city.label_index for sense in senses)
-    ]
+    missing = [told.mentions[node].name for node in sorted(query.by_kind & spoken)]
     if (city.objects.kind == POINT).all():
         missing = []
     return Doubt(tuple(dict.fromkeys(missing)), tuple(dict.fromkeys(filter(None, unread))))
