@@ -94,6 +94,8 @@ class Language(Phrases):
         self.things: Mapping[str, list[str]] = table.get("things", {})
         """Everyday words of things, by what they mean: an English word or a tag."""
         self.say: Mapping[str, Any] = table.get("say", {})
+        """How a statement is said: frames with slots, and what is done to a noun in a slot."""
+        self._compass: Mapping[str, list[str]] = table.get("compass", {})
         counts = {word: int(n) for word, n in self.measures.numbers.items() if n >= 1}
         self.counts: Mapping[str, int] = COUNTS if code == "en" else counts
         super().__init__(_phrases(table, self.counts))
@@ -134,6 +136,10 @@ class Language(Phrases):
     def _road_ends(self) -> tuple[str, ...]:
         """How names of roads end before an ending is added."""
         return tuple(stem for word in self.lists["road_words"] for stem in self.forms.stems(word))
+
+    def said_of_compass(self, degrees: int) -> tuple[str, ...]:
+        """Ways to say a direction of the compass, the commonest first."""
+        return tuple(self._compass.get(str(degrees), ()))
 
     @cached_property
     def words(self) -> frozenset[str]:

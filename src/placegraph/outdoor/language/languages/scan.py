@@ -22,6 +22,7 @@ _UNKNOWN = 3.0
 _STOPS = ".!?;…。！？｡؟؛।"
 _COMMAS = r",:()\[\]–—/、，،：（）《》〈〉"
 _QUOTED = re.compile(r"[「『“„«][^」』”“»\n]{1,60}[」』”“»]|(?<!\w)\"[^\"\n]{1,60}\"(?!\w)")
+_TAG = r"[A-Za-z][A-Za-z0-9_]*=(?:\*|[A-Za-z0-9_][A-Za-z0-9_:;-]*) | [A-Za-z0-9]+_\S*[^\s.,;:!?]"
 _KATAKANA = re.compile(r"[ァ-ヺー]+")
 
 
@@ -69,7 +70,7 @@ def _pattern(language: Language) -> re.Pattern[str]:
         rf"""
         (?P<measure>{start}{before}(?P<number>{number}){gap}(?P<unit>{units}){end})
       | (?P<quoted>{_QUOTED.pattern})
-      | (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
+      | (?P<label>{_TAG})
       | (?P<word>(?:{letter})+(?:['’`´״׳"][^\W_]+)*['’]?|&)
       | (?P<comma>[{_COMMAS}]|\s--?\s)
       | (?P<stop>[{_STOPS}]+|\n\s*\n)
