@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from placegraph.errors import InputError, OptionError
+from placegraph.language.check import Ignored
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, SPEAKER
 from placegraph.outdoor.language.languages.language import tables
@@ -84,3 +86,56 @@ def test_examples(code, example):
             left.remove(found)
     surplus = [(s, [m.words for m in description.mentions]) for s in left]
     assert (missing, surplus) == ([], []), description.ignored
+
+
+@pytest.mark.parametrize(
+    ("text", "language", "said"),
+    [
+        ("30 m north of the Kirche", "en", 1),
+        ("Bakery, restaurant, museum, park.", "en", 4),
+        ("a church", "en", 1),
+        ("I see Кафе Пушкин", "en", 1),
+        ("The bakery is north of me. Die Kirche ist östlich der Bäckerei.", "de", 2),
+        ("\u202bDie \u200fKirche\u202c ist nörd\u00adlich von mir.", "de", 1),
+        ("ｔｈｅ　ｂａｋｅｒｙ　ｉｓ　ｎｏｒｔｈ　ｏｆ　ｍｅ", "en", 1),
+        ("ﾊﾟﾝ屋は教会の北です。", "ja", 1),
+        ("Die bicycle_parking liegt südlich der amenity=bench.", "de", 1),
+        ("où suis-je", "fr", 0),
+    ],
+)
+def test_the_language_is_recognised_whatever_the_letters(text, language, said):
+    description = describe(text)
+    assert (description.language, len(description.statements)) == (language, said)
+    assert description.text == text
+
+
+@pytest.mark.parametrize("text", ["A templom északra van tőlem.", "Kostel je na sever od školy."])
+def test_what_is_in_no_known_language_is_told(text):
+    description = describe(text)
+    assert description.language == ""
+    assert description.ignored[-1] == Ignored(text, "in no language that is known")
+
+
+def test_a_language_that_there_is_not():
+    with pytest.raises(OptionError, match=r"language is 'xx'; choose one of .*de, .*fi, .*ja"):
+        describe("A church.", language="xx")
+
+
+@pytest.mark.parametrize(
+    ("table", "fault"),
+    [
+        ("[who]\nME = ['i']", "the field 'name' is missing"),
+        ("name = 'X'\n[who]\nME = 'i'", r"the field 'who\.ME' is 'i'; write a list of phrases"),
+        ("name = 'X'\n[who]\nMI = ['i']", "the key 'MI' of 'who' is not known; choose from"),
+        ("name = 'X'\n[compass]\n10 = ['i']", "the key '10' of 'compass' is not known"),
+        ("name = 'X'\n[compas]\n0 = ['i']", "there is no field 'compas'"),
+        ("name = 'X'\n[forms]\nchanges = ['kk']", r"the field 'forms\.changes' is"),
+        ("name = 'X'\n[measures.units]\nm = ['m']", r"the key 'm' of 'measures\.units'"),
+        ("name = ", "is no table of a language"),
+    ],
+)
+def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):
+    (tmp_path / "languages").mkdir()
+    (tmp_path / "languages/qq.toml").write_text(table, "utf-8")
+    with pytest.raises(InputError, match=rf"qq\.toml: .*{fault}"):
+        describe("A church.", language="qq", vocabulary=Vocabulary.load(tmp_path))

@@ -93,9 +93,14 @@ def describe(
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
     vocabulary = vocabulary or Vocabulary.default()
-    folder = vocabulary.sources.folder if isinstance(vocabulary, Vocabulary) else None
+    sources = vocabulary.sources if isinstance(vocabulary, Vocabulary) else None
     cleaned = clean(text)
-    parts = stretches(cleaned, language, folder)
+    parts = stretches(
+        cleaned,
+        language,
+        sources.folder if sources else None,
+        sources.words.english if sources else (),
+    )
     sentences = [
         (sentence, part.language)
         for part in parts

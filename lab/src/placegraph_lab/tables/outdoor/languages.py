@@ -46,8 +46,9 @@ class Tongue:
         if self.code == "en":
             return self.words.spoken(label)
         fallback = self.words.spoken(label)
-        if own := self.things.get(label) or self.table.things.get(fallback):
-            return own if isinstance(own, str) else own[0]
+        key, _, value = label.partition("=")
+        if own := self.things.get(label) or self.things.get(f"{key}=*" if key == value else label):
+            return own
         for code in (self.code, *VARIANTS.get(self.code, ())):
             word = self.words.spoken(label, language=code)
             if word != fallback:

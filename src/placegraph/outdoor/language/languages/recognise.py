@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import re
 from functools import cache
+from hashlib import sha256
 from typing import TYPE_CHECKING, NamedTuple
 
+from placegraph.kept import kept
 from placegraph.outdoor.language.languages.language import english, language, tables
+from placegraph.outdoor.language.vocabulary.text import singular
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator, Mapping
     from pathlib import Path
 
     from placegraph.outdoor.language.languages.language import Language
 
+VERSION = "1"
+"""Of what is kept."""
 UNKNOWN = ""
 """Code of a text of which no language is recognised; it is read as English."""
 _SENTENCE = re.compile(r"[^.!?。！？؟\n]*(?:[.!?。！？؟]+(?=\s|$|[^\x00-\x7f])|\n|$|[.!?。！？؟]+)")
@@ -48,6 +54,8 @@ _FEW = 0.75
 """... and how many words at least, each shared with those who know it as well."""
 _ALIKE = 0.1
 """Languages whose scores differ by less are as likely as each other."""
+_FOREIGN = 0.75
+"""How much a word with letters that a language lacks speaks against it."""
 
 
 class Stretch(NamedTuple):
@@ -77,27 +85,33 @@ class _Signs(NamedTuple):
 
 @cache
 def _signs(folder: Path | None) -> _Signs:
-    """Words of the grammar of every language: found without parsing the tables, which takes longer."""
+    """Words of all languages: found without parsing the tables, which takes longer, and kept."""
+    texts = {code: table.read_text("utf-8") for code, table in tables(folder).items()}
+    digest = sha256("\0".join((VERSION, *texts, *texts.values())).encode()).hexdigest()[:16]
+    made = kept(f"languages-{digest}.json", lambda: _made(texts), json.loads)
+    words, scripts, things, letters = (
+        {word: tuple(codes) for word, codes in part.items()} for part in made
+    )
+    return _Signs(words, scripts, things, {code: frozenset(own) for code, own in letters.items()})
+
+
+def _made(texts: Mapping[str, str]) -> bytes:
+    """JSON of the languages of every word of the grammar, script, and word for a thing."""
     words: dict[str, set[str]] = {}
     scripts: dict[str, set[str]] = {}
     things: dict[str, set[str]] = {}
     letters: dict[str, set[str]] = {}
-    for code, table in tables(folder).items():
-        text = table.read_text("utf-8")
+    for code, text in texts.items():
         head = text.partition("\n[")[0]
         listed = re.search(r"^scripts\s*=\s*\[(.*)\]", head, re.MULTILINE)
         for script in _PHRASE.findall(listed[1]) if listed else ():
             scripts.setdefault(script, set()).add(code)
-        for pattern, kept in ((_GRAMMAR, words), (_THINGS, things)):
+        for pattern, found in ((_GRAMMAR, words), (_THINGS, things)):
             for word in _listed(pattern, text):
                 letters.setdefault(code, set()).update(word)
-                kept.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
-    alphabets = {code: frozenset(found) for code, found in letters.items()}
-    return _Signs(_sorted(words), _sorted(scripts), _sorted(things), alphabets)
-
-
-def _sorted(kept: dict[str, set[str]]) -> dict[str, tuple[str, ...]]:
-    return {word: tuple(sorted(found)) for word, found in kept.items()}
+                found.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
+    parts = (words, scripts, things, letters)
+    return json.dumps([{key: sorted(of) for key, of in part.items()} for part in parts]).encode()
 
 
 def _listed(pattern: re.Pattern[str], text: str) -> Iterator[str]:
@@ -108,7 +122,12 @@ def _listed(pattern: re.Pattern[str], text: str) -> Iterator[str]:
                 yield from phrase.lower().split()
 
 
-def stretches(text: str, code: str | None, folder: Path | None = None) -> list[Stretch]:
+def stretches(
+    text: str,
+    code: str | None,
+    folder: Path | None = None,
+    things: Collection[str] = (),
+) -> list[Stretch]:
     """Cut a text into parts of one language each.
 
     Parameters
@@ -119,6 +138,8 @@ def stretches(text: str, code: str | None, folder: Path | None = None) -> list[S
         The language, where it is known.
     folder
         A user's folder, whose ``languages`` are known too.
+    things
+        English words for things, whose table lists none.
 
     Raises
     ------
@@ -131,16 +152,17 @@ def stretches(text: str, code: str | None, folder: Path | None = None) -> list[S
     if text.isascii() and all(_is_english(text[a:b]) for a, b in spans):
         return [Stretch(0, len(text), english())]
     signs = _signs(folder)
-    whole = _best(_scores(text, signs, folder), english=True)
+    whole = _best(_evidence(text, signs, things, folder), english=True)
     found: list[Stretch] = []
     for start, end in spans:
-        scored = _scores(text[start:end], signs, folder)
-        told = _best(scored, english=False, likely=whole) or whole
+        evidence = _evidence(text[start:end], signs, things, folder)
+        told = _best(evidence, english=False, likely=whole) or whole
         tongue = english() if told == UNKNOWN else language(told, folder)
-        if found and found[-1].language is tongue:
+        part = Stretch(start, end, tongue, told != UNKNOWN)
+        if found and found[-1][2:] == part[2:]:
             found[-1] = found[-1]._replace(end=end)
         else:
-            found.append(Stretch(start, end, tongue, told != UNKNOWN))
+            found.append(part)
     return found or [Stretch(0, len(text), english(), whole != UNKNOWN)]
 
 
@@ -149,10 +171,19 @@ def _is_english(sentence: str) -> bool:
     return not words or not _PLAIN.isdisjoint(words)
 
 
-def _scores(text: str, signs: _Signs, folder: Path | None) -> tuple[dict[str, float], int]:
-    """How much speaks for each language, and of how many words."""
+class _Evidence(NamedTuple):
+    scores: dict[str, float]
+    """How much speaks for each language."""
+    words: int
+    """Of how many words."""
+    english: int
+    """How many of them are English, whatever else they are."""
+
+
+def _evidence(text: str, signs: _Signs, things: Collection[str], folder: Path | None) -> _Evidence:
+    """What the words of a text speak for."""
     scores: dict[str, float] = {}
-    count = 0
+    count = known = 0
     words = list(_words(text, signs))
     for word in words:
         script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
@@ -168,14 +199,20 @@ def _scores(text: str, signs: _Signs, folder: Path | None) -> tuple[dict[str, fl
         codes, weight = signs.words.get(word, ()), 1.0
         if not codes:
             codes, weight = signs.things.get(word, ()), _THING
+            codes = (*codes, "en") if word in things or singular(word) in things else codes
+        known += "en" in codes
         for code in codes:
             scores[code] = scores.get(code, 0.0) + weight / len(codes)
         own = () if script == "Latin" or codes else signs.scripts.get(script, ())
         own = tuple(code for code in own if signs.letters[code].issuperset(word)) or own
         for code in own:
             scores[code] = scores.get(code, 0.0) + 0.7 / len(own)
+    for code, letters in signs.letters.items():
+        foreign = sum(not letters.issuperset(word) for word in words if not word.isascii())
+        if code in scores and code != "en":
+            scores[code] -= _FOREIGN * foreign
     _untie(scores, [word for word in words if word not in signs.words], folder)
-    return scores, count
+    return _Evidence(scores, count, known)
 
 
 def _words(text: str, signs: _Signs) -> Iterator[str]:
@@ -199,13 +236,13 @@ def _untie(scores: dict[str, float], words: list[str], folder: Path | None) -> N
         scores[code] += _ALIKE * sum(tongue.has_thing(word) for word in words)
 
 
-def _best(scored: tuple[dict[str, float], int], *, english: bool, likely: str = "") -> str:
+def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
     """Language for which most speaks; unknown where that is too little.
 
     `english`: whether one known English word is enough, as it always was. `likely`: which it is if
     several are as good.
     """
-    scores, count = scored
+    scores, count, known = evidence
     if not scores:
         return UNKNOWN
     code = max(scores, key=lambda code: (scores[code], code == "en"))
@@ -214,4 +251,6 @@ def _best(scored: tuple[dict[str, float], int], *, english: bool, likely: str = 
     if english and scores.get("en", 0.0) >= 0.5 and scores["en"] >= scores[code] - 0.5:
         return "en"
     enough = scores[code] >= max(_FEW, _LEAST * count) if count > 1 else scores[code] >= _FEW
-    return code if enough else UNKNOWN
+    if enough:
+        return code
+    return "en" if english and 2 * known >= count else UNKNOWN
