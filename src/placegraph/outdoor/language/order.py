@@ -69,7 +69,13 @@ def _at(chunk: Chunk, kind: str) -> Chunk:
 
 def _genitives(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
     """Put an OF between a direction or a part and the thing that follows it: "nördlich der Kirche"."""
+    between = ""
     for i, chunk in enumerate(chunks):
+        between = chunk.type if chunk.type in ("BETWEEN", "AND", "CUT") else between
+        if chunk.type == "OF" and between == "BETWEEN" and chunks[i - 1].type in ("NOUN", "NAME"):
+            yield replace(chunk, type="AND")  # "בין בית הספר ל|כנסייה"
+            between = ""
+            continue
         following = chunks[i + 1].type if i + 1 < len(chunks) else ""
         if chunk.type == "NEARBY" and following in (*_OWNED, "OF", "NOUN", "NAME"):
             yield replace(chunk, type="PREP", value="near")  # "in der Nähe der Kirche"

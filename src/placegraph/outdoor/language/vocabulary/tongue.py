@@ -61,6 +61,7 @@ class LanguageWords:
         for word, labels in sources.words.tongues.get(language.code, {}).items():
             self._own.setdefault(folded(word), {word: sources.ranked(labels)})
         self._letters = self._world.letters(language.code)
+        self._articles = language.lists["articles"].intersection(language.prefixes)
         self._bins: dict[str, dict[str, list[str]]] = {}
         self._own_bins: dict[str, list[str]] = {}
         for word in self._own:
@@ -87,7 +88,9 @@ class LanguageWords:
                 continue
             if n > 1 and not all(normal(word) for word in words):
                 continue
-            found = self.find(" ".join(words))
+            # an article inside a name of a thing: "בית ה|ספר"
+            bare = [word for word in words[1:-1] if word not in self._articles]
+            found = self.find(" ".join((words[0], *bare, *words[1:][-1:])))
             if found is not None and found.senses[0].weight >= (_CLEAR if n == 1 else 0.0):
                 return n, found.senses
         return None
