@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.cases import told
 from placegraph.outdoor.language.head_first import head_first
+from placegraph.outdoor.language.verb_first import existing, gapped
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -59,7 +60,10 @@ def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
         if order.verb_final:
             items = list(_verbs(items))
         chunks = [chunk for item in items for chunk in _told(item)]
-    return _one_lead([chunk for chunk in chunks if chunk.type not in CASES])
+    chunks = _one_lead([chunk for chunk in chunks if chunk.type not in CASES])
+    if not (order.head_first or order.verb_final):
+        chunks = existing(chunks)
+    return gapped(chunks)
 
 
 def _at(chunk: Chunk, kind: str) -> Chunk:

@@ -7,6 +7,7 @@ verb speaks of.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
@@ -96,6 +97,20 @@ def existing(chunks: list[Chunk]) -> list[Chunk]:
     return found
 
 
+def gapped(chunks: list[Chunk]) -> list[Chunk]:
+    """Say the verb that is left out: "nördlich ist eine Schule, südlich davon [ist] ein Park"."""
+    found = list(chunks)
+    joints = [i for i, chunk in enumerate(chunks) if chunk.type in ("AND", "CUT", "COND")]
+    for start, end in reversed([*pairwise([*joints, len(chunks)])]):
+        part = chunks[start + 1 : end]
+        verbs = [chunk.type in VERBS for chunk in chunks]
+        if not any(verbs[:start]) or any(verbs[start:end]) or kind(part, 0) not in _PLACES:
+            continue
+        if thing := _new_thing(part, 0):
+            found.insert(start + 1 + thing, mark(part[thing], "EXISTS"))
+    return found
+
+
 def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
     """Where, behind a whole place that begins at `start`, a new thing begins; 0 if none does."""
     for i in range(start + 1, len(chunks)):
@@ -103,7 +118,7 @@ def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
             return 0
         joint = kind(chunks, i - 1) == "AND"
         before = kind(chunks, i - 1 - joint)
-        bare = chunks[i].type == "NOUN" and before in ("DIR", "NEARBY", "ME", "HERE")
+        bare = chunks[i].type == "NOUN" and before in ("DIR", "NEARBY", "ME", "HERE", "IT")
         if (chunks[i].type in NEW or bare) and before in _ENDS:
             return 0 if joint and chunks[i - 1].words not in (",", ":") else i
     return 0
