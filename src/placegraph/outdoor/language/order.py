@@ -6,7 +6,7 @@ verb between what it speaks of. Where a language has postpositions or final verb
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import pi
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.cases import told
 from placegraph.outdoor.language.head_first import head_first
 from placegraph.outdoor.language.verb_first import existing, gapped
+from placegraph.outdoor.language.verb_last import LEADS, PERSONS, Item, verbs_last
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,27 +24,9 @@ if TYPE_CHECKING:
 
 CASES = frozenset(("GEN", "DROP"))
 """Markers that only order needs; they are not in the grammar."""
-_LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF", "WITH")
-_PERSONS = ("ME", "YOU", "IT", "SPOT", "THIS")
 _OWNED = ("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD")
 _RELATIONS = ("DIR", "SHORT", "PREP", "BETWEEN", "ACROSS", "PART")
 _MEASURED = ("DIST", "AWAY")
-_FINAL = ("EXISTS", "BE", "SEE", "HAVE")
-
-
-@dataclass
-class _Item:
-    """A thing with its marker, a place, or another chunk."""
-
-    kind: str
-    """``thing``, ``place``, or the type of the one chunk."""
-    chunks: list[Chunk]
-    case: list[str] = field(default_factory=list)
-    """Types of the markers behind a thing."""
-
-    @property
-    def person(self) -> bool:
-        return self.kind == "thing" and self.chunks[0].type in _PERSONS
 
 
 def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
@@ -58,7 +41,7 @@ def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     if order.postpositions:
         items = list(_related(_items(chunks, order), marked=order.marked))
         if order.verb_final:
-            items = list(_verbs(items))
+            items = list(verbs_last(items))
         chunks = [chunk for item in items for chunk in _told(item)]
     chunks = _one_lead([chunk for chunk in chunks if chunk.type not in CASES])
     if not (order.head_first or order.verb_final):
@@ -103,29 +86,29 @@ def _one_lead(chunks: list[Chunk]) -> list[Chunk]:
     return [
         chunk
         for chunk, after in zip(chunks, following, strict=True)
-        if not (chunk.type in ("IN", "ON", "AT", "TO") and after in (*_LEADS, "PREP", "BETWEEN"))
+        if not (chunk.type in ("IN", "ON", "AT", "TO") and after in (*LEADS, "PREP", "BETWEEN"))
     ]
 
 
-def _items(chunks: Sequence[Chunk], order: Order) -> list[_Item]:
+def _items(chunks: Sequence[Chunk], order: Order) -> list[Item]:
     """Group the chunks of a thing, and the markers behind it."""
-    items: list[_Item] = []
+    items: list[Item] = []
     for chunk in chunks:
         last = items[-1] if items else None
-        if chunk.type in (*CASES, *_LEADS):
+        if chunk.type in (*CASES, *LEADS):
             if last is not None and last.kind == "thing":
                 last.case.append(chunk.type)
-            elif last is None or last.kind not in (*_RELATIONS, *_MEASURED):
-                items.append(_Item(chunk.type, [chunk]))
+            elif last is None or last.kind not in (*_RELATIONS, *_MEASURED, "NEARBY", "HERE"):
+                items.append(Item(chunk.type, [chunk]))
         elif chunk.type == "ADVERB" and chunk.value == "skip":
             continue
-        elif chunk.type in ("NOUN", "NAME", *_OWNED, *_PERSONS):
+        elif chunk.type in ("NOUN", "NAME", *_OWNED, *PERSONS):
             if last is not None and _continues(last, chunk):
                 last.chunks.append(chunk)
             else:
-                items.append(_Item("thing", [chunk]))
+                items.append(Item("thing", [chunk]))
         else:
-            items.append(_Item(chunk.type, [chunk]))
+            items.append(Item(chunk.type, [chunk]))
     items = [item for item in items if item.kind not in CASES]
     for i, item in enumerate(items):
         behind = i and items[i - 1].kind == "thing" and (items[i - 1].case or not order.marked)
@@ -135,9 +118,9 @@ def _items(chunks: Sequence[Chunk], order: Order) -> list[_Item]:
     return items
 
 
-def _continues(last: _Item, chunk: Chunk) -> bool:
+def _continues(last: Item, chunk: Chunk) -> bool:
     """Tell whether a chunk is of the thing before it."""
-    if last.kind != "thing" or last.person or last.case or chunk.type in _PERSONS:
+    if last.kind != "thing" or last.person or last.case or chunk.type in PERSONS:
         return False
     before = last.chunks[-1].type
     if before in _OWNED:
@@ -145,9 +128,9 @@ def _continues(last: _Item, chunk: Chunk) -> bool:
     return (before, chunk.type) in (("NAME", "NOUN"), ("NOUN", "NAME"))
 
 
-def _related(items: list[_Item], *, marked: bool) -> Iterator[_Item]:
+def _related(items: list[Item], *, marked: bool) -> Iterator[Item]:
     """Bring a thing behind the relation that follows it: "kirkon vieressä" is "beside the church"."""
-    found: list[_Item] = []
+    found: list[Item] = []
     i = 0
     while i < len(items):
         end = i
@@ -157,18 +140,22 @@ def _related(items: list[_Item], *, marked: bool) -> Iterator[_Item]:
             found.append(items[i])
             i += 1
             continue
-        _relate(found, items[i:end], marked=marked)
+        shows = end < len(items) and items[end].kind == "thing"
+        _relate(found, items[i:end], marked=marked, shows=shows)
         i = end
     return iter(_owners(found))
 
 
-def _relate(found: list[_Item], words: list[_Item], *, marked: bool) -> None:
-    """Append a relation, and what of the things before it is its own."""
+def _relate(found: list[Item], words: list[Item], *, marked: bool, shows: bool) -> None:
+    """Append a relation, and what of the things before it is its own.
+
+    `shows`: another thing follows.
+    """
     kinds = [word.kind for word in words]
     hedges = [found.pop()] if found and found[-1].kind == "ADVERB" else []
     relations = [word for word in words if word.kind not in _MEASURED]
     measured = [word for word in words if word.kind in _MEASURED]
-    if not _takes(found, kinds, marked=marked):
+    if not _takes(found, kinds, marked=marked, shows=shows):
         found += [*hedges, *measured, *relations]
         return
     things = [found.pop()]
@@ -185,10 +172,10 @@ def _relate(found: list[_Item], words: list[_Item], *, marked: bool) -> None:
     heads = [_as_of_a_thing(chunk, target[0]) for word in relations for chunk in word.chunks]
     lead, between = _words_between(relations, target[0])
     found += hedges
-    found.append(_Item("place", [*distance, *lead, *heads, *between, *target]))
+    found.append(Item("place", [*distance, *lead, *heads, *between, *target]))
 
 
-def _words_between(relations: list[_Item], target: Chunk) -> tuple[list[Chunk], list[Chunk]]:
+def _words_between(relations: list[Item], target: Chunk) -> tuple[list[Chunk], list[Chunk]]:
     """Words that the grammar wants before a relation, and between it and its thing."""
     kind = relations[-1].kind if relations else ""
     if kind == "DIR" and _stands_in_line(relations[-1].chunks[0], target):
@@ -212,12 +199,13 @@ def _as_of_a_thing(chunk: Chunk, target: Chunk) -> Chunk:
     return replace(chunk, type="PREP", value="behind" if chunk.value.bearing else "front")
 
 
-def _takes(found: list[_Item], kinds: Sequence[str], *, marked: bool) -> bool:
+def _takes(found: list[Item], kinds: Sequence[str], *, marked: bool, shows: bool) -> bool:
     """Tell whether the thing before a relation is what it relates to."""
     if not found or found[-1].kind != "thing" or "DROP" in found[-1].case:
         return False
     case = found[-1].case
-    if len(found) > 1 and found[-2].kind == "SEE":
+    seen = any(item.kind == "SEE" for item in found)
+    if seen and not shows and len(found) > 1 and found[-2].kind in ("SEE", "AND"):
         return False  # what is seen, and then where
     if all(kind in _MEASURED for kind in kinds):
         return "FROM" in case or (len(found) > 1 and found[-2].kind == "FROM")
@@ -226,9 +214,9 @@ def _takes(found: list[_Item], kinds: Sequence[str], *, marked: bool) -> bool:
     return bool(case) or not marked
 
 
-def _owners(items: list[_Item]) -> list[_Item]:
+def _owners(items: list[Item]) -> list[Item]:
     """Bring an owner behind what it owns: "puiston portti" is "the gate of the park"."""
-    found: list[_Item] = []
+    found: list[Item] = []
     for item in items:
         owner = found[-1] if found else None
         if (
@@ -238,61 +226,15 @@ def _owners(items: list[_Item]) -> list[_Item]:
             and owner.case == ["GEN"]
         ):
             found.pop()
-            if item.kind == "thing" and not owner.person and item.chunks[0].type not in _PERSONS:
-                place = _Item("place", [_at(owner.chunks[0], "OF"), *owner.chunks])
+            if item.kind == "thing" and not owner.person and item.chunks[0].type not in PERSONS:
+                place = Item("place", [_at(owner.chunks[0], "OF"), *owner.chunks])
                 found += [item, place]
                 continue
         found.append(item)
     return found
 
 
-def _told(item: _Item) -> list[Chunk]:
+def _told(item: Item) -> list[Chunk]:
     """Chunks of an item; the case of a thing becomes a word before it."""
-    lead = [case for case in item.case if case in _LEADS][-1:]
+    lead = [case for case in item.case if case in LEADS][-1:]
     return [*[_at(item.chunks[0], case) for case in lead], *item.chunks]
-
-
-def _verbs(items: list[_Item]) -> Iterator[_Item]:
-    """Bring final verbs to where the grammar has them."""
-    clause: list[_Item] = []
-    i = 0
-    while i < len(items):
-        item = items[i]
-        i += 1
-        if item.kind not in _FINAL:
-            clause.append(item)
-            if item.kind in ("CUT", "COND"):
-                yield from clause
-                clause = []
-            continue
-        verb = [item]
-        while i < len(items) and items[i].kind == "NOT":
-            verb.append(items[i])
-            i += 1
-        yield from _verb_placed(clause, verb)
-        clause = []
-    yield from clause
-
-
-def _verb_placed(clause: list[_Item], verb: list[_Item]) -> list[_Item]:
-    joints = []
-    while clause and clause[0].kind == "AND":
-        joints.append(clause[0])
-        clause = clause[1:]
-    free = [n for n, item in enumerate(clause) if item.kind == "thing" and not _lead(item)]
-    kind = verb[0].kind
-    if free and kind in ("EXISTS", "BE") and free[0] == 0 and (len(clause) > 1 or kind == "BE"):
-        return [*joints, clause[0], _Item("BE", [replace(verb[0].chunks[0], type="BE")]),
-                *verb[1:], *clause[1:]]  # fmt: skip
-    seen = [n for n in free if not clause[n].person]
-    if not seen or (kind == "BE" and seen[0] == 0):
-        kept = verb[1:] if kind in ("BE", "EXISTS") else verb  # "教会の北です": a place alone
-        return [*joints, *kept, *clause] if kind != "SEE" else [*joints, *clause, *kept]
-    at = seen[0]
-    while at and clause[at - 1].kind == "NOT":
-        at -= 1
-    return [*joints, *clause[:at], *verb, *clause[at:]]
-
-
-def _lead(item: _Item) -> bool:
-    return any(case in _LEADS for case in item.case)

@@ -228,12 +228,13 @@ def _words(text: str, signs: _Signs) -> Iterator[str]:
 
 
 def _untie(scores: dict[str, float], words: list[str], folder: Path | None) -> None:
-    """Let everyday words of things speak where those of the grammar speak for several alike."""
+    """Let words of things, in any form, speak where those of the grammar say little or too much."""
     best = max(scores.values(), default=0.0)
-    tied = [code for code, score in scores.items() if score > best - _ALIKE and code != "en"]
-    for code in tied if len(tied) > 1 else ():
+    near, weight = (best, _THING) if best < _FEW else (_ALIKE, _ALIKE)
+    tied = [code for code, score in scores.items() if score > best - near and code != "en"]
+    for code in tied if len(tied) > 1 or best < _FEW else ():
         tongue = language(code, folder)
-        scores[code] += _ALIKE * sum(tongue.has_thing(word) for word in words)
+        scores[code] += weight * sum(tongue.has_thing(word) for word in words)
 
 
 def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
