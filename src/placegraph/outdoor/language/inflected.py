@@ -160,6 +160,11 @@ class InflectedNames(ProperNames):
         """Streets whose kind stands first, too: "rue de la Paix"."""
         return self._street_after(i) or super()._small_street(i, known, n_noun)
 
+    def _is_onto_next(self, i: int) -> bool:
+        """Tell whether word i is a prefix that is written onto the word behind it."""
+        glued = i + 1 < len(self.words) and self.words[i].end == self.words[i + 1].start
+        return glued and self.lower[i] in self.lexicon.prefixes
+
     def _street_after(self, i: int) -> int:
         at = i + 1
         while at < len(self.words) and self.lower[at] in self.lists["connectives"]:
@@ -169,6 +174,8 @@ class InflectedNames(ProperNames):
         )
         if not place and self.lower[i] not in self.lists["street_prefixes"]:
             return 0
+        if not place and self._is_onto_next(at):
+            at += 1  # "רחוב המלך": an article written onto the name
         if at >= len(self.words) or self.words[at].kind != "word":
             return 0
         bare = _lacks_capitals(self.words[at]) and not self.lexicon.longest(self.lower, at)
