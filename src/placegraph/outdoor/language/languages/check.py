@@ -113,12 +113,14 @@ def _section(
     for key, inner in value.items():
         angle, _, part = key.partition(" ")
         if section.startswith("compass") or section == "facing":
-            of_what = known is None or part in ("", "OF", *known["parts"])
+            of_what = known is None or part in ("", "OF", "OF ME", *known["parts"])
             right = angle in _ANGLES and of_what
             choice = ", ".join(sorted(_ANGLES))
         else:
             allowed = known.get(section) if known is not None else None
-            others = known["who"] if known is not None and section == "relations" else frozenset()
+            others: frozenset[str] = frozenset()
+            if known is not None and section in ("relations", "prepositions"):
+                others = known["who"] | {"BE"}  # "dahinter", "yanındayım"
             right = allowed is None or (allowed | others).issuperset(key.split())
             choice = ", ".join(sorted(allowed or ()))
         if not key or not right:

@@ -248,8 +248,8 @@ def _terminals(
             sigma = DIAGONAL_SIGMA if degrees % 90 else CARDINAL_SIGMA
             direction = Direction(radians(degrees), sigma, facing=section == "facing")
             yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
-            if part == "OF":  # "севернее": north of
-                yield Terminal(part)
+            if part.startswith("OF"):  # "севернее": north of; "kuzeyimde": north of me
+                yield from map(Terminal, part.split())
             elif part:  # "nordseite": the north side
                 yield Terminal("PART", part)
         case "relations":
