@@ -68,9 +68,9 @@ class Claim:
     """Of the share within `WITHIN`, which a place's probability speaks of."""
 
 
-IN_SIGHT = Claim(WITHIN, Trust(-0.14, 0.91), Trust(-0.14, 0.91))
+IN_SIGHT = Claim(WITHIN, Trust(-0.12, 0.8), Trust(-0.12, 0.8))
 """Of a text about what is in sight of the speaker."""
-AT_A_PLACE = Claim(250.0, Trust(-0.13, 0.43), Trust(-0.57, 0.37))
+AT_A_PLACE = Claim(250.0, Trust(-0.11, 0.42), Trust(-0.57, 0.36))
 """Of a text that tells the way, or which thing one stands at: people mean the block, and landmarks
 are drawn as points."""
 
