@@ -159,7 +159,7 @@ def test_the_way_from_a_known_listener(harbour, hafenstadt):
         "((((((",
         "I am north of you.",
         "I am north of myself.",
-        "我在长椅旁边",
+        "მე სკამთან ვარ",
     ],
 )
 def test_lost(text, harbour):

@@ -139,3 +139,15 @@ def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):
     (tmp_path / "languages/qq.toml").write_text(table, "utf-8")
     with pytest.raises(InputError, match=rf"qq\.toml: .*{fault}"):
         describe("A church.", language="qq", vocabulary=Vocabulary.load(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Ég stend hjá Palais Aurore. Norðan við mig er stórt tré og austan við mig er brú.",
+        "Tôi đang đứng gần Jardin Des Enfants. Phía bắc có một cái cây to, phía đông là cầu.",
+    ],
+)
+def test_little_evidence_is_no_error(text):
+    """A sentence speaks against French, and for no language; the text as a whole is taken for English."""
+    assert describe(text).text == text

@@ -247,7 +247,7 @@ def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
     if not scores:
         return UNKNOWN
     code = max(scores, key=lambda code: (scores[code], code == "en"))
-    if scores.get(likely, 0.0) > scores[code] - 0.5 * _ALIKE:
+    if likely in scores and scores[likely] > scores[code] - 0.5 * _ALIKE:
         code = likely
     if english and scores.get("en", 0.0) >= 0.5 and scores["en"] >= scores[code] - 0.5:
         return "en"
