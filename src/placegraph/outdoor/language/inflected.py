@@ -40,7 +40,10 @@ class InflectedChunker(Chunker):
             return True
         if len(word) == 1 and "\u3041" <= word <= "\u30ff":
             return False  # a letter of Japanese, not a word
-        return self.dictionary.known(word) or (len(word) > 1 and self.proper.is_one(word))
+        if self.dictionary.known(word) or (len(word) > 1 and self.proper.is_one(word)):
+            return True
+        # of several words only the first may have a prefix
+        return bool(self.lexicon.prefixes) and self.dictionary.begins(word)
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Chunks of a sentence, in the order of the grammar."""
@@ -179,7 +182,9 @@ class InflectedNames(ProperNames):
         if at >= len(self.words) or self.words[at].kind != "word":
             return 0
         bare = _lacks_capitals(self.words[at]) and not self.lexicon.longest(self.lower, at)
-        if not (self.words[at].capital or bare):
+        noun = self.vocabulary.longest_match(self.lower, i)
+        common = bare and noun is not None and noun[0] > 1  # a "foot path" in its own script
+        if common or not (self.words[at].capital or bare):
             return 0
         end = at + 1
         while end < len(self.words) and self.words[end].kind == "word" and self.words[end].capital:

@@ -98,14 +98,19 @@ class Lexicon:
         first = _key(self._lines[at])
         return first == key or first.startswith(key + " ")
 
-    def entries(self, word: str) -> tuple[list[Entry], bool]:
-        """Meanings of a word in normal form, and whether it was found with its diacritics."""
+    def entries(self, word: str, letters: str = "") -> tuple[list[Entry], bool]:
+        """Meanings of a word in normal form, and whether it was found with its diacritics.
+
+        `letters`: in the languages of these letters only, if any are given.
+        """
         key = folded(word)
         at = bisect_left(self._lines, key, key=_key)
         near: list[Entry] = []
         while at < len(self._lines) and _key(self._lines[at]) == key:
             entries = _entries(self._lines[at])
-            if _word(self._lines[at]) == word:
+            if letters:
+                entries = [entry for entry in entries if set(letters) & set(entry.languages)]
+            if entries and _word(self._lines[at]) == word:
                 return entries, True
             near += entries
             at += 1
@@ -116,9 +121,7 @@ class Lexicon:
 
         `letters`: in the languages of these letters only, if any are given.
         """
-        entries, exact = self.entries(word)
-        if letters:
-            entries = [entry for entry in entries if set(letters) & set(entry.languages)]
+        entries, exact = self.entries(word, letters)
         if strong:
             entries = [entry for entry in entries if entry.kind in "rn"]
         terms = {entry.preset for entry in entries if entry.kind == "t"}

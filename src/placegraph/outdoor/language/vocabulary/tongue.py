@@ -109,6 +109,11 @@ class LanguageWords:
         """Tell whether a word or phrase is one of things, in any form."""
         return self.find(word) is not None
 
+    def begins(self, word: str) -> bool:
+        """Tell whether a phrase for a thing begins with a word, in any form."""
+        forms = self.language.forms.of(folded(normal(word)))
+        return any(self._beginning(form.stem) for form in forms)
+
     def _find(self, phrase: str) -> Found | None:
         """Look a phrase up: as it stands, then by its stems, the longest first."""
         words = folded(normal(phrase)).split(" ")
