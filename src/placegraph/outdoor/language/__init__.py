@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from placegraph.language.islands import Chunk
+    from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.languages.recognise import Stretch
     from placegraph.outdoor.language.statements import BlockLength
 
@@ -112,14 +113,7 @@ def describe(
         cleaned, main.language, vocabulary, heading, directive=directive, block_length=block_length
     )
     for sentence, tongue in sentences:
-        for part in clauses(sentence, tongue):
-            opens = part.opens
-            for clause, left_out in parse(part.chunks):
-                builder.take(clause, part.certainty, opens=opens)
-                opens = False
-                for chunk in left_out:
-                    if clause.verb and chunk.type == "WORD":
-                        builder.ignored.append(Ignored(chunk.words, "unknown word"))
+        _take(sentence, tongue, builder)
     builder.finish()
     builder.ignored += builder.refer.unknown()
     if not (builder.relator.statements or builder.ignored):
@@ -163,6 +157,18 @@ def _sentences(
     chunker = InflectedChunker(text, tongue, known.of(tongue), names)
     for sentence in scan_other(text, tongue, chunker.known, span):
         yield chunker.chunks(sentence)
+
+
+def _take(sentence: list[Chunk], language: Language, builder: Builder) -> None:
+    """Add what a sentence says."""
+    for part in clauses(sentence, language):
+        opens = part.opens
+        for clause, left_out in parse(part.chunks):
+            builder.take(clause, part.certainty, opens=opens)
+            opens = False
+            for chunk in left_out:
+                if clause.verb and chunk.type == "WORD":
+                    builder.ignored.append(Ignored(chunk.words, "unknown word"))
 
 
 def _leads_the_way(sentence: list[Chunk]) -> bool:

@@ -67,6 +67,9 @@ def test_fits_are_the_words_of_the_map(pool, harbour):
         mine = slice(texts.word_starts[node], texts.word_starts[node + 1])
         known = {texts.vocabulary[w] for w in texts.words[mine]} & set(harbour.objects.labels)
         fit = {harbour.words[t] for t in fits.tokens[fits.starts[node] : fits.starts[node + 1]]}
-        assert known <= fit
+        named = any(
+            word.startswith("~") for word in fit
+        )  # a name means what bears it, not its kind
+        assert named or known <= fit
         literal += len(known)
     assert literal > 24
