@@ -77,8 +77,8 @@ _A_BLOCK = r"""(?:(?<!\ba\sblock)(?<!\bone\sblock)|(?=\s+(?:and\s+an?\s+half\s+)
     (?:(?:to|on)\s+the\s+)?(?:just\s+|directly\s+|due\s+)?
     (?:(?:north|south|east|west)\w*|[nesw]{1,2}|away|from|past|after|before|up|down|further
        |beyond|walk|over|off)\b))"""
-MEASURE = rf"""\b(?:(?:about|around|roughly|approximately|some|within|almost|nearly|only|just
-        |less\s+than|over|for)\s+)?
+MEASURE = rf"""\b(?=[\d½acefhjlnoqrstw])(?:(?:about|around|roughly|approximately|some|within|almost
+        |nearly|only|just|less\s+than|over|for)\s+)?
     (?: (?P<number>{_NUMBER})(?:[\s-]plus|\+)?{_HALF}(?:(?<=[\d½])\s*|[\s-]+){_UNIT}{_HALF}(?![\w']){_A_BLOCK}
       | (?:an?\s+)?half(?:\s+of)?(?:\s+an?)?\s+{_UNIT}(?![\w']))"""
 """Pattern of a distance (verbose, case ignored), with a group ``number``."""
@@ -86,12 +86,18 @@ MEASURE = rf"""\b(?:(?:about|around|roughly|approximately|some|within|almost|nea
 _AT_MOST = ("within", "less than")
 _NUMERAL = re.compile(r"\d+(?:[.,]\d+)?|[a-z]+")
 _LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
+_LETTERS = re.compile(r"[a-z]+")
+
+
+def may_measure(text: str) -> bool:
+    """Tell whether there may be a distance in a text: it has the word of a unit (quick to see)."""
+    return not _UNITS.keys().isdisjoint(_LETTERS.findall(text.casefold()))
 
 
 def metres(text: str, number: str | None) -> Measure:
     """Length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
     text = text.lower()
-    unit = _LAST_UNIT.findall(re.sub(r"(?<=\d)(?=[a-z])", " ", text))[-1]
+    unit = _LAST_UNIT.findall(re.sub(r"(?<=[\d½])(?=[a-z])", " ", text))[-1]
     half = 0.5 if re.search(r"half|½|1/2", text) else 0.0
     words = _NUMERAL.findall((number or "").lower().replace("1/2", ""))
     values = [_NUMBERS.get(w) or float(w.replace(",", ".")) for w in words if _is_number(w)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from placegraph.language.measures import MEASURE, metres
+from placegraph.language.measures import MEASURE, may_measure, metres
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -26,15 +26,15 @@ class Word(NamedTuple):
     """Of a measure."""
 
 
-_SCAN = re.compile(
-    rf"""
-    (?P<measure>{MEASURE})
-  | (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
+_UNMEASURED = r"""
+    (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
   | (?P<word>[^\W_]+(?:['’`´][^\W_]+)*|&)
   | (?P<comma>[,:()\[\]–—/]|\s--?\s)
   | (?P<stop>[.!?;…]+|\n\s*\n)
-    """,
-    re.VERBOSE | re.IGNORECASE,
+"""
+_PLAIN, _SCAN = (
+    re.compile(pattern, re.VERBOSE | re.IGNORECASE)
+    for pattern in (_UNMEASURED, f"(?P<measure>{MEASURE}) | {_UNMEASURED}")
 )
 _OPENS = re.compile(
     r"\s*(?:$|\n|(?:It|The|There|This|That|You|Your|I|If|When|We|They|On|In|At|Go|Head|Meet|Cross"
@@ -79,7 +79,8 @@ def scan(
 def _scan_between(
     text: str, begin: int, stop: int, sentences: list[list[Word]], shortened: Collection[str]
 ) -> None:
-    for match in _SCAN.finditer(text, begin, stop):
+    pattern = _SCAN if may_measure(text[begin:stop]) else _PLAIN
+    for match in pattern.finditer(text, begin, stop):
         kind, written = match.lastgroup or "", match.group()
         start, end = match.span()
         if kind == "stop":

@@ -125,7 +125,7 @@ def test_names_meet_in_their_normal_form(one, other):
         ("30 m", 30), ("about 30 meters", 30), ("2.5 km", 2500), ("100 ft", 30.48),
         ("50 yards", 45.72), ("half a mile", 804.672), ("a quarter of a mile", 402.336),
         ("two blocks", 200), ("one and a half blocks", 150), ("1 and half block", 150),
-        ("2&half blocks", 250), ("2 1/2 blocks", 250), ("2½ blocks", 250), ("3-4 blocks", 350),
+        ("2&half blocks", 250), ("2 1/2 blocks", 250), ("2½ blocks", 250), ("2½blocks", 250), ("3-4 blocks", 350),
         ("one or two blocks", 150), ("a few blocks", 300), ("a couple of blocks", 200),
         ("half of a block", 50), ("a 2 minute walk", 160), ("two hundred metres", 200),
         ("a hundred metres", 100), ("15 minutes' walk", 1200), ("20 paces", 15),
