@@ -59,7 +59,7 @@ def promising_views(statements, mentions, views, weights, most):
     return chosen[order], bounds[order], max(0.0, total - bounds[:n].sum())
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _fill(seen, mentions, views, at, m, first, last):
     """What viewpoints from `first` to `last` have of a mention in sight; whether any has any.
 
@@ -119,7 +119,7 @@ def _bound(statements, seen, there, views, first, bound):
     return worth
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _weigh(bound, weights):
     """Sum of bounds, once they are multiplied by their `weights` where there are any."""
     for i in range(len(weights)):
@@ -159,7 +159,7 @@ def _raise(bound, a, b, among, crowd, gain, towards, wrong):
         bound[i] = min(HIGHEST, bound[i] * (1.0 + gain * part[i]))
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _deny(bound, seen, noise, towards, anyhow):
     """Lower the bounds of viewpoints that see what is said to be absent, or absent in a direction."""
     ux, uy = towards

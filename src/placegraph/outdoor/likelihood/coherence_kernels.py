@@ -12,7 +12,7 @@ MOST = 96
 """At most this many objects in sight are weighed for one mention."""
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _posterior(statements, m, fits, posterior):
     """P(thing | all statements about mention m), unnormalised, into `posterior`; returns the gain.
 

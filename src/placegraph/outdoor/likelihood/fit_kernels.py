@@ -77,7 +77,7 @@ def _close(said, d):
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     """P(geometry | source at a, target at b), seen from the viewpoint [m]."""
     dx, dy = ax - bx, ay - by
@@ -95,7 +95,7 @@ def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     return _close(0.0, d)
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def me_fit(op, table, ux, uy, said, x, y, kind, forward, blurred):
     """P(geometry | the thing at (x, y) seen from v); `forward`: it is the source, v the target."""
     d = np.sqrt(x * x + y * y)

@@ -80,10 +80,10 @@ def in_sight(scene, objects, at, sight, total, pairs, blur, view):
 @kernel(fastmath=True)
 def _recognise(scene, words, seen, n_statements):
     """`Fits` of all mentions; `words` (T, M) is how well a token fits a mention."""
-    n_mentions = words.shape[1]
+    n_mentions, most = words.shape[1], min(MOST, len(seen.objects))
     many = np.zeros(n_mentions, np.int64)
-    who = np.empty((n_mentions, MOST), np.int32)
-    fit = np.empty((n_mentions, MOST), np.float32)
+    who = np.empty((n_mentions, most), np.int32)
+    fit = np.empty((n_mentions, most), np.float32)
     mass = np.zeros(n_mentions, np.float32)
     best = np.empty(n_mentions, np.float32)
     for e in range(len(seen.objects)):
@@ -94,11 +94,11 @@ def _recognise(scene, words, seen, n_statements):
             for m in range(n_mentions):
                 best[m] = max(best[m], words[token, m] * weight)
         for m in range(n_mentions):
-            if best[m] > 0.0 and many[m] < MOST:
+            if best[m] > 0.0 and many[m] < most:
                 who[m, many[m]], fit[m, many[m]] = e, best[m] * seen.sight[e]
                 mass[m] += fit[m, many[m]]
                 many[m] += 1
-    return Fits(many, who, fit, mass, np.zeros((n_statements, 2, MOST), np.float32))
+    return Fits(many, who, fit, mass, np.zeros((n_statements, 2, most), np.float32))
 
 
 @kernel(fastmath=True)
@@ -127,7 +127,7 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
     return hope
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _ceiling(statements, s, seen, fits, far):
     """Log-likelihood ratio that a statement has if geometry is on its side."""
     a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
@@ -144,7 +144,7 @@ def _ceiling(statements, s, seen, fits, far):
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _ratio(statements, s, scene, seen, fits, far):
     """Log-likelihood ratio of one statement."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
@@ -169,7 +169,7 @@ def _ratio(statements, s, scene, seen, fits, far):
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _of_me(statements, s, scene, seen, fits):
     """Mass of a statement about a thing and the speaker: how many such things are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
@@ -190,7 +190,7 @@ def _of_me(statements, s, scene, seen, fits):
     return mass
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _of_pair(statements, s, scene, seen, fits):
     """Mass of a statement about two things."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
@@ -225,7 +225,7 @@ def _of_pair(statements, s, scene, seen, fits):
     return mass
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=True, _nrt=False)
 def _between(statements, s, seen, fits):
     """Mass of "the source lies between two targets"; the source may be the viewpoint."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]

@@ -16,7 +16,7 @@ from placegraph.outdoor.likelihood.fit_kernels import (
 )
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS, SLACK, in_sight, likelihoods
 from placegraph.outdoor.map.index import POINT, SIGHT
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts, nearest_to_each
 
 COARSE, FINE = 20.0, 5.0
 """Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
@@ -76,29 +76,30 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
     scores = np.empty(len(at), np.float32)
     each = np.empty((len(at), n_statements), np.float32)
     served = np.empty((len(at), n_statements if assign else 0, 2), np.int64)
-    where = np.empty((len(nearby), 2), np.float32)
+    where = np.empty((len(at), len(nearby), 2), np.float32)
+    distance2 = np.empty((len(at), len(nearby)), np.float32)
     sight = np.empty(len(nearby), np.float32)
+    points, near, squares = at.T.copy(), np.empty((2, len(at))), np.empty(len(at))
+    for i in range(len(nearby)):
+        nearest_to_each(
+            scene.part_starts, scene.point_starts, scene.points, scene.kind[nearby[i]], nearby[i],
+            points, near, squares,
+        )  # fmt: skip
+        for k in range(len(at)):
+            where[k, i, 0], where[k, i, 1], distance2[k, i] = near[0, k], near[1, k], squares[k]
     for k in range(len(at)):
-        total = apart = squares = np.float32(0.0)
+        total = apart = squared = np.float32(0.0)
         for i in range(len(nearby)):
-            o = nearby[i]
-            e, n, d2 = nearest_on_parts(
-                scene.part_starts,
-                scene.point_starts,
-                scene.points,
-                scene.kind[o],
-                o,
-                at[k, 0],
-                at[k, 1],
-            )
-            where[i, 0], where[i, 1] = e, n
+            d2 = distance2[k, i]
             sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SHARP))
             total += sight[i]
-            if scene.kind[o] != AREA or d2 > 0.0:
+            if scene.kind[nearby[i]] != AREA or d2 > 0.0:
                 apart += sight[i]
-                squares += sight[i] * sight[i]
-        pairs = max(apart * apart - squares, np.float32(0.0))
-        seen = in_sight(scene, nearby, where, sight, total, pairs, FINE, at[k].astype(np.float32))
+                squared += sight[i] * sight[i]
+        pairs = max(apart * apart - squared, np.float32(0.0))
+        seen = in_sight(
+            scene, nearby, where[k], sight, total, pairs, FINE, at[k].astype(np.float32)
+        )
         scores[k] = likelihoods(
             statements, scene, words, seen, far[k], together, HOPELESS, each[k], served[k]
         )
@@ -162,7 +163,7 @@ def _fit_afar(statements, s, d, dx, dy, scale, forward):
     return fit
 
 
-@kernel
+@kernel(_nrt=False)
 def _box(scene, o):
     """West, south, east and north end of an object [m]."""
     a = scene.point_starts[scene.part_starts[o]]

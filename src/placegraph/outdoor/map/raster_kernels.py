@@ -10,7 +10,7 @@ from placegraph.compiled import kernel
 AREA = 2
 
 
-@kernel
+@kernel(_nrt=False)
 def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
     """Vector from (east, north) to the nearest point of object `row`, and its square [m^2]."""
     best = np.inf
@@ -39,6 +39,42 @@ def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
     if inside:
         return 0.0, 0.0, 0.0
     return best_e, best_n, best
+
+
+@kernel(fastmath=True)
+def nearest_to_each(part_starts, point_starts, points, kind, row, at, near, squares):
+    """Vectors (2, K) from positions `at` (2, K) to the nearest points of object `row`, and squares (K,).
+
+    As `nearest_on_parts`, of many positions at once: a segment is read once, and compared with all.
+    """
+    inside = np.zeros(len(squares), np.bool_)
+    squares[:] = 1e30
+    for part in range(part_starts[row], part_starts[row + 1]):
+        a, b = point_starts[part], point_starts[part + 1]
+        for i in range(a, max(a + 1, b - 1)):
+            ax, ay = np.float64(points[i, 0]), np.float64(points[i, 1])
+            j = min(i + 1, b - 1)
+            dx, dy = points[j, 0] - ax, points[j, 1] - ay
+            length2 = dx * dx + dy * dy
+            inverse = 0.0 if length2 == 0.0 else 1.0 / length2
+            for k in range(len(squares)):
+                x0, y0 = ax - at[0, k], ay - at[1, k]
+                t = min(1.0, max(0.0, -(x0 * dx + y0 * dy) * inverse))
+                px, py = x0 + t * dx, y0 + t * dy
+                d = px * px + py * py
+                closer = d < squares[k]
+                squares[k] = d if closer else squares[k]
+                near[0, k] = px if closer else near[0, k]
+                near[1, k] = py if closer else near[1, k]
+            if kind == AREA and dy != 0.0:
+                slope = dx / dy
+                for k in range(len(squares)):
+                    x0, y0 = ax - at[0, k], ay - at[1, k]
+                    inside[k] ^= ((y0 > 0.0) != (y0 + dy > 0.0)) & (x0 - y0 * slope > 0.0)
+    if kind == AREA:
+        for k in range(len(squares)):
+            if inside[k]:
+                near[0, k] = near[1, k] = squares[k] = 0.0
 
 
 @kernel
