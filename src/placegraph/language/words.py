@@ -45,6 +45,16 @@ _OPENS = re.compile(
 """What opens a new sentence even after a word that a full stop may shorten."""
 
 
+_MIXED = str.maketrans("أإآٱىیةک", "ااااييهك")
+"""Letters of Arabic that people write for each other."""
+
+
+def spelt(word: str) -> str:
+    """Return a word in lower case, with one apostrophe and one of the letters that Arabic mixes up."""
+    word = word.lower()
+    return word if word.isascii() else word.replace("’", "'").translate(_MIXED)
+
+
 def scan(
     text: str,
     labels: Iterable[tuple[int, int]] = (),
@@ -88,7 +98,7 @@ def _scan_between(
                 sentences.append([])
             continue
         length = metres(written, match["number"]) if kind == "measure" else 0.0
-        lower = written.lower().replace("’", "'")
+        lower = spelt(written)
         sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
 
 

@@ -89,6 +89,10 @@ def _verb_first(stretch: list[Chunk]) -> list[Chunk]:
     first = next((i for i, kind in enumerate(kinds) if kind not in (*_JOINTS, "ADVERB")), None)
     if first is None:
         return stretch
+    if kinds[first] in ("BE", "EXISTS") and kinds[first + 1 : first + 2] != ["NO"]:
+        rest = [*stretch[:first], *stretch[first + 1 :]]
+        if any(chunk.type == "BE" for chunk in _copulas(rest)):
+            return rest  # "توجد عبر الشارع مكتبة": there is, across the street, a library
     if kinds[first] == "BE":  # "stoi kościół": there stands a church; "stoi obok": it stands
         verb = stretch[first]
         if first + 1 < len(stretch) and _thing(stretch, first + 1) is not None:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _LONGEST_NAME = 4
 """Words of the longest name that is looked for in other forms than it has on the map."""
+_FURTHER = 3
+"""Words that follow the kind of a street in a script without capitals, at most."""
 
 
 class InflectedChunker(Chunker):
@@ -169,6 +171,9 @@ class InflectedNames(ProperNames):
         return glued and self.lower[i] in self.lexicon.prefixes
 
     def _street_after(self, i: int) -> int:
+        led = i > 0 and self._is_onto_next(i - 1) and self._is_article(i - 1)
+        if led and _lacks_capitals(self.words[i]):
+            return 0  # "ال|شارع", the street
         at = i + 1
         while at < len(self.words) and self.lower[at] in self.lists["connectives"]:
             at += 1
@@ -181,15 +186,33 @@ class InflectedNames(ProperNames):
             at += 1  # "רחוב המלך": an article written onto the name
         if at >= len(self.words) or self.words[at].kind != "word":
             return 0
-        bare = _lacks_capitals(self.words[at]) and not self.lexicon.longest(self.lower, at)
+        bare = _lacks_capitals(self.words[at])
+        if bare and not self._is_article(at - 1) and not self._has_article(at):
+            bare = self.lexicon.longest(self.lower, at) is None
         noun = self.vocabulary.longest_match(self.lower, i)
         common = bare and noun is not None and noun[0] > 1  # a "foot path" in its own script
         if common or not (self.words[at].capital or bare):
             return 0
         end = at + 1
-        while end < len(self.words) and self.words[end].kind == "word" and self.words[end].capital:
+        while end < len(self.words) and self.words[end].kind == "word":
+            further = bare and end < at + _FURTHER and self._says_nothing(end)
+            if not (self.words[end].capital or further):
+                break
             end += 1
         return end - i
+
+    def _is_article(self, i: int) -> bool:
+        return self.lower[i] in self.lists["articles"]
+
+    def _has_article(self, i: int) -> bool:
+        """Tell whether an article is written onto a word: "شارع الحمراء"."""
+        articles = self.lists["articles"].intersection(self.lexicon.prefixes)
+        return self.lower[i].startswith(tuple(articles))
+
+    def _says_nothing(self, i: int) -> bool:
+        """Tell whether a word is none of the grammar and no thing: "شارع الملك | فهد"."""
+        known = self.lexicon.longest(self.lower, i) or self.vocabulary.longest_match(self.lower, i)
+        return known is None
 
 
 def _lacks_capitals(word: Word) -> bool:

@@ -32,12 +32,14 @@ _MEASURED = ("DIST", "AWAY")
 def ordered(chunks: list[Chunk], language: Language) -> list[Chunk]:
     """Chunks of a sentence in the order of the grammar."""
     order = language.order
+    if order.genitive:
+        chunks = list(
+            _genitives(chunks, language.lists["articles"].intersection(language.prefixes))
+        )
     if order.cases or order.verbless:
         chunks = told(chunks, order)
     if order.head_first:
         chunks = head_first(chunks, language)
-    if order.genitive:
-        chunks = list(_genitives(chunks))
     if order.postpositions:
         items = list(_related(_items(chunks, order), marked=order.marked))
         if order.verb_final:
@@ -54,8 +56,11 @@ def _at(chunk: Chunk, kind: str) -> Chunk:
     return Chunk(kind, chunk.start, chunk.start)
 
 
-def _genitives(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
-    """Put an OF between a direction or a part and the thing that follows it: "nördlich der Kirche"."""
+def _genitives(chunks: Sequence[Chunk], articles: frozenset[str]) -> Iterator[Chunk]:
+    """Put an OF between a direction or a part and the thing that follows it: "nördlich der Kirche".
+
+    None follows a word with an article written onto it: "على اليمين".
+    """
     between = ""
     for i, chunk in enumerate(chunks):
         between = chunk.type if chunk.type in ("BETWEEN", "AND", "CUT") else between
@@ -69,9 +74,17 @@ def _genitives(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
             continue
         if chunk.type == "OF" and i and chunks[i - 1].type == "NEARBY":
             continue
+        if chunk.type == "FROM" and i and chunks[i - 1].type == "PART":
+            yield replace(chunk, type="OF")  # "الجانب الشمالي من الساحة"
+            continue
         yield chunk
         rest = [other.type for other in chunks[i + 1 : i + 3] if other.type != "ADVERB"]
+        owner = chunk.type == "NOUN" and [other.words for other in chunks[i - 1 : i] if i]
+        if isinstance(owner, list) and articles.isdisjoint(owner) and rest[:2] == ["DET", "NOUN"]:
+            yield _at(chunks[i + 1], "OF")  # "مدخل ال|حديقة"
         if chunk.type not in ("DIR", "PART") or not rest:
+            continue
+        if chunk.words.rpartition(" ")[2].startswith(tuple(articles)):
             continue
         before = chunks[i - 1].type if i else ""
         owned = chunk.type == "DIR" and before in _OWNED  # "der nördliche Eingang"

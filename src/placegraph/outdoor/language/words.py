@@ -156,7 +156,7 @@ def fold(word: str) -> str:
         return "and"
     word = word.casefold()
     if not word.isalnum() or not word.isascii():
-        parts = unicodedata.normalize("NFKD", word).casefold()
+        parts = unicodedata.normalize("NFKD", words.spelt(word)).casefold()
         word = "".join([c for c in parts if c.isalnum()])
     if word[0:1].isdigit() and (number := _ORDINAL.fullmatch(word)):
         return ordinal(int(number[1]))  # "43th"

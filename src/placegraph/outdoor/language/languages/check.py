@@ -113,7 +113,9 @@ def _section(
     for key, inner in value.items():
         angle, _, part = key.partition(" ")
         if section.startswith("compass") or section == "facing":
-            of_what = known is None or part in ("", "OF", "OF ME", *known["parts"])
+            of, _, whom = part.partition(" ")
+            of_what = known is None or part in ("", "OF", *known["parts"])
+            of_what = of_what or (known is not None and of == "OF" and whom in known["who"])
             right = angle in _ANGLES and of_what
             choice = ", ".join(sorted(_ANGLES))
         else:

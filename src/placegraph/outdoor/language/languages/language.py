@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph.errors import InputError, OptionError
 from placegraph.language.measures import COUNTS
 from placegraph.language.phrases import Phrases, Terminal
+from placegraph.language.words import spelt
 from placegraph.outdoor.language.languages.check import checked, keys
 from placegraph.outdoor.language.languages.forms import Forms
 from placegraph.outdoor.language.vocabulary.text import folded
@@ -96,7 +97,7 @@ class Language(Phrases):
         self.say: Mapping[str, Any] = table.get("say", {})
         """How a statement is said: frames with slots, and what is done to a noun in a slot."""
         self._compass: Mapping[str, list[str]] = table.get("compass", {})
-        counts = {word: int(n) for word, n in self.measures.numbers.items() if n >= 1}
+        counts = {spelt(word): int(n) for word, n in self.measures.numbers.items() if n >= 1}
         self.counts: Mapping[str, int] = COUNTS if code == "en" else counts
         super().__init__(_phrases(table, self.counts))
         self.keys = keys(table)
@@ -201,7 +202,7 @@ def _by_word(words: Mapping[str, list[str]]) -> dict[str, float]:
 
 def _lists(code: str, lists: Mapping[str, list[str]]) -> dict[str, frozenset[str]]:
     """Lists of words; those of labels are taken from English."""
-    found = {name: frozenset(words) for name, words in lists.items()}
+    found = {name: frozenset(map(spelt, words)) for name, words in lists.items()}
     if code == "en":
         return found
     theirs = english().lists
@@ -221,7 +222,7 @@ def _phrases(
             for phrase in phrases:
                 words = tuple(
                     part
-                    for word in phrase.split()
+                    for word in spelt(phrase).split()
                     for part in _cut(word, table.get("prefixes", ()))
                 )
                 known.setdefault(words, tuple(_terminals(section, key, words, counts)))

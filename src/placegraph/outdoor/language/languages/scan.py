@@ -7,7 +7,7 @@ import unicodedata
 from functools import cache
 from typing import TYPE_CHECKING
 
-from placegraph.language.words import Word
+from placegraph.language.words import Word, spelt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,7 +137,7 @@ def _words(
         parts = _prefixed(written, language, known)
     found, at = [], start
     for part in parts:
-        lower = part.lower().replace("’", "'")
+        lower = spelt(part)
         found.append(Word("word", lower, part[0].isupper(), at, at + len(part)))
         at += len(part)
     return found
@@ -145,12 +145,12 @@ def _words(
 
 def _prefixed(written: str, language: Language, known: Callable[[str], bool]) -> list[str]:
     """Cut off what is written onto a word: "l'église", "والكنيسة"."""
-    lower = written.lower().replace("’", "'")
+    lower = spelt(written)
     for prefix in () if not language.prefixes or known(lower) else language.prefixes:
         rest = written[len(prefix) :]
         if len(rest) < 2 or not lower.startswith(prefix):
             continue
-        if prefix.endswith("'") or known(rest.lower()):
+        if prefix.endswith("'") or known(spelt(rest)):
             return [written[: len(prefix)], rest]
         inner = _prefixed(rest, language, known)
         if len(inner) > 1:

@@ -6,6 +6,8 @@ import re
 import unicodedata
 from typing import TYPE_CHECKING
 
+from placegraph.language.words import spelt
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -139,7 +141,7 @@ def folded(phrase: str) -> str:
     """Return a normal form without diacritics: "café" -> "cafe", "kırtasiye" -> "kirtasiye"."""
     if phrase.isascii():
         return phrase
-    parts = unicodedata.normalize("NFKD", phrase.translate(_LETTERS))
+    parts = unicodedata.normalize("NFKD", spelt(phrase).translate(_LETTERS))
     bare = "".join([letter for letter in parts if not unicodedata.combining(letter)])
     return unicodedata.normalize("NFC", bare)
 
