@@ -44,6 +44,11 @@ class InflectedChunker(Chunker):
             return False  # a letter of Japanese, not a word
         if self.dictionary.known(word) or (len(word) > 1 and self.proper.is_one(word)):
             return True
+        articles = self.proper.lists["articles"].intersection(self.lexicon.prefixes)
+        if any(
+            word.startswith(a) and self.dictionary.known(word.removeprefix(a)) for a in articles
+        ):
+            return False  # "المكتبة" is the library, whatever begins with it
         # of several words only the first may have a prefix
         return bool(self.lexicon.prefixes) and self.dictionary.begins(word)
 
