@@ -22,7 +22,9 @@ VERSION = "1"
 """Of what is kept."""
 UNKNOWN = ""
 """Code of a text of which no language is recognised; it is read as English."""
-_SENTENCE = re.compile(r"[^.!?。！？؟\n]*(?:[.!?。！？؟]+(?=\s|$|[^\x00-\x7f])|\n|$|[.!?。！？؟]+)")
+_SENTENCE = re.compile(
+    r"(?:[^.!?。！？؟\n]|[.!?]+(?!\s|$|[^\x00-\x7f]))*(?:[.!?]+|[。！？؟]+|\n|$)", re.MULTILINE
+)
 _WORD = re.compile(r"[^\W\d_]+(?:['’][^\W\d_]+)*")
 _SCRIPTS = {
     "Cyrillic": r"[\u0400-\u052f]",
