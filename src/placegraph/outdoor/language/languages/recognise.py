@@ -25,6 +25,8 @@ UNKNOWN = ""
 _SENTENCE = re.compile(
     r"(?:[^.!?。！？؟\n]|[.!?]+(?!\s|$|[^\x00-\x7f]))*(?:[.!?]+|[。！？؟]+|\n|$)", re.MULTILINE
 )
+_OTHER = re.compile(r"[\u0370-\u1fff\u3040-\uffdc]")
+"""A letter of another script than Latin."""
 _WORD = re.compile(r"[^\W\d_]+(?:['’][^\W\d_]+)*")
 _SCRIPTS = {
     "Cyrillic": r"[\u0400-\u052f]",
@@ -151,7 +153,7 @@ def stretches(
     if code is not None:
         return [Stretch(0, len(text), language(code, folder))]
     spans = [m.span() for m in _SENTENCE.finditer(text) if m.end() > m.start()]
-    if text.isascii() and all(_is_english(text[a:b]) for a, b in spans):
+    if not _OTHER.search(text) and all(_is_english(text[a:b]) for a, b in spans):
         return [Stretch(0, len(text), english())]
     signs = _signs(folder)
     whole = _best(_evidence(text, signs, things, folder), english=True)
