@@ -89,6 +89,10 @@ def _verb_first(stretch: list[Chunk]) -> list[Chunk]:
     first = next((i for i, kind in enumerate(kinds) if kind not in (*_JOINTS, "ADVERB")), None)
     if first is None:
         return stretch
+    noun = _thing(stretch, first + 2) if kinds[first : first + 2] == ["BE", "NOT"] else None
+    if noun is not None:  # "لا تقع المدرسة شمال المسجد": the school is not north of the mosque
+        thing = stretch[first + 2 : noun + 1]
+        return [*stretch[:first], *thing, *stretch[first : first + 2], *stretch[noun + 1 :]]
     if kinds[first] in ("BE", "EXISTS") and kinds[first + 1 : first + 2] != ["NO"]:
         rest = [*stretch[:first], *stretch[first + 1 :]]
         if any(chunk.type == "BE" for chunk in _copulas(rest)):
