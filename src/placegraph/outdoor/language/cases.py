@@ -93,8 +93,9 @@ def _verb_first(stretch: list[Chunk]) -> list[Chunk]:
     if noun is not None:  # "لا تقع المدرسة شمال المسجد": the school is not north of the mosque
         thing = stretch[first + 2 : noun + 1]
         return [*stretch[:first], *thing, *stretch[first : first + 2], *stretch[noun + 1 :]]
-    if kinds[first] in ("BE", "EXISTS") and kinds[first + 1 : first + 2] != ["NO"]:
-        rest = [*stretch[:first], *stretch[first + 1 :]]
+    seen = kinds[first : first + 2] == ["ME", "SEE"]
+    if (seen or kinds[first] in ("BE", "EXISTS")) and kinds[first + 1 : first + 2] != ["NO"]:
+        rest = [*stretch[:first], *stretch[first + 1 + seen :]]
         if any(chunk.type == "BE" for chunk in _copulas(rest)):
             return rest  # "توجد عبر الشارع مكتبة": there is, across the street, a library
     if kinds[first] == "BE":  # "stoi kościół": there stands a church; "stoi obok": it stands
