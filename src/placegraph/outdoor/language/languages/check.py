@@ -114,7 +114,7 @@ def _section(
         angle, _, part = key.partition(" ")
         if section.startswith("compass") or section == "facing":
             of, _, whom = part.partition(" ")
-            of_what = known is None or part in ("", "OF", *known["parts"])
+            of_what = known is None or part in ("", "OF", "ME BE", *known["parts"])
             of_what = of_what or (known is not None and of == "OF" and whom in known["who"])
             right = angle in _ANGLES and of_what
             choice = ", ".join(sorted(_ANGLES))

@@ -249,7 +249,7 @@ def _terminals(
             sigma = DIAGONAL_SIGMA if degrees % 90 else CARDINAL_SIGMA
             direction = Direction(radians(degrees), sigma, facing=section == "facing")
             yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
-            if part.startswith("OF"):  # "севернее": north of; "kuzeyimde": north of me
+            if part.startswith(("OF", "ME")):  # "севернее", "kuzeyimde", "kuzeyindeyim"
                 yield from map(Terminal, part.split())
             elif part:  # "nordseite": the north side
                 yield Terminal("PART", part)
