@@ -101,6 +101,10 @@ def test_examples(code, example):
         ("ﾊﾟﾝ屋は教会の北です。", "ja", 1),
         ("Die bicycle_parking liegt südlich der amenity=bench.", "de", 1),
         ("où suis-je", "fr", 0),
+        ("Ich stehe vor einer Bank in der Wall Street.", "de", 2),
+        ("Estoy delante de un banco en la calle East.", "es", 2),
+        ("Je suis devant The North Face, près d'une banque.", "fr", 2),
+        ("MEET ME AT THE BANK", "en", 1),
     ],
 )
 def test_the_language_is_recognised_whatever_the_letters(text, language, said):

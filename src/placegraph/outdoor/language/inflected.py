@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.language.vocabulary.tongue import LanguageWords
     from placegraph.outdoor.language.words import NameFinder
 
+_LONGEST_SENTENCE = 120
+"""Chunks that are brought into order together; nobody speaks in longer sentences."""
 _LONGEST_NAME = 4
 """Words of the longest name that is looked for in other forms than it has on the map."""
 _FURTHER = 3
@@ -55,7 +57,9 @@ class InflectedChunker(Chunker):
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Chunks of a sentence, in the order of the grammar."""
         self.proper.bent = {}
-        return ordered(self._marked(super().chunks(sentence)), self.lexicon)
+        found = self._marked(super().chunks(sentence))
+        parts = (found[i : i + _LONGEST_SENTENCE] for i in range(0, len(found), _LONGEST_SENTENCE))
+        return [chunk for part in parts for chunk in ordered(part, self.lexicon)]
 
     def _mark(self, i: int, word: Word) -> Chunk:
         if word.kind != "quoted":

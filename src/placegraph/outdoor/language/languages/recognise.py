@@ -47,7 +47,7 @@ _GRAMMAR = re.compile(
 _THINGS = re.compile(r"^\[things\]\n(.*?)(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
 _PHRASE = re.compile(r'"([^"\n]*)"')
 _PLAIN = frozenset(
-    "the are and with my there from you near north south east street behind next between".split()  # noqa: SIM905
+    "the are and with there from you near north south east street behind next between".split()  # noqa: SIM905
 )
 """English words of which nearly every English sentence has one, and hardly another's."""
 _LEAST = 0.2
@@ -171,8 +171,10 @@ def stretches(
 
 
 def _is_english(sentence: str) -> bool:
-    words = {word.lower() for word in _WORD.findall(sentence)}
-    return not words or not _PLAIN.isdisjoint(words)
+    words = set(_WORD.findall(sentence))
+    # in "vor einer Bank in der Wall Street" only a name is English
+    spoken = {word for word in words if word.islower()} or {word.lower() for word in words}
+    return not words or not _PLAIN.isdisjoint(spoken)
 
 
 class _Evidence(NamedTuple):
