@@ -62,6 +62,7 @@ class LanguageWords:
             self._own.setdefault(folded(word), {word: sources.ranked(labels)})
         self._letters = self._world.letters(language.code)
         self._articles = language.lists["articles"].intersection(language.prefixes)
+        self._prefixes = frozenset(language.prefixes)
         self._bins: dict[str, dict[str, list[str]]] = {}
         self._own_bins: dict[str, list[str]] = {}
         for word in self._own:
@@ -91,9 +92,18 @@ class LanguageWords:
             # an article inside a name of a thing: "בית ה|ספר"
             bare = [word for word in words[1:-1] if word not in self._articles]
             found = self.find(" ".join((words[0], *bare, *words[1:][-1:])))
+            if found is None and not self._prefixes.isdisjoint(words[1:-1]):
+                found = self.find(self._joined(words))
             if found is not None and found.senses[0].weight >= (_CLEAR if n == 1 else 0.0):
                 return n, found.senses
         return None
+
+    def _joined(self, words: Sequence[str]) -> str:
+        """Words with the prefixes inside a name of a thing written onto them: "طريق مشي ب|ال|أقدام"."""
+        joined = ""
+        for word in words:
+            joined += word if word in self._prefixes else f"{word} "
+        return joined.rstrip()
 
     def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
         """Most similar known phrase; none is guessed in other languages than English."""
