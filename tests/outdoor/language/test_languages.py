@@ -142,7 +142,7 @@ def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):
     (tmp_path / "languages").mkdir()
     (tmp_path / "languages/qq.toml").write_text(table, "utf-8")
     with pytest.raises(InputError, match=rf"qq\.toml: .*{fault}"):
-        describe("A church.", language="qq", vocabulary=Vocabulary.load(tmp_path))
+        Vocabulary.load(tmp_path)
 
 
 @pytest.mark.parametrize(

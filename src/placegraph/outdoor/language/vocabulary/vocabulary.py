@@ -98,7 +98,12 @@ class Vocabulary:
         InputError
             Naming file, line and field of what is wrong.
         """
-        return Vocabulary(Sources(user_folder(path)))
+        from placegraph.outdoor.language.languages import language
+
+        folder = user_folder(path)
+        for table in (folder / "languages").glob("*.toml"):
+            language(table.stem, folder)
+        return Vocabulary(Sources(folder))
 
     def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
         """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
