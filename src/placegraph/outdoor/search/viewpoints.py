@@ -130,7 +130,7 @@ def by_whereabouts(asked: Request) -> Posterior:
     """Posterior where nothing but the way to the place was told."""
     views, log_prior = asked.city.views, asked.log_prior
     likely = np.argsort(-log_prior, kind="stable")[:FAR_CANDIDATES]
-    rest = np.log(max(1e-12, 1.0 - np.exp(log_prior[likely]).sum() / np.exp(log_prior).sum()))
     norm = np.logaddexp.reduce(log_prior)
+    rest = np.log(max(1e-12, 1.0 - np.exp(log_prior[likely] - norm).sum()))
     positions = views.positions[likely].astype(np.float64)
     return posterior(positions, np.zeros(len(likely)), log_prior[likely] - norm, float(rest))
