@@ -182,28 +182,10 @@ def test_a_map_that_cannot_be_added_is_left_out(run, world, tmp_path):
 
 def test_weights_belong_to_an_encoder_that_has_some(run, world, tmp_path):
     build = ("library", "build", world, "-o", tmp_path / "l.library", "--weights", tmp_path / "w")
-    for encoders in ((), ("labels",), ("compact", "features")):
+    for encoders in ((), ("labels",), ("scenegraphloc", "features")):
         asked = [word for name in encoders for word in ("--encoder", name)]
         told = run(*build, *asked)
         assert (told.code, "--weights belongs to" in told.err) == (7, True)
-    assert run(*build, "--encoder", "compact").code == 3  # no such file
-
-
-def test_a_library_of_other_weights_is_opened_with_them(run, world, tmp_path):
-    from dataclasses import replace
-
-    from placegraph.indoor.encode.compact.weights import read_weights, shipped, write_weights
-
-    held = read_weights(shipped())
-    name = next(iter(held.arrays))
-    arrays = held.arrays | {name: held.arrays[name] * 0.5}
-    write_weights(tmp_path / "mine.weights", replace(held, arrays=arrays))
-    by = ("--encoder", "compact", "--weights", tmp_path / "mine.weights")
-    file = tmp_path / "l.library"
-    assert run("library", "build", world, "-o", file, *by).code == 0
-    assert run("library", "info", file).code == 4
-    assert run("library", "info", file, *by, "--json").json["scenes"] == 1
-    assert run("library", "search", file, "a stove", *by).code == 0
 
 
 def test_json_has_no_nan(run, library, monkeypatch):

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.encode import Encoder
 
-WITH_WEIGHTS = ("compact", "features", "scenegraphloc")
-"""Encoders that read a file of weights; `compact` brings its own."""
+WITH_WEIGHTS = ("features", "scenegraphloc")
+"""Encoders that read a file of weights."""
 WITH_CAPTURES = ("features", "scenegraphloc")
 """Encoders that know objects by images of the map."""
 
@@ -23,7 +23,7 @@ WeightsFile = Annotated[
     Option(
         "--weights",
         help="File with the weights of the encoder: needed by scenegraphloc (`scene train` writes "
-        "some), fetched by features if not given, brought along by compact.",
+        "some), fetched by features if not given.",
     ),
 ]
 

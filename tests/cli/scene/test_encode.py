@@ -60,8 +60,6 @@ def test_what_contradicts_itself(run, file, tmp_path):
         (("--encoder", "labels", "--poses", "odometry"), 7, "--poses belongs"),
         (("--encoder", "labels", "--frames", "3:"), 7, "--frames belongs"),
         (("--encoder", "labels", "--weights", file), 7, "--weights belongs"),
-        (("--encoder", "compact", "--weights", tmp_path / "none"), 3, "none"),
-        (("--encoder", f"compact weights={tmp_path}/none"), 3, "none"),
         (("--encoder", "features layer=1"), 7, "--captures FOLDER"),
     ):
         told = run(*to, *asked)

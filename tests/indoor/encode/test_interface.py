@@ -16,7 +16,7 @@ from placegraph.indoor.encode import (
 )
 
 
-@pytest.mark.parametrize("name", ["labels", "appearance", "compact"])
+@pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_encoders_by_name_read_a_map(name, room):
     made = encoder(name)
     assert isinstance(made, Encoder)

@@ -59,7 +59,7 @@ def test_two_of_the_same_room_are_ambiguous(maps, rooms):
 def test_a_room_that_is_not_there_is_not_found(maps, rooms, missing, seed):
     others = {n: m for n, m in maps.items() if n != missing}
     film = rooms[missing].film(seed, frames=8)
-    for encoders in ("labels", ("labels", "compact")):
+    for encoders in ("labels", ("labels", "appearance")):
         estimate = library_of(others, encoders=encoders).search(film)
         assert estimate.status is not Status.OK
     alone = library_of({n: others[n] for n in list(others)[:1]}, encoders="labels")
@@ -133,7 +133,7 @@ def test_options_out_of_range(wrong):
 # ------------------------------------------------------------------------------------- the parts
 
 
-@pytest.mark.parametrize("name", ["labels", "compact"])
+@pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
     """Sec. 4, of vectors as they are: more patches than a query is told apart by."""
     library = library_of(maps, encoders=name)
@@ -150,7 +150,7 @@ def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
     np.testing.assert_allclose(got, wanted, atol=1e-6)
     found = library.search(film, options=SearchOptions(method="cosines"))
     assert {m.scene: m.score for m in found.modes} == dict(zip(library, got.tolist(), strict=True))
-    assert (len(query.said[0].words) > WORDS) == (name == "compact")
+    assert (len(query.said[0].words) > WORDS) == (name == "appearance")
 
 
 def test_the_papers_sum_of_a_large_library_is_made_in_parts(by_labels, rooms, monkeypatch):

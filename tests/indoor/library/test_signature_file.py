@@ -7,7 +7,7 @@ from placegraph.indoor.encode import encoder
 from placegraph.indoor.library.signature_file import decoys
 
 
-@pytest.mark.parametrize("name", ["labels", "appearance", "compact"])
+@pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_homes_have_vectors_of_the_encoders_as_they_are(name):
     """Where this fails, an encoder has changed: run `placegraph-lab decoys` again."""
     made = encoder(name)

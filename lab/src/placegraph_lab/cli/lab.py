@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 
 from placegraph.errors import PlacegraphError
-from placegraph_lab.cli.compact import app as compact
 from placegraph_lab.cli.table import app as tables
 
 Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
@@ -25,7 +24,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(tables, name="table")
-app.add_typer(compact, name="compact")
 
 
 def main() -> None:

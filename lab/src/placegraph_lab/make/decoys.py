@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 COUNT = 32
 FIRST_SEED = 700_000
-ENCODERS = ("labels", "appearance", "compact")
+ENCODERS = ("labels", "appearance")
 
 
 def write_decoys(out: Path, say: Callable[[str], None]) -> None:

@@ -22,9 +22,9 @@ Encoders = Annotated[
     list[str] | None,
     Option(
         "--encoder",
-        help="What scenes are compared by; may be repeated: labels, appearance, compact; features or "
+        help="What scenes are compared by; may be repeated: labels, appearance; features or "
         "scenegraphloc, of maps that `scene encode` gave their vectors. [default: labels and "
-        "compact]",
+        "appearance]",
     ),
 ]
 ItsEncoders = Annotated[

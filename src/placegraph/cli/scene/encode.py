@@ -34,7 +34,7 @@ def encode(
     encoder: Annotated[
         str,
         Option(
-            help="labels, appearance and compact know objects by the map alone; features and "
+            help="labels and appearance know objects by the map alone; features and "
             "scenegraphloc (extra `learn`) by images of it, --captures. Options of an encoder are said "
             "with its name: 'scenegraphloc feature_weights=dinov2_vitg14.pth'."
         ),
@@ -61,10 +61,10 @@ def encode(
     """Give a map's objects the vectors of an encoder, so that images are compared with them.
 
     The map holds those of one encoder, and says of which: frames that another one encoded, or other
-    weights of it, are refused. labels, appearance and compact are made as they are needed, and
-    encoding saves that; features and scenegraphloc need it, as they know objects by images.
+    weights of it, are refused. labels and appearance are made as they are needed, and encoding
+    saves that; features and scenegraphloc need it, as they know objects by images.
 
-    Example: placegraph scene encode house.scene -o house.scene --encoder compact
+    Example: placegraph scene encode house.scene -o house.scene --encoder appearance
 
     Example: placegraph scene encode house.scene -o house.scene --encoder scenegraphloc
     --weights mine.safetensors --captures walk/ --poses walk.tum

@@ -66,7 +66,7 @@ def localize(
     encoder: Annotated[
         str | None,
         Option(
-            help="What says which objects a patch may show: labels, appearance, compact, or one "
+            help="What says which objects a patch may show: labels, appearance, or one "
             "that `scene encode` gave the map its vectors of, with its options: 'features "
             "weights=dinov2.pth'; the capture's own labels if not given.",
             panel=USED,

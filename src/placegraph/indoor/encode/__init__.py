@@ -8,8 +8,6 @@ show, and that is what localizing reads. `encoder` makes the encoders that place
     a segmentation's labels against the objects' (`labels.LabelsEncoder`);
 ``appearance``
     colour and texture of a patch against those of the surfaces (`appearance.AppearanceEncoder`);
-``compact``
-    a small network of our own (`compact.CompactEncoder`);
 ``features``
     features of any backbone of timm, pooled over images of the map (`features.FeaturesEncoder`);
 ``scenegraphloc``
@@ -46,7 +44,6 @@ TEMPERATURE = 0.05
 _HOME = {
     "labels": ("labels", "LabelsEncoder"),
     "appearance": ("appearance", "AppearanceEncoder"),
-    "compact": ("compact", "CompactEncoder"),
     "features": ("features", "FeaturesEncoder"),
     "scenegraphloc": ("scenegraphloc", "SceneGraphLocEncoder"),
 }

@@ -86,7 +86,7 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder], *, exact: bool 
         names = ", ".join(e.name for e in encoders)
         raise OptionError(
             f"Nothing to compare: the frames have nothing for {names}. Give frames with labels, or a "
-            "library whose scenes are encoded by their looks: compact, or appearance."
+            "library whose scenes are encoded by their looks: appearance."
         )
     return Query(tuple(said), leveled(frames))
 

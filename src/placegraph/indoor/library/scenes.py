@@ -58,7 +58,7 @@ class Scenes:
 
     def __init__(
         self,
-        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "compact"),
+        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "appearance"),
         *,
         height: float | None = None,
     ) -> None:

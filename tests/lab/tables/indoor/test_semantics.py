@@ -83,7 +83,7 @@ def test_cases():
     assert all(c.encoder in {NONE, "appearance"} for c in rows if c.place != "house")
     assert cases([])[3].options.semantic
     assert not cases([])[0].options.semantic
-    assert set(available()) <= {"appearance", "compact"}
+    assert set(available()) <= {"appearance"}
 
 
 def test_other_words_are_synonyms_or_kin():

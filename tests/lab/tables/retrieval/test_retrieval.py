@@ -342,7 +342,7 @@ def test_a_study_of_four_homes(tmp_path, world, monkeypatch):
     cells = figures([row])
     assert {c["method"] for c in cells} == {"paper", "ours"}
     assert all((c["status"] is None) == (c["method"] == "paper") for c in cells)
-    both = study.row(f"{NOISY}, and compact")
+    both = study.row(f"{NOISY}, and appearance")
     assert len(both.answers["ours", "50", 10]) == 4
     noise = study.row(NOISY)
     assert {key[0] for key in noise.answers} == set(retrieval.METHODS)

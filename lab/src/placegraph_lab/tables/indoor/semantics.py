@@ -40,7 +40,7 @@ OTHERS = "labels, other words"
 INSTANCES = "instances"
 WITH_LABELS = (INSTANCES, TABLE, LABELS, OTHERS)
 """Encoders of a capture that brings labels; those of the house do."""
-OF_IMAGES = ("appearance", "compact")
+OF_IMAGES = ("appearance",)
 """Encoders of colour images that need no weights from elsewhere."""
 
 TERMS = {

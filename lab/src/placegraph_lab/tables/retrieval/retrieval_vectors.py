@@ -36,14 +36,13 @@ if TYPE_CHECKING:
 
 NOISY = "labels, 30 % wrong"
 THINGS = "labels, 30 % of the things wrong"
-BOTH = f"{NOISY}, and compact"
+BOTH = f"{NOISY}, and appearance"
 ROWS: dict[str, tuple[str, ...]] = {
     "labels": ("labels",),
     NOISY: (NOISY,),
     THINGS: (THINGS,),
-    "compact": ("compact",),
-    BOTH: (NOISY, "compact"),
-    f"{THINGS}, and compact": (THINGS, "compact"),
+    BOTH: (NOISY, "appearance"),
+    f"{THINGS}, and appearance": (THINGS, "appearance"),
     "appearance": ("appearance",),
 }
 """Rows of the tables: what is said of frames, by one encoder or by two."""

@@ -34,7 +34,7 @@ ANSWERING = (
     *(f"placegraph_lab/tables/sg2loc/{name}.py" for name in ("ask", "sets", "at_hand", "brought")),
 )  # fmt: skip
 """Code that decides what the answers are."""
-IMAGES = "compact"
+IMAGES = "appearance"
 """Encoder of images that bring no labels, if none is named."""
 GRID = tuple(np.arange(0.2, 2.5, 0.2).tolist())
 """Heights of the ablation *Uniform sampling*: a grid of 0.2 m upwards, too [m]."""

@@ -81,7 +81,7 @@ def retrieval(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
             walks = [Walk(w.name, w.map, w.open()[0], bool(w.changed)) for w in its.walks]
         study = Study(places, walks, asking.run.cache, asking.journal, asking.run.say)
         labelled = any(w.capture.label_kind == "labels" for w in walks)
-        row = study.row(asking.how.encoder or (NOISY if labelled else "compact"))
+        row = study.row(asking.how.encoder or (NOISY if labelled else "appearance"))
         text += [f"#### {its.name}: {len(places)} scenes, {len(walks)} walks", main_table([row])]
         rows += [{"set": its.name, "scenes": len(places)} | told for told in figures([row])]
     return "\n\n".join(text), rows
