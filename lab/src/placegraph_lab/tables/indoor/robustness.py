@@ -1,0 +1,219 @@
+"""Sets, cases and answers of `indoor_robustness`: what is asked, in which map, spoiled in which way."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import PlacegraphError
+from placegraph.formats.capture.capture import open_capture
+from placegraph.indoor.build import build_scene
+from placegraph.indoor.mapping.from_capture import FromCapture
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.maps import place
+from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error, rounded
+from placegraph_lab.tables.indoor.perturb import Recording, Shot
+from placegraph_lab.tables.indoor.perturb_images import half_elsewhere, only
+from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, TILT, true_poses
+from placegraph_lab.tables.sg2loc.at_hand import RPY
+from placegraph_lab.worlds.flat.walks import drifted
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from placegraph_lab.tables.indoor.cases import Case
+
+THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 2.0), (0.25, 10.0))
+"""Position [m] and rotation [deg] that a recall allows."""
+SETS = ("house", "office", "freiburg1_rpy")
+EVERY = {"house": 5, "office": 9, "freiburg1_rpy": 4}
+"""Frames of the recording from the start of a window to the next."""
+_RPY_SEED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """One window of a set."""
+
+    map: str
+    """Name of its own map, of `Places.scene`."""
+    shot: Shot
+    number: int
+    """Among all windows of the set: even ones may be tuned on, odd ones are held out."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What became of one window."""
+
+    window: str
+    number: int
+    position: float
+    """Error of the best pose [m]; infinite where there is none, or none can be right."""
+    rotation: float
+    """The same [deg]; infinite."""
+    status: str
+    """`OK`, `AMBIGUOUS`, `LOST`, or the name of an error."""
+    reason: str
+    milliseconds: float
+    """CPU time a frame; NaN of an error."""
+    trust: dict[str, float | None] = field(default_factory=dict)
+    """What the verdict was made of (`PoseEstimate.stats`); None: that sense was not there."""
+
+    @property
+    def right(self) -> bool:
+        """Whether the pose is what `OK` promises."""
+        return self.within(*NEAR)
+
+    def within(self, metres: float, degrees: float) -> bool:
+        """Whether the best pose is that near to the truth."""
+        return self.position <= metres and self.rotation <= degrees
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, ready for `json.dumps`; infinity and nan become None."""
+        digits = {"position": 4, "rotation": 3, "milliseconds": 2}
+        return asdict(self) | {k: rounded(getattr(self, k), n) for k, n in digits.items()}
+
+    @classmethod
+    def from_dict(cls, row: dict[str, Any]) -> Told:
+        """What `to_dict` wrote."""
+        empty = {"position": math.inf, "rotation": math.inf, "milliseconds": math.nan}
+        return cls(**row | {k: v for k, v in empty.items() if row[k] is None})
+
+
+class Places:
+    """Maps as users make them, and windows of every set; of the maps only a few are kept open."""
+
+    def __init__(self, data: Path, cache: Path) -> None:
+        self.data = data
+        self.cache = cache
+        self._maps: dict[str, SceneMap] = {}
+
+    def scene(self, name: str) -> SceneMap:
+        """Map of the house, or of a part of a recording: `house`, `office 0:186`."""
+        if name not in self._maps:
+            if len(self._maps) > 2:
+                self._maps.pop(next(iter(self._maps)))
+            self._maps[name] = self._made(name)
+        return self._maps[name]
+
+    def _made(self, name: str, detail: str = "default") -> SceneMap:
+        what, _, rows = name.partition(" ")
+        path = place(self.cache, f"{name}_{detail}".translate(_PLAIN))
+        if not path.exists():
+            if what == "house":
+                build_scene(self.data / "house/map/house.glb", path, detail=detail)
+            else:
+                low, _, high = rows.partition(":")
+                how = FromCapture(frames=slice(int(low), int(high)))
+                build_scene(self.data / what, path, capture=how, detail=detail)
+        return SceneMap.open(path)
+
+    def recordings(self, name: str) -> dict[str, list[Recording]]:
+        """What is asked of a set, by the map that it is asked in."""
+        if name == "house":
+            world = cache(partial(self._made, "house", "full"))
+            folders = sorted((self.data / "house").glob("seq[0-9]*"))
+            return {
+                "house": [
+                    Recording(f.name, open_capture(f).frames, true_poses(f), 0.2, world)
+                    for f in folders
+                ]
+            }
+        if name == "office":
+            return self._office()
+        return self._turning()
+
+    def _office(self) -> dict[str, list[Recording]]:
+        folder = self.data / "office"
+        capture, truth = open_capture(folder), true_poses(folder)
+        world = cache(partial(self._made, f"office 0:{len(capture)}", "fine"))
+        found = {}
+        for half, ((low, high), (first, last)) in HALVES.items():
+            rows = slice(first, last)
+            of = Recording(f"office {half}", capture.frames[rows], truth[rows], 0.2, world)
+            found[f"office {low}:{high}"] = [of]
+        return found
+
+    def _turning(self) -> dict[str, list[Recording]]:
+        """freiburg1_rpy has no odometry: it is made of the truth, in a frame of its own, and drifts."""
+        capture = open_capture(self.data / "freiburg1_rpy")
+        rng = np.random.default_rng(_RPY_SEED)
+        found = {}
+        for half, (made, first, last) in RPY.items():
+            frames, truth = capture.frames[first:last], capture.odometry[first:last]
+            odometry = drifted(truth, rng)
+            gravity = [f.gravity + TILT * rng.standard_normal(3) for f in frames]
+            told = [
+                replace(f, odometry=pose, gravity=down / np.linalg.norm(down))
+                for f, pose, down in zip(frames, odometry, gravity, strict=True)
+            ]
+            name = f"freiburg1_rpy {made}:{made + 52}"
+            found[name] = [Recording(f"rpy, {half}", tuple(told), truth, 7 / 30)]
+        return found
+
+    def windows(self, name: str, frames: int, count: int) -> list[Asked]:
+        """At most `count` windows of a set, spread over all of it, as many even as odd ones."""
+        stride = OFFICE_STRIDE if name == "office" else 1
+        span = (frames - 1) * stride + 1
+        whole = [
+            (where, Shot.of(of, range(start, start + span, stride)))
+            for where, parts in self.recordings(name).items()
+            for of in parts
+            for start in range(0, len(of.frames) - span + 1, EVERY[name])
+        ]
+        asked = [Asked(where, shot, i) for i, (where, shot) in enumerate(whole)]
+        return [a for half in (asked[::2], asked[1::2]) for a in _spread(half, -(-count // 2))]
+
+
+_PLAIN = str.maketrans({" ": "_", ":": "_"})
+
+
+def _spread(asked: list[Asked], most: int) -> list[Asked]:
+    if len(asked) <= most:
+        return asked
+    return [asked[i] for i in np.linspace(0, len(asked) - 1, most).round().astype(int)]
+
+
+def spoiled(asked: Asked, case: Case, other: Recording | None, seed: int) -> Shot:
+    """The window as a case has it; the same seed, the same noise."""
+    rng = np.random.default_rng([seed, asked.number])
+    shot = only(asked.shot, case.senses) if "labels" in case.senses else asked.shot
+    if other is not None:
+        shot = half_elsewhere(shot, other)
+    elif case.make is not None:
+        shot = case.make(shot, case.strength, rng)
+    return only(shot, case.senses)
+
+
+def ask(scene: SceneMap, asked: Asked, shot: Shot, case: Case, *, seed: int, device: str) -> Told:
+    """Localize as users do, refined, and measure the answer; in a foreign map none is right."""
+    options = FilterOptions().only(**{_TERMS[sense]: True for sense in case.senses})
+    start = time.process_time()
+    try:
+        estimate = scene.localize(shot.frames, options=options, seed=seed, device=device)
+    except PlacegraphError as error:
+        name = type(error).__name__
+        return Told(shot.name, asked.number, math.inf, math.inf, name, str(error), math.nan)
+    took = time.process_time() - start
+    best, truth = estimate.best, shot.truth[-1]
+    known = best is not None and not case.map
+    return Told(
+        window=shot.name,
+        number=asked.number,
+        position=position_error(best.map_from_camera, truth) if best and known else math.inf,
+        rotation=rotation_error(best.map_from_camera, truth) if best and known else math.inf,
+        status=estimate.status.name,
+        reason=estimate.reason,
+        milliseconds=1000.0 * took / len(shot.frames),
+        trust=dict(estimate.stats.get("trust", {})),
+    )
+
+
+_TERMS = {"labels": "semantic", "depth": "depth", "colour": "colour"}

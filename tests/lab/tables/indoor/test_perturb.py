@@ -1,0 +1,105 @@
+"""Perturbations: what they change of what is told, and what they leave as it is."""
+
+import numpy as np
+import pytest
+
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, pose_matrix
+from placegraph_lab.tables.indoor import perturb, perturb_images
+from placegraph_lab.tables.indoor.cases import RENDERED, SPOILED
+from placegraph_lab.tables.indoor.perturb import Recording, Shot
+
+CAMERA = Camera(256, 144, 200.0, 200.0, 124.0, 68.0)
+UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""level_from_camera of a camera that looks ahead."""
+
+
+@pytest.fixture
+def shot():
+    """Six of eight frames of a camera that walks ahead and turns."""
+    rng = np.random.default_rng(3)
+    poses = np.column_stack([0.1 * np.arange(8), np.zeros(8), np.full(8, 1.5), 0.1 * np.arange(8)])
+    truth = pose_matrix(poses, np.broadcast_to(UPRIGHT, (8, 3, 3)))
+    frames = tuple(
+        Frame.from_arrays(
+            rng.integers(0, 255, (144, 256, 3), np.uint8), CAMERA, depth=rng.uniform(1, 4, (144, 256)),
+            odometry=truth[i], stamp=0.2 * i, index=i,
+        )
+        for i in range(8)
+    )  # fmt: skip
+    return Shot.of(Recording("walk", frames, truth, 0.2), range(2, 8))
+
+
+@pytest.mark.parametrize("family", [f for f in SPOILED if f.sets != RENDERED], ids=lambda f: f.name)
+def test_every_family_changes_what_is_told_and_is_drawn_anew_alike(shot, family):
+    weak, strong = family.strengths[0], family.strengths[-1]
+    first, again, other = (
+        family.make(shot, strength, np.random.default_rng(1)) for strength in (weak, weak, strong)
+    )
+    assert first.frames[-1].index == shot.frames[-1].index
+    assert first.truth.shape == (len(first.frames), 4, 4)
+    assert _told(first) == _told(again)
+    assert len({_told(shot), _told(first), _told(other)}) == 3
+    assert _told(shot) == _told(Shot.of(shot.recording, range(2, 8))), "the recording is untouched"
+
+
+def _told(shot):
+    """All that a localizer is told of a shot."""
+    return tuple(
+        (
+            f.rgb().tobytes(), f.depth().tobytes(), f.odometry.tobytes(), f.gravity.tobytes(),
+            f.camera, f.depth_camera, f.stamp,
+        )
+        for f in shot.frames
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("degrees", [90, 180, 270])
+def test_turned_images_show_the_same_points(shot, degrees):
+    """A point of the map has the colour that it had, and gravity still points down."""
+    other = perturb.turned(shot, degrees, np.random.default_rng(0))
+    points = shot.truth[-1] @ np.array([0.305, -0.205, 2.0, 1.0])
+    colours = []
+    for of in (shot, other):
+        frame, truth = of.frames[-1], of.truth[-1]
+        x, y = frame.camera.project((np.linalg.inv(truth) @ points)[:3])
+        colours.append(frame.rgb()[int(y), int(x)].tolist())
+        np.testing.assert_allclose(truth[:3, :3] @ frame.gravity, [0, 0, -1], atol=1e-12)
+    assert colours[0] == colours[1]
+
+
+def test_a_crop_keeps_the_rays_of_its_pixels(shot):
+    cut = perturb.crop(shot, 9 / 16, np.random.default_rng(0)).frames[0]
+    assert (cut.camera.width, cut.camera.height) == (81, 144)
+    whole = shot.frames[0]
+    np.testing.assert_allclose(
+        cut.camera.directions([0.5, 0.5]), whole.camera.directions([87.5, 0.5])
+    )
+    assert cut.rgb()[0, 0].tolist() == whole.rgb()[0, 87].tolist()
+
+
+def test_drift_grows_with_its_strength_and_leaves_the_tilt(shot):
+    ends = []
+    for degrees in (0.3, 2.0):
+        bent = perturb.steady_drift(shot, degrees, np.random.default_rng(0)).frames
+        np.testing.assert_allclose(bent[0].odometry, shot.frames[0].odometry, atol=1e-12)
+        turn = bent[-1].odometry[:3, :3] @ shot.frames[-1].odometry[:3, :3].T
+        assert np.degrees(np.arctan2(turn[1, 0], turn[0, 0])) == pytest.approx(5 * degrees)
+        ends.append(np.linalg.norm(bent[-1].odometry[:3, 3] - shot.frames[-1].odometry[:3, 3]))
+    assert 0 < ends[0] < ends[1]
+
+
+def test_bad_input(shot):
+    rng = np.random.default_rng(0)
+    cap = perturb_images.lens_cap(shot, 0, rng).frames[0]
+    assert np.isnan(cap.depth()).all()
+    assert cap.rgb().max() < 20
+    still = perturb_images.frozen(shot, 0, rng).frames
+    assert (still[-1].rgb() == shot.frames[0].rgb()).all()
+    stamps = [f.stamp for f in perturb_images.backwards(shot, 0, rng).frames]
+    assert stamps == sorted(stamps, reverse=True)
+    flipped = perturb_images.mirrored(shot, 0, rng).frames[2]
+    assert (flipped.rgb()[:, 0] == shot.frames[2].rgb()[:, -1]).all()
+    half = perturb_images.half_elsewhere(shot, shot.recording).frames
+    assert (half[0].rgb() == shot.recording.frames[0].rgb()).all()
+    assert (half[3].rgb() == shot.frames[3].rgb()).all()
