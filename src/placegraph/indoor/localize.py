@@ -68,7 +68,7 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     estimate = verdict(window, fits)
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
-    estimate = replace(estimate, stats=stats, history=passes.history)
+    estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)
     return refined(window, estimate, refining, explained=True) if refining else estimate
 
 

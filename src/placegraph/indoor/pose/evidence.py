@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +45,20 @@ class Agreement:
     """(N,) what the patches and readings that concern each object told for the pose [nat]."""
     told: Floats
     """(N,) how many patches or readings concern each object."""
+    ratio: float = 0.0
+    """Log-likelihood ratio of what is seen against anywhere in the map, a frame [nat]."""
+    held: float = 0.0
+    """How firmly surfaces hold the position, 0 to 1/3: of the readings that lie on them, the share
+    whose surface faces the direction that fewest do. A blank wall and the floor: 0."""
+    frames: Floats = field(default_factory=lambda: np.full((0, 3), np.nan))
+    """(T, 3) the three agreements of each frame by itself."""
+
+    def numbers(self) -> dict[str, float | None]:
+        """What a verdict is made of, ready for `json.dumps`; None: there is no such sense."""
+        names = ("covered", "semantic", "depth", "colour", "ratio", "held")
+        values = {name: float(getattr(self, name)) for name in names}
+        values["witnesses"] = float((self.weights > _TELLING).sum())
+        return {name: None if np.isnan(value) else value for name, value in values.items()}
 
 
 def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats) -> Agreement:
@@ -53,8 +67,9 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
     count = len(scene)
     weights, told = np.zeros(count), np.zeros(count)
     samples = hits = 0
-    fits = {SEMANTIC: [0.0, 0.0], DEPTH: [0.0, 0.0], COLOUR: [0.0, 0.0]}
-    for view, step in zip(views, steps, strict=True):
+    fits = np.zeros((len(views), 3, 2))
+    total, faced = 0.0, np.zeros((3, 3))
+    for fit, view, step in zip(fits, views, steps, strict=True):
         at = compose(pose, step)
         triangles, distances = look(scene.caster.tracer, at, view.directions)
         used = view.patch >= 0
@@ -68,8 +83,7 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
             shares = np.bincount(view.patch[used], minlength=size)
             said = (view.weight > 0) & (np.bincount(view.patch[hit], minlength=size) > 0)
             logs = np.log(np.maximum(mean[said] / shares[said], 1e-6))
-            fits[SEMANTIC][0] += float((logs > 0).sum())
-            fits[SEMANTIC][1] += float(said.sum())
+            fit[SEMANTIC] = (logs > 0).sum(), said.sum()
             about = _concerned(view.semantic[:, :count], view.patch[hit], objects[hit], said, logs)
             np.add.at(weights, about, logs * view.weight[said])
             np.add.at(told, about, 1.0)
@@ -78,16 +92,31 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
             error = distances[read] - view.depth[read]
             sd = noise.depth_floor + noise.depth_slope * view.depth[read]
             ratio = reading_ratio(error, sd, noise) - view.usual_depth[read]
-            fits[DEPTH][0] += float((np.abs(error) < sd).sum())
-            fits[DEPTH][1] += float(read.sum())
+            lies = np.abs(error) < sd
+            fit[DEPTH] = lies.sum(), read.sum()
+            normals = scene.normals[triangles[read][lies]]
+            faced += normals.T @ normals
             share = noise.depth_weight / max(1, int(used.sum()))
             np.add.at(weights, objects[read], ratio * share)
             np.add.at(told, objects[read], share)
+        terms = scorer.terms(at[None], view)[0].astype(np.float64)
+        total += float(terms[view.terms].sum())
         if view.terms[COLOUR]:
-            fits[COLOUR][0] += float(scorer.terms(at[None], view)[0, COLOUR])
-            fits[COLOUR][1] += max(1e-9, noise.colour_weight * float(hit.sum()) / used.sum())
-    semantic, depth, colour = (a / b if b else np.nan for a, b in fits.values())
-    return Agreement(hits / max(1, samples), semantic, depth, colour, weights, told)
+            worth = noise.colour_weight * float(hit.sum()) / used.sum()
+            fit[COLOUR] = terms[COLOUR], max(1e-9, worth)
+    with np.errstate(invalid="ignore"):
+        semantic, depth, colour = np.divide(*fits.sum(axis=0).T).tolist()
+        return Agreement(
+            covered=hits / max(1, samples),
+            semantic=semantic,
+            depth=depth,
+            colour=colour,
+            weights=weights,
+            told=told,
+            ratio=total / max(1, len(views)),
+            held=float(np.linalg.eigvalsh(faced)[0] / max(1.0, np.trace(faced))),
+            frames=fits[..., 0] / fits[..., 1],
+        )
 
 
 def _concerned(

@@ -67,6 +67,7 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             reason=reason,
             trajectory=pose_matrix(compose(fits[0].pose, steps), window.levels),
             frames=np.array([s.frame.index for s in window.sightings]),
+            stats={"trust": agreed[0].numbers() | {"probability": modes[0].probability}},
         )
 
 
