@@ -68,6 +68,7 @@ def _problem(scene, capture, options=None, *, sights=None, blind=(), gravity=Non
         sights or [Sights.none()] * len(capture),
         np.stack([f.odometry for f in capture]),
         np.stack([f.gravity for f in capture]) if gravity is None else gravity,
+        np.array([f.stamp for f in capture]),
         len(scene),
         options,
     )

@@ -12,7 +12,7 @@ from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-SOME = SimpleNamespace(poses=None)  # a solution: its numbers are not looked at
+SOME = SimpleNamespace(poses=None, lags=None)  # a solution: its numbers are not looked at
 
 
 @pytest.fixture

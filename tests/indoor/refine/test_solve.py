@@ -12,16 +12,8 @@ from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import DEPTH_WIDTHS
-from placegraph.indoor.refine.solve import (
-    ALONE,
-    LEAST,
-    Problem,
-    Solution,
-    common_error,
-    covariance,
-    odometry_errors,
-    solve,
-)
+from placegraph.indoor.refine.solve import Problem, Solution, odometry_errors, solve
+from placegraph.indoor.refine.worth import ALONE, LEAST, common_error, covariance
 
 HALL = ((0, 0, 0), (6, 4, 3))
 
@@ -227,7 +219,7 @@ def test_errors_of_odometry_do_not_depend_on_the_frames_of_reference(kit, way, s
     elsewhere = kit.standing(3.0, 1.0, np.degrees(yaw))
 
     def made(frames):
-        return Problem(None, (), (), frames, np.zeros((5, 3)), 0, options)
+        return Problem(None, (), (), frames, np.zeros((5, 3)), np.arange(5.0), 0, options)
 
     first, deviations = odometry_errors(made(odometry), poses)
     second, same = odometry_errors(made(elsewhere @ odometry), poses)

@@ -66,10 +66,20 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
         return Judgement(True, f"Refined by {by}, unchecked.", stats)
     with timed(refiner.seconds, "check"):
         doubt = _wrong_focal(refiner, fitted, stats) or _wrong_scale(refiner, fitted, stats)
-        against = doubt or _unconfirmed(refiner, coarse, fitted.poses, stats)
+        against = doubt or _unconfirmed(refiner, coarse, fitted, stats)
     if against:
         return Judgement(False, f"Not refined: {against}.", stats, doubt)
-    return Judgement(True, f"Refined by {by}.", stats)
+    return Judgement(True, f"Refined by {by}.{_late(fitted)}", stats)
+
+
+def _late(fitted: Fitted) -> str:
+    """What is told of stamps that sensors do not keep."""
+    found = {} if fitted.lags is None else fitted.lags.clear()
+    told = (
+        f"{what} {'lag' if what == 'images' else 'lags'} {lag:.2g} behind the stamps"
+        for what, lag in found.items()
+    )
+    return "".join(f" Note that {said}; that was allowed for." for said in told)
 
 
 def _unfounded(refiner: Refiner, fitted: Fitted, inliers: int) -> str:
@@ -107,7 +117,8 @@ def _wrong_focal(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str
 
 def _wrong_scale(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
     """Whether depth, or the image it belongs to, is larger or smaller than its camera says."""
-    for what, scale in scales(refiner.scene, refiner.problem(), fitted.poses).items():
+    poses = fitted.poses if fitted.lags is None else fitted.lags.of_depth(fitted.poses)
+    for what, scale in scales(refiner.scene, refiner.problem(), poses).items():
         if scale.wrong:
             stats[f"{what}_scale"] = round(1.0 + scale.share, 3)
             how = "larger" if scale.share > 0 else "smaller"
@@ -119,9 +130,9 @@ def _wrong_scale(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str
     return ""
 
 
-def _unconfirmed(refiner: Refiner, coarse: Floats, refined: Floats, stats: dict[str, Any]) -> str:
+def _unconfirmed(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[str, Any]) -> str:
     """Whether held-back samples fail to speak for the refined trajectory."""
-    gains = _gains(refiner, coarse, refined)
+    gains = _gains(refiner, coarse, fitted)
     stats["held_back"] = {
         name: {"before": _rounded(g.before), "after": _rounded(g.after), "z": round(g.z, 2)}
         for name, g in gains.items()
@@ -141,15 +152,20 @@ def moved(before: Floats, after: Floats) -> tuple[float, float]:
     return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
 
 
-def _gains(refiner: Refiner, coarse: Floats, refined: Floats) -> dict[str, Gain]:
-    gains = {}
+def _gains(refiner: Refiner, coarse: Floats, fitted: Fitted) -> dict[str, Gain]:
+    gains, lags = {}, fitted.lags
+    measured, pictured = fitted.poses, fitted.poses
+    if lags is not None:
+        measured, pictured = lags.of_depth(measured), lags.of_images(pictured)
     if refiner.has_depth:
-        gains["depth"] = depth_gain(refiner.surfaces, refiner.readings(1), coarse, refined)
+        gains["depth"] = depth_gain(refiner.surfaces, refiner.readings(1), coarse, measured)
     rows = [t for t in refiner.looked() if refiner.queries[t] is not None]
     if rows and refiner.scene.coloured:
         queries = [q for q in (refiner.queries[t] for t in rows) if q is not None]
         frames = [refiner.frames[t] for t in rows]
-        gains["images"] = image_gain(refiner.renderer, frames, queries, coarse[rows], refined[rows])
+        gains["images"] = image_gain(
+            refiner.renderer, frames, queries, coarse[rows], pictured[rows]
+        )
     return gains
 
 

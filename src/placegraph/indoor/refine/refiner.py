@@ -15,7 +15,8 @@ from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
 from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.solve import Problem, Solution, covariance, solve
+from placegraph.indoor.refine.solve import Problem, Solution, solve
+from placegraph.indoor.refine.worth import covariance
 from placegraph.indoor.render import Renderer
 from placegraph.threads import processors
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.pose.query import Progress
     from placegraph.indoor.pose.window import Window
+    from placegraph.indoor.refine.lag import Lags
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
 
@@ -96,6 +98,11 @@ class Fitted:
     covariance: Floats
     """(6, 6) of the last frame, as `PoseMode.covariance`."""
 
+    @property
+    def lags(self) -> Lags | None:
+        """By what depth and images are late."""
+        return None if self.solution is None else self.solution.lags
+
 
 @dataclass(eq=False)
 class Refiner:
@@ -161,6 +168,7 @@ class Refiner:
             sights or [Sights.none()] * len(self.frames),
             np.stack([f.odometry for f in self.frames]),
             np.stack([f.gravity for f in self.frames]),
+            np.array([f.stamp for f in self.frames], np.float64),
             len(self.scene),
             self.options,
             self.known,
@@ -282,7 +290,10 @@ class Refiner:
         return self._finished(led, solution, kept)
 
     def _finished(self, poses: Floats, solution: Solution | None, sights: list[Sights]) -> Fitted:
-        agreed = self._inliers(sights, poses)
         if solution is None:
+            agreed = self._inliers(sights, poses)
             return Fitted(poses, None, agreed, np.full((6, 6), np.nan))
+        lags = solution.lags
+        agreed = self._inliers(sights, poses if lags is None else lags.of_images(poses))
+        self.stats["lag"] = {} if lags is None else lags.clear()
         return Fitted(poses, solution, agreed, covariance(self.problem(sights), solution))

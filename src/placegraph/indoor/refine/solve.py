@@ -4,11 +4,7 @@ Unknown are the poses of all frames, six degrees of freedom each. Depth readings
 tie each frame to the map, odometry ties it to its neighbours, gravity to the vertical; Gauss-Newton
 with weights that are set anew at each step, from a wide robust kernel to a narrow one.
 
-How well the poses are then known is more than the fit says. Its own covariance takes errors for
-independent. What is wrong with a map is not: a wall that stands two centimetres off does so for every
-reading of it, and the pose goes with it; more readings do not make a map truer. How far the map is off
-is not known, but two things tell its order: how far frames, each pulled by what it sees, part from
-what odometry says of their way, and how far right matches miss.
+Depth and images may lag behind the odometry's clock, each by one unknown (`lag`).
 """
 
 from __future__ import annotations
@@ -22,6 +18,7 @@ from placegraph.errors import InputError
 from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.depth import Kernel
 from placegraph.indoor.refine.fit_kernels import depth_system, pixel_system
+from placegraph.indoor.refine.lag import MOST, Lags, in_map_axes, later, twists, usual_lag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,6 +54,8 @@ class Problem:
     """(T, 4, 4) odometry_from_camera"""
     gravity: Floats
     """(T, 3) unit direction in camera axes"""
+    stamps: Floats
+    """(T,) [s], or numbers of frames"""
     objects: int
     """Number of the map's objects."""
     options: RefineOptions
@@ -79,6 +78,8 @@ class Solution:
     """Mean robust cost of the depth readings, 0 to 1; NaN without depth."""
     steps: int
     """Gauss-Newton steps taken."""
+    lags: Lags | None = None
+    """By what depth and images are late; None: not asked."""
 
     def covariance(self, frame: int = -1) -> Floats:
         """(6, 6) of one frame, the others being unknown too."""
@@ -99,28 +100,58 @@ def solve(
     """
     poses, count = start.copy(), len(start)
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
+    twist, usual = twists(problem.odometry, problem.stamps), usual_lag(problem.stamps)
+    lags, held = np.zeros(2), slice(0, 6 * count)
     for depth_width, pixel_width in widths:
         for number in range(steps):
-            h, g = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
-            told, cost = _add_depth(problem, poses, shares, depth_width, h, g)
-            _add_sights(problem, poses, pixel_width, h, g)
+            h, g = np.zeros((6 * count + 2, 6 * count + 2)), np.zeros(6 * count + 2)
+            seen = [later(poses, twist, lag) for lag in lags]
+            one, two = (np.zeros((6 * count, 6 * count)) for _ in lags)
+            slopes = np.zeros((2, 6 * count))
+            told, cost = _add_depth(problem, seen[0], shares, depth_width, one, slopes[0])
+            _add_sights(problem, seen[1], pixel_width, two, slopes[1])
+            for k, block in enumerate((one, two)):
+                _add_lagged(block, slopes[k], in_map_axes(seen[k], twist), 6 * count + k, h, g)
+            h[-2:, -2:] += np.eye(2) / usual**2
+            g[-2:] += lags / usual**2
             _add_odometry(problem, poses, h, g)
             _add_gravity(problem, poses, h, g)
-            _add_known(problem, poses, start, h, g)
-            step = -np.linalg.solve(h, g).reshape(count, 6)
-            if not np.isfinite(step).all():  # a ray that is no number would never come back
+            _add_known(problem, poses, start, h[held, held], g[held])
+            whole = -np.linalg.solve(h, g)
+            step = whole[held].reshape(count, 6)
+            if not np.isfinite(whole).all():  # a ray that is no number would never come back
                 raise InputError(
                     "The poses of the frames cannot be fitted: their odometry, gravity, depth or "
                     "matches hold numbers that are not finite or absurdly large."
                 )
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
+            lags = np.clip(lags + whole[-2:], -MOST * usual, MOST * usual)
             taken += 1
             if number:  # not before the poses have had one step to come near
                 shares = _shares(told)
             if np.abs(step).max() < _STILL:
                 break
-    return Solution(poses, h, shares, cost, taken)
+    late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
+    information = h[held, held]
+    if late.clear():  # else stamps are believed, and no pose is less sure for what they might be
+        across = h[held, -2:]
+        information = information - across @ np.linalg.solve(h[-2:, -2:], across.T)
+    return Solution(poses, information, shares, cost, taken, late)
+
+
+def _add_lagged(block: Floats, slope: Floats, way: Floats, row: int, h: Floats, g: Floats) -> None:
+    """Add what one sense tells of T poses, block (6 T, 6 T) and slope (6 T,), and of its lag.
+
+    `way`: (6 T,) that the poses go in a unit of the lag, whose place in h and g is `row`.
+    """
+    held, moved = slice(0, len(slope)), block @ way
+    h[held, held] += block
+    h[held, row] += moved
+    h[row, held] += moved
+    h[row, row] += way @ moved
+    g[held] += slope
+    g[row] += way @ slope
 
 
 def _shares(told: Floats) -> Floats:
@@ -233,57 +264,3 @@ def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Flo
     weights = 1.0 / np.square(deviations)
     g += (np.concatenate([shift, turn], axis=1) * weights).ravel()
     h[np.diag_indices(len(h))] += np.tile(weights, len(poses))
-
-
-PULL = 5.0
-"""Error common to all frames, in units of how far they part from their way (benchmark)."""
-MISS = 0.65
-"""Error common to all frames, in units of what matches miss by (benchmark)."""
-UNEXPLAINED = 0.02
-"""Error common to all frames if no reading of depth were explained [m] (benchmark)."""
-LEAST = 0.003
-"""No map is truer than this [m]."""
-ALONE = 0.015
-"""Error of a single frame that no other can tell [m]."""
-UPRIGHT = 0.5
-"""Share of the error that goes into height: floors and table tops agree better than walls."""
-_MEDIAN = 1.4826  # standard deviations in a median absolute deviation
-
-
-def covariance(problem: Problem, solution: Solution) -> Floats:
-    """(6, 6) of the last frame of a solution: the fit's own, and what is common to all frames."""
-    shift, away = common_error(problem, solution)
-    turn = shift / away
-    tilt = min(turn, problem.options.tilt)
-    common = np.square([shift, shift, UPRIGHT * shift, tilt, tilt, turn])
-    return solution.covariance() + np.diag(common)
-
-
-def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
-    """What a trajectory is off by as a whole, as a standard deviation [m], and how far is seen [m].
-
-    The distance makes turns of shifts.
-    """
-    errors, _ = odometry_errors(problem, solution.poses)
-    pulled = PULL * float(np.sqrt(np.mean(errors[:, :3] ** 2))) if len(errors) else ALONE
-    unexplained = UNEXPLAINED * float(np.nan_to_num(solution.cost))
-    found, away = [LEAST, float(np.hypot(pulled, unexplained))], []
-    depths = [r.depth[r.depth > 0] for r in problem.readings if r is not None]
-    if any(map(len, depths)):
-        away.append(float(np.median(np.concatenate(depths))))
-    if any(map(len, problem.sights)):
-        missed, far = _missed(problem.sights, solution.poses)
-        found.append(MISS * missed)
-        away.append(far)
-    return max(found), float(np.mean(away)) if away else 1.0
-
-
-def _missed(sights: Sequence[Sights], poses: Floats) -> tuple[float, float]:
-    """By how much matches miss, at their distance [m], and that distance [m]."""
-    angles, far = [], []
-    for seen, pose in zip(sights, poses, strict=True):
-        if len(seen):
-            angles.append(seen.errors(pose) / seen.focal)
-            far.append(np.linalg.norm(seen.points - pose[:3, 3], axis=1))
-    distance = float(np.median(np.concatenate(far)))
-    return _MEDIAN / np.sqrt(2.0) * float(np.median(np.concatenate(angles))) * distance, distance
