@@ -386,9 +386,11 @@ def test_frames_that_all_see_a_wall(copied):
     rows = (copied / "odometry.tum").read_text().splitlines()
     still = [f"{r.split()[0]} 0 0 1.5 -0.70710678 0 0 0.70710678" for r in rows]
     (copied / "odometry.tum").write_text("\n".join(still) + "\n")
-    with pytest.raises(InputError, match=r"walk shows no floor.*--floor 0"):
-        build_scene(copied, None)
     notes = []
-    scene = build_scene(copied, None, floor=0.0, notes=notes)
+    guessed = build_scene(copied, None, notes=notes)
+    assert guessed.floors[0] == pytest.approx(guessed.bounds[0, 2], abs=0.05)
+    assert any("walk shows no floor" in note and "--floor 0" in note for note in notes)
+    scene = build_scene(copied, None, floor=0.0)
+    assert scene.floors[0] == 0.0
     np.testing.assert_allclose(scene.bounds[:, 1], 2.0, atol=0.02)
     assert len(scene) == 1

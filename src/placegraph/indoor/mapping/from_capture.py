@@ -11,6 +11,8 @@ import numpy as np
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import format_of
 from placegraph.formats.mesh.model import Model, Picture, Thing
+from placegraph.indoor.map.floor import floor_height
+from placegraph.indoor.map.mesh import Mesh
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -28,6 +30,8 @@ Progress = Callable[[str, int, int], None]
 """Is told a stage, how much of it is done, and of how much."""
 UNKNOWN = "unknown"
 """Label of what nobody named."""
+_LOWEST = 0.005
+"""Share of the surface that may lie below a floor that nobody saw."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,19 +93,35 @@ def captured(
         frames=None if capture.label_camera is None else capture.frames,
         progress=progress, left_out=left_out,
     )  # fmt: skip
+    floor, guessed = _floor(path, fused, found)
     model = Model(
         path=path, things=things_of(found), vertices=fused.vertices, triangles=fused.triangles,
         thing_of=found.object_of.astype(np.int64), colours=fused.colours,
         uv=np.zeros((len(fused.vertices), 2)),
         picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Picture(None),),
-        floor=found.floor,
+        floor=floor,
     )  # fmt: skip
     poses = np.array([f.odometry for f in capture.frames])
     colour_of = frame_colours(
         capture.frames, poses, fused.vertices, fused.triangles, progress=_stage(progress, "colours")
     )
     notes = _notes(path, told, fused.stats, found.labels)
-    return Source(model, colour_of, (*capture.notes, *notes))
+    return Source(model, colour_of, (*capture.notes, *notes, *guessed))
+
+
+def _floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str, ...]]:
+    """Height of the floor [m], and what was guessed of it: cameras may have seen none of it."""
+    if found.floor is not None:
+        return found.floor, ()
+    mesh = Mesh.plain(fused.vertices, fused.triangles, found.object_of)
+    height = floor_height(mesh, found.labels)
+    if height is not None:
+        return height, ()
+    lowest = float(np.quantile(fused.vertices[:, 2], _LOWEST))
+    said = (
+        f"{path} shows no floor: it is taken to lie where its surface ends, at z = {lowest:.2f} m"
+    )
+    return lowest, (f"{said}; pass its height where it is known (floor=0.0, or --floor 0).",)
 
 
 def _opened(
