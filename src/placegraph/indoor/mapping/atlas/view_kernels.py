@@ -46,8 +46,8 @@ class Keyframes(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def _seen(views, k, point, normal):
-    """x, y [px], depth [m] and worth (0: not seen) of a point in view k."""
+def _seen(views, k, point, normal, least):
+    """x, y [px], depth [m] and worth of a point in view k; worth 0: not seen, or worth `least` at most."""
     dx = views.centres[k, 0] - point[0]
     dy = views.centres[k, 1] - point[1]
     dz = views.centres[k, 2] - point[2]
@@ -58,6 +58,10 @@ def _seen(views, k, point, normal):
     pose = views.camera_from_map[k]
     z = pose[2, 0] * point[0] + pose[2, 1] * point[1] + pose[2, 2] * point[2] + pose[2, 3]
     if z < 0.1:
+        return 0.0, 0.0, 0.0, 0.0
+    facing = cosine / distance
+    most = facing * np.sqrt(facing) / (z * z + 0.25)
+    if most <= least:
         return 0.0, 0.0, 0.0, 0.0
     x = pose[0, 0] * point[0] + pose[0, 1] * point[1] + pose[0, 2] * point[2] + pose[0, 3]
     y = pose[1, 0] * point[0] + pose[1, 1] * point[1] + pose[1, 2] * point[2] + pose[1, 3]
@@ -74,8 +78,7 @@ def _seen(views, k, point, normal):
     # something stands before the point, or the view looks right through it
     if z > near + slack or (z < near - 2.0 * slack and np.isfinite(near)):
         return 0.0, 0.0, 0.0, 0.0
-    worth = (cosine / distance) ** 1.5 / (z * z + 0.25) * min(border / BORDER, 1.0)
-    worth *= views.trust[k, row, column]
+    worth = most * min(border / BORDER, 1.0) * views.trust[k, row, column]
     if far > z + 2.0 * slack:  # at the edge of something: a small error of the pose shows
         worth *= 0.2
     return x, y, z, worth
@@ -150,8 +153,9 @@ def _best(views, candidates, point, normal, rows, places):
     """Fill rows (M,) and places (M, 4: x, y, z, worth) with the best views; returns how many."""
     most, count = len(rows), 0
     for k in candidates:
-        x, y, z, worth = _seen(views, k, point, normal)
-        if worth <= 0 or (count == most and worth <= places[most - 1, 3]):
+        least = places[most - 1, 3] if count == most else 0.0
+        x, y, z, worth = _seen(views, k, point, normal, least)
+        if worth <= least:
             continue
         if count < most:
             count += 1
@@ -180,11 +184,24 @@ def observe(views, points, normals, texel, rows, colours, first, last):
 
 
 @kernel(error_model="numpy")
+def _median(values, count, column, ascending):
+    """Median of the first `count` of a column of values (M, C); `ascending` (M,) is overwritten."""
+    for m in range(count):
+        at = m
+        while at > 0 and ascending[at - 1] > values[m, column]:
+            ascending[at] = ascending[at - 1]
+            at -= 1
+        ascending[at] = values[m, column]
+    return 0.5 * (ascending[(count - 1) // 2] + ascending[count // 2])
+
+
+@kernel(error_model="numpy")
 def mixed(views, points, normals, texel, out, known, first, last):
     """Fill colours (N, 3) of points (N, 3) with normals (N, 3), and whether any view shows them."""
     candidates, number = np.empty(len(views.centres), np.int64), 0
     rows, places = np.empty(BEST, np.int64), np.zeros((BEST, 4))
     colours, weights = np.empty((BEST, 3)), np.empty(BEST)
+    middle, ascending = np.empty(3), np.empty(BEST)
     for i in range(first, last):
         if (i - first) % RUN == 0:
             number = _near(views, points, i, min(i + RUN, last), candidates)
@@ -201,9 +218,8 @@ def mixed(views, points, normals, texel, out, known, first, last):
             weights[m] = (places[m, 3] / places[0, 3]) ** 2 * (1.0 if fair else 0.05)
             for c in range(3):
                 colours[m, c] = min(look[c] * views.gains[k, c], 255.0)
-        middle = np.empty(3)
         for c in range(3):
-            middle[c] = np.median(colours[:count, c])
+            middle[c] = _median(colours, count, c, ascending)
         total, mean = 0.0, np.zeros(3)
         for m in range(count):
             off = 0.0

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.mapping.atlas.view_kernels import Keyframes, around, resampled
+from placegraph.threads import processors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -73,20 +74,22 @@ def looked(
     """Views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
     total, done = sum(len(g) for g in groups), 0
     first = _plain(frames[groups[0][0]].camera)
-    rows, images, depths, trust = [], [], [], []
-    with ThreadPoolExecutor(2) as pool:  # Pillow works outside the interpreter's lock
-        for group in groups:
-            colours = list(pool.map(lambda i: frames[i].rgb(), group))
-            best = int(np.argmax([sharpness(c) for c in colours]))
-            row, frame = group[best], frames[group[best]]
-            rows.append(row)
-            images.append(_upright(colours[best], frame.camera, first))
-            depth, sure = _depth(frame, poses[row], caster, first)
-            depths.append(around(depth))
-            trust.append(sure)
+
+    def view(group: Sequence[int]) -> tuple[int, Bytes, NDArray[np.float32], NDArray[np.float32]]:
+        colours = [frames[i].rgb() for i in group]
+        best = int(np.argmax([sharpness(c) for c in colours]))
+        row, frame = group[best], frames[group[best]]
+        depth, sure = _depth(frame, poses[row], caster, first)
+        return row, _upright(colours[best], frame.camera, first), around(depth), sure
+
+    found = []
+    with ThreadPoolExecutor(processors()) as pool:  # Pillow and kernels work outside the lock
+        for group, one in zip(groups, pool.map(view, groups), strict=True):
+            found.append(one)
             done += len(group)
             if progress:
                 progress(done, total)
+    rows, images, depths, trust = (list(column) for column in zip(*found, strict=True))
     map_from_camera = poses[rows]
     pinhole = np.array([first.fx, first.fy, first.cx, first.cy])
     return Keyframes(
@@ -158,21 +161,35 @@ def _depth(
     scale = min(1.0, DEPTH_LONGEST / max(plain.width, plain.height))
     width, height = (max(1, round(s * scale)) for s in (plain.width, plain.height))
     small = plain.resized(width, height)
-    v, u = np.mgrid[:height, :width] + 0.5
-    rays = small.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
-    hits = caster.cast(pose[:3, 3], rays @ pose[:3, :3].T)  # z is 1: distance is depth
+    hits = caster.cast(pose[:3, 3], _rays(small) @ pose[:3, :3].T)  # z is 1: distance is depth
     out = hits.distance.reshape(height, width)
     trust = np.ones((height, width), np.float32)
     read = frame.depth()
     if read is not None and frame.depth_camera is not None:
-        at = frame.depth_camera.project(rays).reshape(height, width, 2)
-        x, y = np.moveaxis(at, 2, 0)
-        inside = (x > 0) & (x < read.shape[1]) & (y > 0) & (y < read.shape[0])
-        row, column = (np.where(inside, p, 0.0).astype(np.int64) for p in (y, x))
+        row, column, inside = _readings(small, frame.depth_camera)
         measured = np.where(inside, read[row, column], np.nan)
         trust[~np.isfinite(measured)] = UNREAD
         out = np.where(np.isfinite(measured), measured, out)
     return np.ascontiguousarray(out, np.float32), trust
+
+
+@lru_cache(maxsize=2)
+def _rays(camera: Camera) -> Floats:
+    """Rays (h * w, 3) through the centres of a camera's pixels, z = 1."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
+
+
+@lru_cache(maxsize=2)
+def _readings(
+    camera: Camera, depth_camera: Camera
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Row, column (h, w) of the reading that each pixel sees, and whether there is one."""
+    at = depth_camera.project(_rays(camera)).reshape(camera.height, camera.width, 2)
+    x, y = np.moveaxis(at, 2, 0)
+    inside = (x > 0) & (x < depth_camera.width) & (y > 0) & (y < depth_camera.height)
+    row, column = (np.where(inside, p, 0.0).astype(np.int64) for p in (y, x))
+    return row, column, inside
 
 
 def _levels(images: Bytes) -> tuple[Bytes, ...]:
