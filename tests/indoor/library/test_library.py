@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import placegraph as pg
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.estimate import Status
-from placegraph.indoor.library import SceneLibrary, library_of
+from placegraph.estimate import SceneEstimate, SceneMode, Status
+from placegraph.indoor.library import SceneLibrary, library_of, localize
 from placegraph.indoor.mapping.merge import merge_scenes
 
 
@@ -150,6 +150,25 @@ def test_scene_and_pose_of_a_capture(by_labels, rooms, name):
     )
     assert estimate.stats["retrieval"][name] > 0.5
     assert estimate.to_dict()["modes"][0]["scene"] == name
+
+
+@pytest.mark.parametrize("status", [Status.OK, Status.LOST])
+def test_poses_decide_where_the_search_is_wrong(maps, rooms, monkeypatch, status):
+    """The search is sure of another room, or that it is none: the room that depth fits is named."""
+
+    def misled(*_, most, **__):
+        told = (("bedroom", 0.998), ("parlour", 0.001), ("study", 0.001))
+        modes = tuple(SceneMode(scene=n, probability=p, score=p) for n, p in told)
+        return SceneEstimate(status, modes[:most], "", 0.0, {"seconds": {}})
+
+    monkeypatch.setattr(localize, "search_in", misled)
+    library = library_of(maps, encoders="appearance")
+    film = rooms["study"].film(21, 8, depth=True, labels=None)
+    estimate = library.localize(film, refine=False)
+    assert (estimate.status, estimate.best.scene) == (Status.OK, "study")
+    if status is Status.LOST:
+        alone = library.localize(film, refine=False, most=1)
+        assert alone.status is not Status.OK
 
 
 def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):

@@ -79,7 +79,7 @@ def localize(
     library: Library,
     capture: CaptureFolder,
     frames: Frames = None,
-    most: Annotated[int, Option(help="Scenes localized in at most.")] = 4,
+    most: Annotated[int, Option(help="Scenes localized in at most.")] = 8,
     description: Annotated[
         str | None,
         Option(help="What is known of the place: 'next to the sofa, facing the window'."),

@@ -2,6 +2,7 @@
 
 The best scenes are merged into one map (App. D) and localized in together: each gets its share of
 the first particles, and their poses are weighed against each other by the very same likelihood.
+Retrieval proposes, poses decide: where none is sure among the best scenes, the next are looked into.
 """
 
 from __future__ import annotations
@@ -35,10 +36,13 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.scenes import Scenes
     from placegraph.indoor.map.scene import Scene
 
-SCENES = 4
+SCENES = 8
 """Scenes localized in at most."""
-COVERED = 0.99
-"""Probability that they hold together, if fewer do."""
+TOGETHER = 4
+"""Scenes localized in at once, at most."""
+# share of the depth readings that agree, and what a sample of the colours tells [nat], from where
+# on a pose overrules the search
+_DEPTH, _COLOURS = 0.9, 0.12
 _LEAST = 0.02  # share of the particles of a scene that is looked at all
 
 
@@ -67,7 +71,7 @@ def localize(
     frames, search
         Which of them, all if not given; how scenes are searched.
     most
-        Scenes localized in at most: those that hold 99 % of the probability, if these are fewer.
+        Scenes localized in at most: the best four at once, and others only if no pose is `OK`.
     description
         What somebody says of the place: helps to find the scene, and the pose in it.
     encoder
@@ -91,16 +95,25 @@ def localize(
     _check(most, options)
     chosen = chosen_frames(capture, frames)
     found = search_in(library, chosen, description=description, options=search, most=most)
-    candidates = _candidates(found)
-    start = perf_counter()
     reader = _reader(library, chosen, encoder)
-    scene = merge_scenes({m.scene: _with(library, m.scene, reader) for m in candidates})
-    merging = perf_counter() - start
-    estimate = localized(
-        scene, chosen, shares=_shares(scene, candidates), description=_useful(description, scene),
-        encoder=reader, progress=progress, **options,
-    )  # fmt: skip
-    return _in_their_own(estimate, scene, found, candidates, merging)
+    answers: list[PoseEstimate] = []
+    looked = 0
+    while looked < len(found.modes) and not (answers and answers[-1].status is Status.OK):
+        candidates = found.modes[looked : looked + TOGETHER]
+        looked += len(candidates)
+        start = perf_counter()
+        scene = merge_scenes({m.scene: _with(library, m.scene, reader) for m in candidates})
+        merging = perf_counter() - start
+        estimate = localized(
+            scene, chosen, shares=_shares(scene, candidates), encoder=reader,
+            description=_useful(description, scene), progress=progress, **options,
+        )  # fmt: skip
+        answers.append(_in_their_own(estimate, scene, found, merging))
+    best = min(answers, key=lambda answer: _RANK[answer.status])
+    return _doubted(best, found, looked)
+
+
+_RANK = {Status.OK: 0, Status.AMBIGUOUS: 1, Status.LOST: 2}
 
 
 def _check(most: int, options: dict[str, Any]) -> None:
@@ -139,19 +152,7 @@ def _useful(description: str | None, scene: Scene) -> Sentence | None:
     return sentence if useful else None
 
 
-def _candidates(found: SceneEstimate) -> list[SceneMode]:
-    """The best scenes, until they hold enough of what is in any scene at all."""
-    inside = max(1e-12, 1.0 - found.elsewhere)
-    out, held = [], 0.0
-    for mode in found.modes:
-        out.append(mode)
-        held += mode.probability
-        if held >= COVERED * inside:
-            break
-    return out
-
-
-def _shares(scene: Scene, candidates: list[SceneMode]) -> list[float]:
+def _shares(scene: Scene, candidates: Sequence[SceneMode]) -> list[float]:
     """Share (S,) of the particles of each scene of the merged map: parts of one share evenly."""
     names = [part.partition("/")[0] for part in scene.scenes]
     total = sum(m.probability for m in candidates) or 1.0
@@ -159,29 +160,33 @@ def _shares(scene: Scene, candidates: list[SceneMode]) -> list[float]:
     return [share[name] / names.count(name) for name in names]
 
 
+def _doubted(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
+    """Estimate with the doubts of the search, where depth and colours together do not overrule them."""
+    trust = estimate.stats.get("trust", {})
+    seen = (trust.get("depth") or 0.0) > _DEPTH and (trust.get("colour") or 0.0) > _COLOURS
+    if estimate.status is not Status.OK or seen:
+        return estimate
+    left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
+    if found.status is Status.LOST:
+        doubt = (
+            f"But it may be in no scene of the library ({found.elsewhere:.0%}): homes that are not in "
+            "it fit the capture as well."
+        )
+    elif left_out > 0.1:
+        doubt = (
+            f"But it may be another scene ({left_out:.0%}) than the {looked} looked into; look into "
+            "more."
+        )
+    else:
+        return estimate
+    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} {doubt}")
+
+
 def _in_their_own(
-    estimate: PoseEstimate,
-    scene: Scene,
-    found: SceneEstimate,
-    candidates: list[SceneMode],
-    merging: float,
+    estimate: PoseEstimate, scene: Scene, found: SceneEstimate, merging: float
 ) -> PoseEstimate:
-    """Estimate with poses in the maps of their scenes, and with the doubts of the search."""
+    """Estimate with poses in the maps of their scenes."""
     into = {name: scene.scene_from_map[i] for i, name in enumerate(scene.scenes)}
-    left_out = 1.0 - found.elsewhere - sum(m.probability for m in candidates)
-    status, reason = estimate.status, estimate.reason
-    if status is Status.OK and found.status is Status.LOST:
-        status = Status.AMBIGUOUS
-        reason = (
-            f"{reason} But it may be in no scene of the library ({found.elsewhere:.0%}): homes that "
-            "are not in it fit the capture as well."
-        )
-    elif status is Status.OK and left_out > 0.1:
-        status = Status.AMBIGUOUS
-        reason = (
-            f"{reason} But it may be another scene ({left_out:.0%}) than the {len(candidates)} "
-            "looked into; look into more."
-        )
     trajectory = estimate.trajectory
     if estimate.best is not None:
         trajectory = into[estimate.best.scene] @ trajectory
@@ -195,8 +200,6 @@ def _in_their_own(
         )
     return replace(
         estimate,
-        status=status,
-        reason=reason,
         modes=tuple(_own(m, into) for m in estimate.modes),
         trajectory=trajectory,
         refinement=refinement,
