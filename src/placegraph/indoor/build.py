@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -161,7 +162,7 @@ def scene_of(
     coarse, blobs = reduced(mesh, pictures, source.colour_of, detail, left, told)
     _tell_odd(coarse, things, told)
     room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
-    return SceneMap.create(
+    scene = SceneMap.create(
         coarse,
         [t.id for t in things],
         labels,
@@ -173,6 +174,7 @@ def scene_of(
         source=model.path.name,
         encoded=blobs,
     )
+    return replace(scene, landmarks=source.landmarks)
 
 
 def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:

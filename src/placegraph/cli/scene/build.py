@@ -86,6 +86,14 @@ def build(
         Path | None,
         Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
     ] = None,
+    landmarks: Annotated[
+        bool,
+        Option(
+            "--landmarks",
+            help="Keep local features on a capture's surfaces, at most 0.8 MB, so that images near its "
+            "views are placed to a centimetre; extra `sift`.",
+        ),
+    ] = False,
     reader: Annotated[
         list[str] | None,
         Option(
@@ -113,7 +121,7 @@ def build(
 
     left_out: Counter[str] = Counter()
     notes: list[str] = []
-    how = _capture(frames, poses, voxel, segmenter)
+    how = _capture(frames, poses, voxel, segmenter, landmarks=landmarks)
     kept = _detail(detail, error, texel)
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
@@ -165,7 +173,12 @@ def _detail(name: str, error: float | None, texel: float | None) -> Detail:
 
 
 def _capture(
-    frames: str | None, poses: str | None, voxel: float | None, segmenter: Path | None
+    frames: str | None,
+    poses: str | None,
+    voxel: float | None,
+    segmenter: Path | None,
+    *,
+    landmarks: bool,
 ) -> FromCapture | None:
     """How a capture is made into a mesh; None where no option says anything of it."""
     from placegraph.indoor.mapping.from_capture import FromCapture
@@ -181,6 +194,8 @@ def _capture(
         from placegraph.indoor.encode.segmenter import segmenter as load
 
         given["segmenter"] = load(segmenter)
+    if landmarks:
+        given["landmarks"] = True
     return FromCapture(**given) if given else None
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from placegraph.indoor.map.landmarks import Landmarks
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.surface import Surface
     from placegraph.indoor.rays import RayCaster
@@ -55,6 +56,8 @@ class Scene:
     """The mesh's textures as the map file holds them: PNG or JPEG."""
     encoder: str = ""
     """Key of the encoder that the graph's embeddings are of; empty: nobody said."""
+    landmarks: Landmarks | None = None
+    """Points of its surfaces that images show again; None: the map was built without."""
 
     @classmethod
     def create(

@@ -11,6 +11,7 @@ import numpy as np
 from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
+from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
 from placegraph.indoor.map.scene import S, Scene, from_8_bits, in_8_bits
@@ -30,6 +31,7 @@ PARTS = {
     "surface": ("vertices", "triangles", "object_of", "texture_of"),
     "colour": ("colours", "uv", "textures", "texture_bytes"),
     "embeddings": ("embeddings", "embedding_scales"),
+    "landmarks": ("landmark_points", "landmark_vectors"),
 }
 """Columns of a map file by what they are for; all others are the graph's."""
 
@@ -88,11 +90,13 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     }
     if graph.embeddings is not None:
         arrays["embeddings"], arrays["embedding_scales"] = in_8_bits(graph.embeddings)
+    if scene.landmarks is not None:
+        arrays |= scene.landmarks.columns()
     return meta, arrays
 
 
 def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
-    """Bytes of a map file's parts: graph, surface, colour, embeddings.
+    """Bytes of a map file's parts: graph, surface, colour, embeddings, landmarks.
 
     Raises `InputError` and `MapError` as `placegraph.store.read_header` does.
     """
@@ -119,6 +123,7 @@ def _fields(file: MapFile) -> dict[str, Any]:
         "source": str(file.meta["source"]),
         "encoded": blobs,
         "encoder": str(file.meta.get("encoder", "")),
+        "landmarks": Landmarks.read(file),
     }
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.encode.segmenter import Segmenter
+    from placegraph.indoor.map.landmarks import Landmarks
     from placegraph.indoor.mapping.atlas import ColourOf
     from placegraph.indoor.mapping.fuse import Fused
     from placegraph.indoor.mapping.segment import Segments
@@ -49,6 +50,8 @@ class FromCapture:
     """Greatest depth that is used [m]."""
     segmenter: Segmenter | None = None
     """Labels images that bring no labels; see `placegraph.indoor.encode.segmenter`."""
+    landmarks: bool = False
+    """Keep local features on its surfaces, at most 0.8 MB; needs the extra `sift`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +65,8 @@ class Source:
     """What was found out or taken for granted, in sentences."""
     finish: Callable[[Model], Source] | None = None
     """What is left to be done once the model is in metres and upright."""
+    landmarks: Landmarks | None = None
+    """Points that its frames show again and again."""
 
 
 def captured(
@@ -78,6 +83,7 @@ def captured(
     `InputError` where the capture has no depth.
     """
     from placegraph.indoor.mapping.atlas import frame_colours
+    from placegraph.indoor.mapping.landmarks import landmarks_of
     from placegraph.indoor.mapping.segment import segment
 
     told = how.poses is None and (path / "trajectory.tum").exists()
@@ -105,8 +111,12 @@ def captured(
     colour_of = frame_colours(
         capture.frames, poses, fused.vertices, fused.triangles, progress=_stage(progress, "colours")
     )
+    landmarks = None
+    if how.landmarks:
+        landmarks = landmarks_of(capture.frames, poses, _stage(progress, "landmarks"))
     notes = _notes(path, told, fused.stats, found.labels)
-    return Source(model, colour_of, (*capture.notes, *notes, *guessed))
+    told_of = (*capture.notes, *notes, *guessed)
+    return Source(model, colour_of, told_of, landmarks=landmarks)
 
 
 def _floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str, ...]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
+from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
         scene_from_map=np.concatenate([m.scene_from_map for m in moved]),
         source=", ".join(scenes),
         encoded=_joined([m.encoded for m in moved]),
+        landmarks=Landmarks.joined([m.landmarks for m in moved]),
     )
     if out_path is not None:
         from placegraph.indoor.map.scene_file import save_scene
@@ -117,6 +119,7 @@ def _moved(name: str, scene: S, shift: NDArray[np.float64]) -> S:
         scene,
         graph=graph,
         mesh=scene.mesh.moved(shift),
+        landmarks=scene.landmarks and scene.landmarks.moved(shift),
         floors=scene.floors + shift[2],
         scenes=tuple(parts),
         scene_from_map=scene.scene_from_map @ back,

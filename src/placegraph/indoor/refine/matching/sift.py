@@ -79,14 +79,21 @@ class SiftMatcher(ViewByView):
 
     def _features(self, image: NDArray[np.uint8]) -> Features:
         """RootSIFT features of an image (H, W, 3) uint8."""
+        return self.described(image, 0.0 if self.upright else None)
+
+    def described(self, image: NDArray[np.uint8], turn: float | None) -> Features:
+        """RootSIFT features of an image (H, W, 3) uint8, all taken to be turned clockwise by so much.
+
+        `turn` in degrees; None: each as it looks.
+        """
         if blank(image) or min(image.shape[:2]) < _SMALLEST:
             return Features.none(128)
         lightness = grey(image)
         if self._clahe is not None:
             lightness = self._clahe.apply(lightness)
         found = self._sift.detect(lightness, None)
-        if self.upright:
-            found = _turned_upright(found)
+        if turn is not None:
+            found = _turned(found, turn)
         found, vectors = self._sift.compute(lightness, found)
         if vectors is None or not len(found):
             return Features.none(128)
@@ -95,11 +102,11 @@ class SiftMatcher(ViewByView):
         return Features(points, _rooted(vectors))
 
 
-def _turned_upright(found: Sequence[Any]) -> list[Any]:
-    """Keypoints without their turn; one that was found with several turns is kept once."""
+def _turned(found: Sequence[Any], turn: float) -> list[Any]:
+    """Keypoints turned alike; one that was found with several turns is kept once."""
     seen: dict[tuple[float, float, float], Any] = {}
     for point in found:
-        point.angle = 0.0
+        point.angle = turn
         seen.setdefault((*point.pt, point.size), point)
     return list(seen.values())
 

@@ -1,0 +1,137 @@
+"""Landmarks of a map found again in a frame: one more witness for search and refinement.
+
+A frame's features are compared with all landmarks of the map at once, so that nothing need be known
+of the pose: what agrees on one pose of all frames (`match.solve_rig`) is a place to search at, and
+points that the joint solution fits. Descriptors are RootSIFT turned by gravity, so that a camera may
+lie on its side, in their lowest frequencies: a cosine transform over the 4 x 4 cells and a Fourier
+transform over the 8 directions of each keep with 32 of 128 numbers most of what tells two apart, and
+are the same for every map.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.map.landmarks import WIDTH, Landmarks
+from placegraph.indoor.refine.match import Sights, smaller
+from placegraph.indoor.refine.matching.guided import resized
+from placegraph.indoor.refine.matching.sift import SiftMatcher
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Floats
+    from placegraph.indoor.refine.matching.features import Features
+
+LARGEST = 640
+"""Longer side [px] to which larger images are brought."""
+RATIO = 0.9
+"""Largest ratio of the distances to the nearest landmark and to the nearest one elsewhere."""
+SIGMA = 1.0
+"""Standard deviation of a feature [px of an image `REFERENCE` wide]."""
+_APART = 0.1  # landmarks nearer to each other show the same spot [m]
+_RIVALS = 4  # landmarks of one spot that are passed over in search of a rival
+_SIDES = 4
+_DIRECTIONS = 8
+
+
+def finder(features: int) -> SiftMatcher:
+    """What finds features; raises `MissingExtraError` where OpenCV is not installed."""
+    return SiftMatcher(features=features)
+
+
+def features_of(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Features:
+    """Features of a frame's image (H, W, 3): points [px of the image], vectors (N, `WIDTH`)."""
+    camera = smaller(frame.camera, LARGEST)
+    x, y, _ = frame.gravity
+    down = float(np.degrees(np.arctan2(y, x)) - 90.0) % 360.0
+    found = sift.described(resized(rgb, camera.width, camera.height), down)
+    scale = np.array([rgb.shape[1] / camera.width, rgb.shape[0] / camera.height])
+    return type(found)(found.points * scale, compact(found.vectors))
+
+
+def compact(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit vectors (N, `WIDTH`) of RootSIFT descriptors (N, 128)."""
+    if vectors.shape[1] != len(_basis()):
+        return np.zeros((0, WIDTH), np.float32)
+    short = vectors @ _basis()
+    return np.asarray(short / np.maximum(np.linalg.norm(short, axis=1, keepdims=True), 1e-9))
+
+
+@cache
+def _basis() -> NDArray[np.float32]:
+    """(128, `WIDTH`) orthonormal: frequencies of least product, without the mean."""
+    across = np.arange(_SIDES)
+    waves = np.cos(np.pi * np.outer(across + 0.5, across) / _SIDES) * np.sqrt(2.0 / _SIDES)
+    waves[:, 0] /= np.sqrt(2.0)
+    turn = np.arange(_DIRECTIONS)
+    order = (turn + 1) // 2
+    phase = 2.0 * np.pi * np.outer(turn, order) / _DIRECTIONS
+    circles = np.where(turn % 2 == 1, np.cos(phase), np.sin(phase))
+    circles[:, 0] = 1.0
+    circles /= np.linalg.norm(circles, axis=0)
+    whole = np.einsum("ai,bj,ck->abcijk", waves, waves, circles).reshape(128, 128)
+    steep = np.multiply.outer(np.multiply.outer(across + 1, across + 1), order + 1).ravel()
+    return whole[:, np.argsort(steep, kind="stable")[1 : WIDTH + 1]].astype(np.float32)
+
+
+def sights_of(landmarks: Landmarks, found: Features, frame: Frame) -> Sights:
+    """Landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
+    if not len(found) or not len(landmarks):
+        return Sights.none()
+    cosine = found.vectors @ landmarks.unit_vectors.T
+    nearest = cosine.argmax(axis=1)
+    rows = np.flatnonzero(cosine.argmax(axis=0)[nearest] == np.arange(len(found)))
+    best = nearest[rows]
+    sure = cosine[rows, best]
+    rival = _rivals(cosine[rows], best, landmarks.points)
+    clear = 1.0 - sure < RATIO**2 * (1.0 - rival)
+    points = landmarks.points[best[clear]].astype(np.float64)
+    return Sights.of(points, found.points[rows[clear]], frame.camera, SIGMA)
+
+
+def _rivals(
+    cosine: NDArray[np.float32], best: NDArray[np.int64], points: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Largest cosine (K,) of rows (K, L) at landmarks that lie elsewhere than each row's best.
+
+    `cosine` is overwritten.
+    """
+    out = np.full(len(best), -1.0, np.float32)
+    left, column = np.arange(len(best)), best
+    for _ in range(_RIVALS):
+        cosine[left, column] = -1.0
+        column = cosine[left].argmax(axis=1)
+        out[left] = cosine[left, column]
+        same = np.linalg.norm(points[column] - points[best[left]], axis=1) < _APART
+        left, column = left[same], column[same]
+        if not len(left):
+            break
+    return out
+
+
+def seen(
+    landmarks: Landmarks, frames: Sequence[Frame], images: Sequence[NDArray[np.uint8] | None]
+) -> list[Sights]:
+    """Landmarks (T,) that frames with images (H, W, 3) show; of a frame without image none."""
+    sift = finder(FEATURES)
+    return [
+        Sights.none() if rgb is None else sights_of(landmarks, features_of(sift, frame, rgb), frame)
+        for frame, rgb in zip(frames, images, strict=True)
+    ]
+
+
+FEATURES = 1000
+"""Most features of a query's image, the strongest first."""
+
+
+def scores(sights: Sequence[Sights], poses: Floats) -> Floats:
+    """Scores of sights at poses (T, 4, 4): 1 where they are seen just there, 0 far from it."""
+    errors = [s.errors(p) / (2.0 * s.sigma) for s, p in zip(sights, poses, strict=True)]
+    return 1.0 / (1.0 + np.square(np.concatenate([np.zeros(0), *errors])))
