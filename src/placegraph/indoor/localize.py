@@ -17,6 +17,7 @@ from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe
 from placegraph.indoor.refine import RefineOptions, Refining, refined
+from placegraph.indoor.refine.landmarks import place
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,6 +61,8 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     rng = np.random.default_rng(query.seed)
     window = observe(query)
     seeds = search(window, rng)
+    if len(seeds):
+        seeds = np.concatenate([place(window), seeds])
     passes = run_passes(window, seeds, rng)
     if query.options.answer == "mle":
         fits = heaviest(passes.particles, query.options.modes)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from placegraph.indoor.pose.prior import Leaning
 from placegraph.indoor.pose.query import leveled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Hashable, Iterator
 
     from numpy.typing import NDArray
 
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.query import PoseQuery
+
+T = TypeVar("T")
 
 NEWEST = 12
 """Frames that the last round of the polish is fitted to."""
@@ -61,6 +63,7 @@ class Window:
     seconds: dict[str, float] = field(default_factory=dict)
     """What each stage took."""
     _views: dict[float, list[View]] = field(default_factory=dict)
+    _derived: dict[Hashable, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.sightings)
@@ -106,7 +109,15 @@ class Window:
 
     def last(self, count: int) -> Window:
         """The newest frames alone, so many at most."""
-        return Window(self.query, self.scorer, self.sightings[-count:])
+        newest = Window(self.query, self.scorer, self.sightings[-count:])
+        newest._derived = self._derived
+        return newest
+
+    def derived(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What a stage derives from frames: made once for each key."""
+        if key not in self._derived:
+            self._derived[key] = make()
+        return self._derived[key]
 
     @cached_property
     def newest(self) -> NDArray[np.int64]:

@@ -15,10 +15,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.errors import MissingExtraError
+from placegraph.geometry import split_pose, vector_from_rotation
+from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import WIDTH, Landmarks
-from placegraph.indoor.refine.match import Sights, smaller
+from placegraph.indoor.pose.window import timed
+from placegraph.indoor.refine.check import held_back
+from placegraph.indoor.refine.match import Consensus, Sights, smaller, solve_rig
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.matching.sift import SiftMatcher
+from placegraph.indoor.refine.options import RefineOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,6 +33,8 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.matching.features import Features
 
 LARGEST = 640
@@ -35,6 +43,14 @@ RATIO = 0.9
 """Largest ratio of the distances to the nearest landmark and to the nearest one elsewhere."""
 SIGMA = 1.0
 """Standard deviation of a feature [px of an image `REFERENCE` wide]."""
+LOOKS = 5
+"""Frames of a window that are compared with the landmarks."""
+FEATURES = 1000
+"""Most features of a query's image, the strongest first."""
+SHARE = 0.05
+"""Least share of the matches that must agree on a pose: fewer do so by chance."""
+FARTHEST = (1.0, 0.6)
+"""Landmarks whose pose lies farther than this [m], [rad] from the one at hand mean another place."""
 _APART = 0.1  # landmarks nearer to each other show the same spot [m]
 _RIVALS = 4  # landmarks of one spot that are passed over in search of a rival
 _SIDES = 4
@@ -116,22 +132,80 @@ def _rivals(
     return out
 
 
-def seen(
-    landmarks: Landmarks, frames: Sequence[Frame], images: Sequence[NDArray[np.uint8] | None]
-) -> list[Sights]:
-    """Landmarks (T,) that frames with images (H, W, 3) show; of a frame without image none."""
-    sift = finder(FEATURES)
-    return [
-        Sights.none() if rgb is None else sights_of(landmarks, features_of(sift, frame, rgb), frame)
-        for frame, rgb in zip(frames, images, strict=True)
-    ]
+def seen(window: Window) -> list[Sights]:
+    """Landmarks (T,) that the frames of a window show: up to `LOOKS` of them, spread over it.
+
+    None of a map without landmarks, and where OpenCV is not installed or images are switched off.
+    Found once for each frame.
+    """
+    landmarks, out = window.scene.landmarks, [Sights.none()] * len(window)
+    if landmarks is None or not window.options.colour:
+        return out
+    for t in spread(len(window), LOOKS):
+        sighting = window.sightings[t]
+
+        def found(sighting: Sighting = sighting) -> Sights:
+            try:
+                sift = finder(FEATURES)
+            except MissingExtraError:
+                return Sights.none()
+            rgb = sighting.frame.rgb() if sighting.rgb is None else sighting.rgb
+            return sights_of(landmarks, features_of(sift, sighting.frame, rgb), sighting.frame)
+
+        out[t] = window.derived(("landmarks", sighting.frame.index), found)
+    return out
 
 
-FEATURES = 1000
-"""Most features of a query's image, the strongest first."""
+def agreed(sights: Sequence[Sights], mounts: Floats, options: RefineOptions) -> Consensus | None:
+    """Pose of the last of T frames that landmarks agree on; None where they do so by chance.
+
+    `mounts`: (T, 4, 4) last_from_camera.
+    """
+    consensus = solve_rig(sights, list(mounts), options)
+    if consensus is None or consensus.count < SHARE * sum(map(len, sights)):
+        return None
+    return consensus
+
+
+def remembered(
+    landmarks: Sequence[Sights], frames: Sequence[Frame], poses: Floats, options: RefineOptions
+) -> tuple[list[Sights], Floats]:
+    """Landmarks (T,) that agree on a trajectory near this one (T, 4, 4), and that trajectory.
+
+    None of those that are kept for the check; none where the paper's recipe is asked for.
+    """
+    found = [Sights.none()] * len(poses)
+    if not any(map(len, landmarks)) or not options.joint:
+        return found, poses
+    pairs = zip(landmarks, frames, strict=True)
+    sights = [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
+    mounts = np.linalg.inv(poses[-1]) @ poses
+    consensus = agreed(sights, mounts, options)
+    if consensus is None:
+        return found, poses
+    turn = vector_from_rotation(consensus.pose[:3, :3] @ poses[-1, :3, :3].T)
+    if np.linalg.norm(consensus.pose[:3, 3] - poses[-1, :3, 3]) > FARTHEST[0]:
+        return found, poses
+    if np.linalg.norm(turn) > FARTHEST[1]:
+        return found, poses
+    kept = [s[inlier] for s, inlier in zip(sights, consensus.inliers, strict=True)]
+    return kept, consensus.pose @ mounts
+
+
+def place(window: Window) -> Floats:
+    """Pose (K, 4) of the last frame that landmarks tell: one, or none."""
+    with timed(window.seconds, "landmarks"):
+        odometry = np.stack([s.frame.odometry for s in window.sightings])
+        mounts = np.linalg.inv(odometry[-1]) @ odometry
+        sights = seen(window)
+        try:
+            consensus = agreed(sights, mounts, RefineOptions())
+        except MissingExtraError:
+            consensus = None
+    return np.zeros((0, 4)) if consensus is None else split_pose(consensus.pose)[0][None]
 
 
 def scores(sights: Sequence[Sights], poses: Floats) -> Floats:
     """Scores of sights at poses (T, 4, 4): 1 where they are seen just there, 0 far from it."""
-    errors = [s.errors(p) / (2.0 * s.sigma) for s, p in zip(sights, poses, strict=True)]
+    errors = [s.errors(p) / (2.0 * s.sigma) for s, p in zip(sights, poses, strict=True) if len(s)]
     return 1.0 / (1.0 + np.square(np.concatenate([np.zeros(0), *errors])))

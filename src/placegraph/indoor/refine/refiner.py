@@ -13,9 +13,10 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
+from placegraph.indoor.refine.landmarks import remembered, seen
 from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.solve import Problem, Solution, solve
+from placegraph.indoor.refine.solve import POINTS, Problem, Solution, solve
 from placegraph.indoor.refine.worth import covariance
 from placegraph.indoor.render import Renderer
 from placegraph.threads import processors
@@ -120,6 +121,8 @@ class Refiner:
     device: str = "auto"
     known: tuple[Floats, Floats] | None = None
     """As `Problem.known`."""
+    landmarks: Sequence[Sights] = ()
+    """(T,) landmarks of the map that frames show; empty: nobody looked."""
     stats: dict[str, Any] = field(default_factory=dict)
     rng: Generator = field(default_factory=lambda: np.random.default_rng(0))
     """Turns views."""
@@ -135,6 +138,7 @@ class Refiner:
             options=options,
             matcher=matcher,
             device=window.query.device,
+            landmarks=seen(window) if options.images else (),
             rng=np.random.default_rng(window.query.seed),
         )
 
@@ -181,14 +185,23 @@ class Refiner:
             tell("aligning depth", 0, 1)
         solution = self._aligned(start)
         poses = start if solution is None else solution.poses
-        sights: list[Sights] = [Sights.none()] * len(self.frames)
-        stages = self._stages(solution)
+        with timed(self.seconds, "landmarks"):
+            known, led = remembered(self.landmarks, self.frames, poses, self.options)
+        sights = known
+        self.stats["landmarks"] = count = sum(map(len, known))
+        if count:
+            with timed(self.seconds, "solving"):
+                solution = solve(self.problem(known), led, FINE_WIDTHS)
+            poses = solution.poses
+        # beside many landmarks a rendering has nothing to add
+        stages = [] if count > POINTS * sum(len(s) > 0 for s in known) else self._stages(solution)
         for number, stage in enumerate(stages):
             tell("matching images", number, len(stages))
             found = self._looked(stage, poses)
             if not self.options.joint:
                 return self._best_frame(found, poses)
             sights, led = self._agreed(stage, found, poses)
+            sights = [a.with_more(b) for a, b in zip(sights, known, strict=True)]
             with timed(self.seconds, "solving"):
                 solution = solve(self.problem(sights), led, FINE_WIDTHS)
             poses = solution.poses
