@@ -197,7 +197,9 @@ def _triangulated(
     rays, depth = track.rays[order], track.depth[order]
     first = np.flatnonzero(np.diff(row, prepend=-1))
     turn, centre = poses[frame, :3, :3], poses[frame, :3, 3]
-    deviation = _NOISE[0] + _NOISE[1] * depth**2
+    # readings of one sensor err together: those of a landmark are worth one
+    count = np.diff(np.append(first, len(row)))
+    deviation = (_NOISE[0] + _NOISE[1] * depth**2) * np.repeat(np.sqrt(count), count)
     points = points.copy()
     missed = np.zeros(len(points))
     for _ in range(_STEPS):

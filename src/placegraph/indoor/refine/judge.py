@@ -9,9 +9,9 @@ import numpy as np
 
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.pose.window import timed
-from placegraph.indoor.refine.check import Gain, depth_gain, held_back, image_gain
+from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
 from placegraph.indoor.refine.intrinsics import better_focal, scales
-from placegraph.indoor.refine.landmarks import scores
+from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
 
 if TYPE_CHECKING:
@@ -160,12 +160,9 @@ def _gains(refiner: Refiner, coarse: Floats, fitted: Fitted) -> dict[str, Gain]:
         measured, pictured = lags.of_depth(measured), lags.of_images(pictured)
     if refiner.has_depth:
         gains["depth"] = depth_gain(refiner.surfaces, refiner.readings(1), coarse, measured)
-    known = [
-        s[held_back(s.pixels, f.camera)]
-        for s, f in zip(refiner.landmarks, refiner.frames, strict=False)
-    ]
-    if any(map(len, known)):
-        gains["landmarks"] = Gain.of(scores(known, coarse), scores(known, pictured))
+    before, after = kept_scores(refiner, coarse, pictured)
+    if len(before) >= refiner.options.least:
+        gains["landmarks"] = Gain.of(before, after)
     rows = [t for t in refiner.looked() if refiner.queries[t] is not None]
     if rows and refiner.scene.coloured:
         queries = [q for q in (refiner.queries[t] for t in rows) if q is not None]

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.likelihood.observe import Sighting
     from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.matching.features import Features
+    from placegraph.indoor.refine.refiner import Refiner
 
 LARGEST = 640
 """Longer side [px] to which larger images are brought."""
@@ -49,6 +50,8 @@ FEATURES = 1000
 """Most features of a query's image, the strongest first."""
 SHARE = 0.05
 """Least share of the matches that must agree on a pose: fewer do so by chance."""
+PLENTY = 20
+"""Landmarks a frame beside which renderings have nothing to add."""
 FARTHEST = (1.0, 0.6)
 """Landmarks whose pose lies farther than this [m], [rad] from the one at hand mean another place."""
 _APART = 0.1  # landmarks nearer to each other show the same spot [m]
@@ -162,34 +165,28 @@ def agreed(sights: Sequence[Sights], mounts: Floats, options: RefineOptions) -> 
     `mounts`: (T, 4, 4) last_from_camera.
     """
     consensus = solve_rig(sights, list(mounts), options)
-    if consensus is None or consensus.count < SHARE * sum(map(len, sights)):
-        return None
-    return consensus
+    by_chance = consensus is None or consensus.count < SHARE * sum(map(len, sights))
+    return None if by_chance else consensus
 
 
-def remembered(
-    landmarks: Sequence[Sights], frames: Sequence[Frame], poses: Floats, options: RefineOptions
-) -> tuple[list[Sights], Floats]:
-    """Landmarks (T,) that agree on a trajectory near this one (T, 4, 4), and that trajectory.
-
-    None of those that are kept for the check; none where the paper's recipe is asked for.
-    """
-    found = [Sights.none()] * len(poses)
-    if not any(map(len, landmarks)) or not options.joint:
-        return found, poses
+def kept_out(
+    landmarks: Sequence[Sights], frames: Sequence[Frame], options: RefineOptions
+) -> list[Sights]:
+    """Landmarks (T,) without those that are kept for the check."""
     pairs = zip(landmarks, frames, strict=True)
-    sights = [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
-    mounts = np.linalg.inv(poses[-1]) @ poses
-    consensus = agreed(sights, mounts, options)
-    if consensus is None:
-        return found, poses
-    turn = vector_from_rotation(consensus.pose[:3, :3] @ poses[-1, :3, :3].T)
-    if np.linalg.norm(consensus.pose[:3, 3] - poses[-1, :3, 3]) > FARTHEST[0]:
-        return found, poses
-    if np.linalg.norm(turn) > FARTHEST[1]:
-        return found, poses
-    kept = [s[inlier] for s, inlier in zip(sights, consensus.inliers, strict=True)]
-    return kept, consensus.pose @ mounts
+    return [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
+
+
+def near(one: Floats, other: Floats) -> bool:
+    """Whether a pose (4, 4) may be another once it is refined."""
+    turn = vector_from_rotation(one[:3, :3] @ other[:3, :3].T)
+    way = np.linalg.norm(one[:3, 3] - other[:3, 3])
+    return bool(way < FARTHEST[0] and np.linalg.norm(turn) < FARTHEST[1])
+
+
+def plenty(sights: Sequence[Sights]) -> bool:
+    """Whether frames show so many landmarks that renderings have nothing to add."""
+    return sum(map(len, sights)) >= PLENTY * sum(len(s) > 0 for s in sights)
 
 
 def place(window: Window) -> Floats:
@@ -205,7 +202,16 @@ def place(window: Window) -> Floats:
     return np.zeros((0, 4)) if consensus is None else split_pose(consensus.pose)[0][None]
 
 
-def scores(sights: Sequence[Sights], poses: Floats) -> Floats:
-    """Scores of sights at poses (T, 4, 4): 1 where they are seen just there, 0 far from it."""
-    errors = [s.errors(p) / (2.0 * s.sigma) for s, p in zip(sights, poses, strict=True) if len(s)]
-    return 1.0 / (1.0 + np.square(np.concatenate([np.zeros(0), *errors])))
+def kept_scores(refiner: Refiner, before: Floats, after: Floats) -> tuple[Floats, Floats]:
+    """Scores (N,), (N,) of landmarks kept for the check under two trajectories (T, 4, 4).
+
+    1 where they are seen just there, 0 far from it; those that neither explains are chance.
+    """
+    scores = [np.zeros((2, 0))]
+    for t, (s, frame) in enumerate(zip(refiner.landmarks, refiner.frames, strict=False)):
+        kept = s[held_back(s.pixels, frame.camera)]
+        off = np.stack([kept.errors(before[t]), kept.errors(after[t])]) / kept.unit
+        off = off[:, off.min(axis=0) < refiner.options.inlier]
+        scores.append(1.0 / (1.0 + np.square(off / (2.0 * SIGMA))))
+    whole = np.concatenate(scores, axis=1)
+    return whole[0], whole[1]

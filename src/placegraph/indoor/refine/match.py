@@ -75,16 +75,6 @@ class Sights:
             sigma=self.sigma[rows],
         )
 
-    def with_more(self, more: Sights) -> Sights:
-        """These and others of the same frame."""
-        if not len(self) or not len(more):
-            return self if len(self) else more
-        pairs = {
-            name: np.concatenate([getattr(self, name), getattr(more, name)])
-            for name in ("points", "pixels", "rays", "sigma")
-        }
-        return replace(self, **pairs)
-
     def errors(self, map_from_camera: Floats) -> Floats:
         """Reprojection errors (M,) [px] at a pose (4, 4); infinite behind the camera."""
         at = (self.points - map_from_camera[:3, 3]) @ map_from_camera[:3, :3]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +13,11 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
-from placegraph.indoor.refine.landmarks import remembered, seen
+from placegraph.indoor.refine.landmarks import kept_out, near, plenty, seen
 from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.solve import POINTS, Problem, Solution, solve
+from placegraph.indoor.refine.solve import Problem, Solution, solve
+from placegraph.indoor.refine.stages import LANDMARKS, Stage, stages_of
 from placegraph.indoor.refine.worth import covariance
 from placegraph.indoor.render import Renderer
 from placegraph.threads import processors
@@ -46,44 +47,8 @@ LOST = 0.97
 """Mean robust cost from which on depth has not even brought the pose near."""
 READ = 60
 """Least readings of depth a frame, on average, that count as depth."""
-SHARE = 0.05
-"""`Stage.share` of feature matchers."""
 MANY, FEW = 12, 5
 """Most frames that the guided matcher is given, and one that knows no neighbourhood and is slow."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """One round of matching: at which size, how, and how well matches are placed."""
-
-    matcher: Matcher
-    size: int
-    """Longer side of renderings and queries [px]; images that are smaller stay so."""
-    sigma: float
-    """Standard deviation of a right match [px of an image `REFERENCE` wide]."""
-    turned: bool = False
-    """Views turned in yaw are matched too."""
-    rigid: bool = True
-    """Only matches count that agree on one pose of all frames, tied together by odometry; where all
-    lie near already, the robust kernel tells better."""
-    share: float = 0.0
-    """Least share of the matches that must agree: features do so by chance if few do."""
-
-
-LARGEST = 960
-"""Longer side [px] to which larger images are brought for feature matchers."""
-
-
-def stages_of(matcher: Matcher | None, *, near: bool) -> list[Stage]:
-    """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
-    if matcher is not None:
-        first = Stage(matcher, LARGEST, 2.0, turned=True, share=SHARE)
-        return [first, replace(first, turned=False)]
-    fine = [Stage(GuidedMatcher(radius=10, half=7, cell=8), 160, 2.0)]
-    if near:
-        return fine
-    wide = [Stage(GuidedMatcher(radius=34, half=5, cell=8), 160, 3.0)]
-    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 320, 1.0, rigid=False)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,26 +150,21 @@ class Refiner:
             tell("aligning depth", 0, 1)
         solution = self._aligned(start)
         poses = start if solution is None else solution.poses
-        with timed(self.seconds, "landmarks"):
-            known, led = remembered(self.landmarks, self.frames, poses, self.options)
-        sights = known
-        self.stats["landmarks"] = count = sum(map(len, known))
-        if count:
-            with timed(self.seconds, "solving"):
-                solution = solve(self.problem(known), led, FINE_WIDTHS)
-            poses = solution.poses
-        # beside many landmarks a rendering has nothing to add
-        stages = [] if count > POINTS * sum(len(s) > 0 for s in known) else self._stages(solution)
+        sights: list[Sights] = [Sights.none()] * len(self.frames)
+        stages = self._stages(solution)
         for number, stage in enumerate(stages):
             tell("matching images", number, len(stages))
             found = self._looked(stage, poses)
             if not self.options.joint:
                 return self._best_frame(found, poses)
             sights, led = self._agreed(stage, found, poses)
-            sights = [a.with_more(b) for a, b in zip(sights, known, strict=True)]
+            if stage.matcher is None and not any(map(len, sights)):
+                continue
             with timed(self.seconds, "solving"):
                 solution = solve(self.problem(sights), led, FINE_WIDTHS)
             poses = solution.poses
+            if stage.matcher is None and plenty(sights):
+                break
         tell("checking", 0, 1)
         return self._finished(poses, solution, sights)
 
@@ -225,14 +185,17 @@ class Refiner:
         if solution is not None and wanted == "auto":
             wanted = not solution.cost <= UNSURE
         coloured = self.scene.coloured and any(q is not None for q in self.queries)
+        known = [LANDMARKS] if any(map(len, self.landmarks)) and self.options.joint else []
         if not wanted or not coloured:
-            return []
-        return stages_of(self.matcher, near=solution is not None and solution.cost <= LOST)
+            return known
+        return known + stages_of(self.matcher, near=solution is not None and solution.cost <= LOST)
 
     def _looked(self, stage: Stage, poses: Floats) -> list[Sights]:
         """Matches of the frames that are looked at, those in held-back blocks left out."""
+        if stage.matcher is None:
+            return kept_out(self.landmarks, self.frames, self.options)
         rows = [t for t in self.looked() if self.queries[t] is not None]
-        sights: list[Sights] = [Sights.none()] * len(self.frames)
+        matcher, sights = stage.matcher, [Sights.none()] * len(self.frames)
         views = {
             t: turned(poses[t], self.options, self.rng) if stage.turned else [poses[t]]
             for t in rows
@@ -242,12 +205,12 @@ class Refiner:
             frame, query = self.frames[t], self.queries[t]
             assert query is not None  # noqa: S101  chosen so
             seen = look(
-                self.renderer, frame, query, views[t], stage.matcher,
+                self.renderer, frame, query, views[t], matcher,
                 size=stage.size, sigma=stage.sigma,
             )  # fmt: skip
             return seen[~held_back(seen.pixels, frame.camera)] if self.options.check else seen
 
-        with timed(self.seconds, "matching"), ThreadPoolExecutor(self._threads(stage)) as pool:
+        with timed(self.seconds, "matching"), ThreadPoolExecutor(_threads(matcher)) as pool:
             for t, seen in zip(rows, pool.map(one, rows), strict=True):
                 sights[t] = seen
         self.stats["matches"] = sum(map(len, sights))
@@ -257,10 +220,6 @@ class Refiner:
         """Rows of the frames whose images are used."""
         usual = MANY if self.matcher is None else FEW
         return spread(len(self.frames), self.options.frames or usual)
-
-    def _threads(self, stage: Stage) -> int:
-        """Frames matched at once: networks have threads of their own."""
-        return processors() if stage.matcher.name == GuidedMatcher.name else 1
 
     def _agreed(
         self, stage: Stage, sights: list[Sights], poses: Floats
@@ -273,9 +232,12 @@ class Refiner:
             consensus = solve_rig(sights, list(mounts), self.options)
         if consensus is None or consensus.count < stage.share * sum(map(len, sights)):
             return [Sights.none()] * len(sights), poses
+        if stage.matcher is None and not near(consensus.pose, poses[-1]):
+            return [Sights.none()] * len(sights), poses
         kept = [seen[inlier] for seen, inlier in zip(sights, consensus.inliers, strict=True)]
-        # depth has said where the poses are; without it the consensus does
-        led = poses if self.has_depth else consensus.pose @ mounts
+        # depth has said where the poses are; without it, or by many landmarks, the consensus does
+        leads = not self.has_depth or (stage.matcher is None and plenty(kept))
+        led = consensus.pose @ mounts if leads else poses
         return kept, led
 
     def _inliers(self, sights: list[Sights], poses: Floats) -> list[Sights]:
@@ -310,3 +272,8 @@ class Refiner:
         agreed = self._inliers(sights, poses if lags is None else lags.of_images(poses))
         self.stats["lag"] = {} if lags is None else lags.clear()
         return Fitted(poses, solution, agreed, covariance(self.problem(sights), solution))
+
+
+def _threads(matcher: Matcher) -> int:
+    """Frames matched at once: networks have threads of their own."""
+    return processors() if matcher.name == GuidedMatcher.name else 1

@@ -1,0 +1,73 @@
+"""Landmarks of a capture lie on its surfaces, and place images beside its views."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.mapping.landmarks import landmarks_of
+from placegraph.indoor.refine.landmarks import FEATURES, agreed, features_of, finder, sights_of
+from placegraph.indoor.refine.options import RefineOptions
+
+pytest.importorskip("cv2")
+
+CAMERA = Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
+AWAY = 2.0
+STEP = 0.004
+"""Edge of a texel of the wall [m]."""
+
+
+def shown(wall, x, z, *, lying=False):
+    """Frame of a wall at y = 2 m, from (x, 0, z); lying: the camera is turned by 90 degrees."""
+    pose = np.eye(4)
+    pose[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    if lying:
+        pose[:3, :3] = pose[:3, :3] @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
+    pose[:3, 3] = x, 0.0, z
+    v, u = np.mgrid[:240, :320] + 0.5
+    rays = CAMERA.directions(np.stack([u, v], axis=-1).reshape(-1, 2)) @ pose[:3, :3].T
+    at = pose[:3, 3] + AWAY * rays / rays[:, 1:2]
+    row, column = (np.clip(at[:, i] / STEP + 500, 0, 999).astype(int) for i in (2, 0))
+    frame = Frame.from_arrays(
+        np.repeat(wall[row, column].reshape(240, 320, 1), 3, axis=2),
+        camera=CAMERA,
+        depth=np.full((240, 320), AWAY, np.float32) + 0.01,  # a sensor that reads too far
+        odometry=pose,
+        gravity=pose[:3, :3].T @ [0, 0, -1],
+    )
+    return frame, pose
+
+
+@pytest.fixture(scope="module")
+def wall():
+    noise = np.random.default_rng(3).integers(0, 256, (80, 80), np.uint8)
+    return np.asarray(Image.fromarray(noise).resize((1000, 1000), Image.Resampling.BICUBIC))
+
+
+@pytest.fixture(scope="module")
+def mapped(wall):
+    frames, poses = zip(*[shown(wall, x, z) for x in (-0.4, 0, 0.4) for z in (0, 0.3)], strict=True)
+    return landmarks_of(frames, np.stack(poses))
+
+
+def test_rays_of_several_frames_are_truer_than_their_depth(mapped):
+    assert len(mapped) > 100
+    assert np.median(np.abs(mapped.points[:, 1] - AWAY)) < 0.004
+
+
+@pytest.mark.parametrize("lying", [False, True])
+def test_an_image_beside_them_is_placed_to_millimetres(wall, mapped, lying):
+    frame, pose = shown(wall, 0.17, 0.12, lying=lying)
+    seen = sights_of(mapped, features_of(finder(FEATURES), frame, frame.rgb()), frame)
+    found = agreed([seen], np.eye(4)[None], RefineOptions())
+    assert found.count > 50
+    assert np.linalg.norm(found.pose[:3, 3] - pose[:3, 3]) < 0.008
+
+
+def test_an_image_of_another_place_is_not(mapped):
+    noise = np.random.default_rng(4).integers(0, 256, (80, 80), np.uint8)
+    other = np.asarray(Image.fromarray(noise).resize((1000, 1000), Image.Resampling.BICUBIC))
+    frame, _ = shown(other, 0.17, 0.12)
+    seen = sights_of(mapped, features_of(finder(FEATURES), frame, frame.rgb()), frame)
+    assert agreed([seen], np.eye(4)[None], RefineOptions()) is None
