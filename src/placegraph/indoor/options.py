@@ -81,7 +81,7 @@ class Likelihood:
     """Log-likelihood lost where the map's surface is not there [nat]."""
     depth_weight: float = 60.0
     """Independent readings in a full depth image."""
-    colour_weight: float = 180.0
+    colour_weight: float = 360.0
     """Independent samples in a full colour image."""
     sigma: float = 0.2
     """Of Eq. 2 (``gaussian`` only)."""

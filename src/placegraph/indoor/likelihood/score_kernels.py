@@ -19,7 +19,11 @@ _FEW = 8
 """So few poses are scored sooner than other threads wake."""
 
 
-_STILL = np.float32(1e-4)  # variance below which there is no colour to compare
+STEEPEST = np.array([0.1, 0.02, 0.02], np.float32)
+"""Steps of `surface.opponent` between neighbouring samples count no more than this: a bright window
+or a dark gap says no more of a place than the outline of a table."""
+FLAT = np.float32(0.01)
+"""Mean square of steps, as shares of `STEEPEST`, that is taken for noise: bare walls say nothing."""
 
 
 def score_poses(tracer, surface, poses, view, noise):
@@ -43,14 +47,14 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
     packet, ints, valid = new_packet()
     seen = np.zeros(patches, np.float32)
     count = np.zeros(patches, np.float32)
-    moments = np.zeros((3, 5), np.float64)
+    shown, hit = np.zeros((LANES, 3), np.float32), np.zeros(LANES, np.bool_)
+    moments = np.zeros(5, np.float64)
     for k in range(first, last):
         seen[:] = 0.0
         count[:] = 0.0
         moments[:] = 0.0
         far = np.float32(0.0)
         readings = 0
-        coloured = 0
         missed = 0.0
         ssim = 0.0
         tiles = len(view.directions) // LANES
@@ -81,7 +85,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 if view.terms[COLOUR]:
                     ssim += _ssim(tile, packet, ints, surface, view)
             elif view.terms[COLOUR]:
-                coloured += _colour(tile, packet, ints, surface, view, moments)
+                _steps(tile, packet, ints, surface, view, shown, hit, moments)
         if view.terms[SEMANTIC]:
             scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
         samples = np.float32(0.0)
@@ -95,10 +99,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 scores[k, COLOUR] = max(0.0, 2.0 * ssim / samples)
         else:
             scores[k, DEPTH] = np.float32(noise.depth_weight) * far / samples
-            share = np.float32(coloured) / samples
-            scores[k, COLOUR] = (
-                np.float32(noise.colour_weight) * share * _correlation(moments, coloured)
-            )
+            scores[k, COLOUR] = np.float32(noise.colour_weight) * _correlation(moments)
 
 
 @kernel(inline="always")
@@ -148,24 +149,47 @@ def _depth(expected, measured, noise):
 
 
 @kernel(inline="always", fastmath=True)
-def _colour(tile, packet, ints, surface, view, moments):
-    """Add a tile to the frame's colour moments; how many of its samples hit."""
-    hits = 0
+def _steps(tile, packet, ints, surface, view, shown, hit, moments):
+    """Add steps of colour between neighbours of a tile to a frame's moments.
+
+    Moments: pairs of neighbours in the image, those of them that hit, and over these the sums of
+    squares of the image's steps, of the map's, and of their products.
+    """
     for lane in range(LANES):
         triangle = ints[TRIANGLE, lane]
+        hit[lane] = triangle >= 0 and view.patch[tile * LANES + lane] >= 0
+        if hit[lane]:
+            red, green, blue = _shown(packet, lane, triangle, surface, view)
+            shown[lane, 0], shown[lane, 1], shown[lane, 2] = red, green, blue
+    pairs = both = 0
+    qq = rr = qr = np.float32(0.0)
+    for lane in range(LANES):
         sample = tile * LANES + lane
-        if triangle < 0 or view.patch[sample] < 0:
-            continue
-        hits += 1
-        rendered = _shown(packet, lane, triangle, surface, view)
-        for channel in range(3):
-            q, r = view.colour[sample, channel], rendered[channel]
-            moments[channel, 0] += q
-            moments[channel, 1] += r
-            moments[channel, 2] += q * q
-            moments[channel, 3] += r * r
-            moments[channel, 4] += q * r
-    return hits
+        for way in range(2):  # to the right, and down
+            if (way == 0 and lane % 4 == 3) or (way == 1 and lane >= LANES - 4):
+                continue
+            to = 1 if way == 0 else 4
+            if view.patch[sample] < 0 or view.patch[sample + to] < 0:
+                continue
+            pairs += 1
+            if not (hit[lane] and hit[lane + to]):
+                continue
+            both += 1
+            for c in range(3):
+                q = _step(view.colour[sample, c], view.colour[sample + to, c], STEEPEST[c])
+                r = _step(shown[lane, c], shown[lane + to, c], STEEPEST[c])
+                qq, rr, qr = qq + q * q, rr + r * r, qr + q * r
+    moments[0] += pairs
+    moments[1] += both
+    moments[2] += qq
+    moments[3] += rr
+    moments[4] += qr
+
+
+@kernel(inline="always", fastmath=True)
+def _step(here, there, steepest):
+    """A step as a share of the steepest that counts, in [-1, 1]."""
+    return min(max((there - here) / steepest, np.float32(-1.0)), np.float32(1.0))
 
 
 @kernel(inline="always", fastmath=True)
@@ -201,23 +225,19 @@ def _ssim(tile, packet, ints, surface, view):
 
 
 @kernel(inline="always", fastmath=True)
-def _correlation(moments, hits):
-    """Mean over channels of -log(1 - rho^2) / 2: what correlated colours tell, per sample [nat].
+def _correlation(moments):
+    """-log(1 - rho^2) / 2 of the steps of colour: what one pair of neighbours tells [nat].
 
-    Correlation, not difference: exposure and the colour of the light are not known.
+    Correlation, not difference: exposure and contrast are not known. Times the share of pairs that
+    hit.
     """
-    if hits < LANES:
+    pairs, both, qq, rr, qr = moments
+    if both < LANES:
         return np.float32(0.0)
-    n = np.float32(hits)
-    total = np.float32(0.0)
-    for channel in range(3):
-        q1, r1, q2, r2, qr = moments[channel] / n
-        vq, vr = q2 - q1 * q1, r2 - r1 * r1
-        if vq > _STILL and vr > _STILL:
-            rho = (qr - q1 * r1) / np.sqrt(vq * vr)
-            rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
-            total -= np.log(np.float32(1.0) - rho * rho)
-    return total / np.float32(6.0)
+    flat = 3.0 * both * FLAT
+    rho = qr / np.sqrt((qq + flat) * (rr + flat))
+    rho = min(max(rho, 0.0), 0.99)
+    return np.float32(-0.5 * np.log(1.0 - rho * rho) * both / pairs)
 
 
 @kernel
