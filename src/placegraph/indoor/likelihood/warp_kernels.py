@@ -11,9 +11,12 @@ from placegraph.indoor.rays.warp_kernels import Surface
 
 FARTHEST = wp.constant(wp.float32(3.0e38))
 LANES = wp.constant(16)
-SUMS = wp.constant(18)
-"""A tile's sums: depth, hits, SSIM times hits, and 5 moments of each of 3 channels."""
-STILL = wp.constant(wp.float32(1.0e-4))
+SUMS = wp.constant(8)
+"""A tile's sums: depth, hits, SSIM times hits, and the moments of `score_kernels._steps`."""
+STEEPEST = wp.constant(wp.vec3(0.1, 0.02, 0.02))
+"""`score_kernels.STEEPEST`."""
+FLAT = wp.constant(wp.float64(0.01))
+"""`score_kernels.FLAT`."""
 NO_COLOUR = wp.constant(wp.float32(-1.0))
 """Lightness of a ray that hits nothing."""
 
@@ -153,47 +156,72 @@ def sum_tiles(
     colour: wp.array2d(dtype=wp.vec3),
     sums: wp.array3d(dtype=wp.float32),
 ):
-    """Pose n, tile t: sums over its 16 samples, and the SSIM of its lightness (`score_kernels._colour`)."""
+    """Pose n, tile t: sums over its 16 samples, steps of colour, and the SSIM of its lightness."""
     n, t = wp.tid()
     far = float(0.0)
     hits = float(0.0)
-    q1 = wp.vec3(0.0, 0.0, 0.0)
-    r1 = wp.vec3(0.0, 0.0, 0.0)
-    q2 = wp.vec3(0.0, 0.0, 0.0)
-    r2 = wp.vec3(0.0, 0.0, 0.0)
-    qr = wp.vec3(0.0, 0.0, 0.0)
+    q1 = float(0.0)
+    r1 = float(0.0)
+    q2 = float(0.0)
+    r2 = float(0.0)
+    qr = float(0.0)
     for lane in range(LANES):
         sample = t * LANES + lane
         far = far + depth[n, sample]
-        r = colour[n, sample]
-        if r[0] >= 0.0:
-            q = view.colour[sample]
+        light = colour[n, sample][0]
+        if light >= 0.0:
+            seen = view.colour[sample][0]
             hits = hits + 1.0
-            q1 = q1 + q
-            r1 = r1 + r
-            q2 = q2 + wp.cw_mul(q, q)
-            r2 = r2 + wp.cw_mul(r, r)
-            qr = qr + wp.cw_mul(q, r)
+            q1 = q1 + seen
+            r1 = r1 + light
+            q2 = q2 + seen * seen
+            r2 = r2 + light * light
+            qr = qr + seen * light
     ssim = float(0.0)
     if hits >= 2.0:
         c1 = 9.0e-4
         c2 = 81.0e-4
-        mq = q1[0] / hits
-        mr = r1[0] / hits
-        vq = q2[0] / hits - mq * mq
-        vr = r2[0] / hits - mr * mr
-        cov = qr[0] / hits - mq * mr
+        mq = q1 / hits
+        mr = r1 / hits
+        vq = q2 / hits - mq * mq
+        vr = r2 / hits - mr * mr
+        cov = qr / hits - mq * mr
         ssim = (2.0 * mq * mr + c1) * (2.0 * cov + c2)
         ssim = ssim / ((mq * mq + mr * mr + c1) * (vq + vr + c2))
     sums[n, t, 0] = far
     sums[n, t, 1] = hits
     sums[n, t, 2] = ssim * hits
-    for k in range(3):
-        sums[n, t, 3 + 5 * k] = q1[k]
-        sums[n, t, 4 + 5 * k] = r1[k]
-        sums[n, t, 5 + 5 * k] = q2[k]
-        sums[n, t, 6 + 5 * k] = r2[k]
-        sums[n, t, 7 + 5 * k] = qr[k]
+    pairs = float(0.0)
+    both = float(0.0)
+    qq = float(0.0)
+    rr = float(0.0)
+    along = float(0.0)
+    for lane in range(LANES):
+        here = t * LANES + lane
+        for way in range(2):
+            there = here + 1 + 3 * way
+            inside = (way == 0 and lane % 4 != 3) or (way == 1 and lane < LANES - 4)
+            if inside and view.patch[here] >= 0 and view.patch[there] >= 0:
+                pairs = pairs + 1.0
+                if colour[n, here][0] >= 0.0 and colour[n, there][0] >= 0.0:
+                    both = both + 1.0
+                    q = step(view.colour[here], view.colour[there])
+                    r = step(colour[n, here], colour[n, there])
+                    qq = qq + wp.dot(q, q)
+                    rr = rr + wp.dot(r, r)
+                    along = along + wp.dot(q, r)
+    sums[n, t, 3] = pairs
+    sums[n, t, 4] = both
+    sums[n, t, 5] = qq
+    sums[n, t, 6] = rr
+    sums[n, t, 7] = along
+
+
+@wp.func
+def step(here: wp.vec3, there: wp.vec3) -> wp.vec3:
+    """`score_kernels._step` of all channels."""
+    one = wp.vec3(1.0, 1.0, 1.0)
+    return wp.max(wp.min(wp.cw_div(there - here, STEEPEST), one), -one)
 
 
 @wp.kernel(enable_backward=False)
@@ -250,34 +278,25 @@ def finish(
         scores[n, 2] = wp.max(0.0, 2.0 * ssim / wp.max(view.number, 1.0))
     else:
         scores[n, 1] = noise.depth_weight * far / wp.max(view.number, 1.0)
-        scores[n, 2] = 0.0
-        if hits >= float(LANES):
-            told = float(0.0)
-            for k in range(3):
-                told = told + correlation(sums, n, k, hits)
-            scores[n, 2] = noise.colour_weight * (hits / view.number) * told / 6.0
+        scores[n, 2] = noise.colour_weight * correlation(sums, n)
 
 
 @wp.func
-def correlation(sums: wp.array3d(dtype=wp.float32), n: int, k: int, hits: float) -> float:
-    """-log(1 - rho^2) of channel k of pose n (`score_kernels._correlation`)."""
-    # variances are small differences of large sums
-    q1 = wp.float64(0.0)
-    r1 = wp.float64(0.0)
-    q2 = wp.float64(0.0)
-    r2 = wp.float64(0.0)
+def correlation(sums: wp.array3d(dtype=wp.float32), n: int) -> float:
+    """`score_kernels._correlation` of pose n."""
+    pairs = wp.float64(0.0)
+    both = wp.float64(0.0)
+    qq = wp.float64(0.0)
+    rr = wp.float64(0.0)
     qr = wp.float64(0.0)
     for t in range(sums.shape[1]):
-        q1 = q1 + wp.float64(sums[n, t, 3 + 5 * k])
-        r1 = r1 + wp.float64(sums[n, t, 4 + 5 * k])
-        q2 = q2 + wp.float64(sums[n, t, 5 + 5 * k])
-        r2 = r2 + wp.float64(sums[n, t, 6 + 5 * k])
-        qr = qr + wp.float64(sums[n, t, 7 + 5 * k])
-    number = wp.float64(hits)
-    vq = float(q2 / number - (q1 / number) * (q1 / number))
-    vr = float(r2 / number - (r1 / number) * (r1 / number))
-    if vq > STILL and vr > STILL:
-        rho = float(qr / number - (q1 / number) * (r1 / number)) / wp.sqrt(vq * vr)
-        rho = wp.clamp(rho, 0.0, 0.99)
-        return -wp.log(1.0 - rho * rho)
-    return 0.0
+        pairs = pairs + wp.float64(sums[n, t, 3])
+        both = both + wp.float64(sums[n, t, 4])
+        qq = qq + wp.float64(sums[n, t, 5])
+        rr = rr + wp.float64(sums[n, t, 6])
+        qr = qr + wp.float64(sums[n, t, 7])
+    if both < wp.float64(LANES):
+        return 0.0
+    flat = wp.float64(3.0) * both * FLAT
+    rho = wp.clamp(qr / wp.sqrt((qq + flat) * (rr + flat)), wp.float64(0.0), wp.float64(0.99))
+    return float(wp.float64(-0.5) * wp.log(wp.float64(1.0) - rho * rho) * both / pairs)

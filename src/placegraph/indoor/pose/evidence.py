@@ -40,7 +40,7 @@ class Agreement:
     depth: float
     """Of readings where the map has a surface, the share within one deviation; NaN: none."""
     colour: float
-    """Mean log-likelihood of the colours per independent sample [nat]; NaN: no colours."""
+    """Mean log-likelihood of the steps of colour per independent pair [nat]; NaN: no colours."""
     weights: Floats
     """(N,) what the patches and readings that concern each object told for the pose [nat]."""
     told: Floats
@@ -159,11 +159,11 @@ def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
         out.append(
             Evidence(
                 "colour",
-                "for" if agreed.colour > 0.05 else "silent",
+                "for" if agreed.colour > 0.025 else "silent",
                 float(agreed.colour),
-                note="colours correlate with the map's"
-                if agreed.colour > 0.05
-                else "colours hardly correlate with the map's",
+                note="edges correlate with the map's"
+                if agreed.colour > 0.025
+                else "edges hardly correlate with the map's",
             )
         )
     if agreed.covered < 0.75:

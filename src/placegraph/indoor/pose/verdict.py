@@ -36,10 +36,10 @@ _COVERED = 0.9
 _BLIND = 0.2
 _PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
 _DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.8, 0.55
-_COLOURS_ALONE = 0.4
+_COLOURS_ALONE = 0.035
 _WITNESSES = 4
 _LENIENT = 0.15  # how much less the newest frame alone must agree
-_COLOURS_AGREE, _COLOURS_CONTRADICT = 0.12, 0.005
+_COLOURS_AGREE, _COLOURS_CONTRADICT = 0.025, 0.005
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
