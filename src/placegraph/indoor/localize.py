@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.estimate import Status
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.pose.passes import run_passes
 from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.suspect import spoiled, suspected
 from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
-from placegraph.indoor.pose.window import Window, observe
+from placegraph.indoor.pose.window import Window, observe, timed
 from placegraph.indoor.refine import RefineOptions, Refining, refined
 from placegraph.indoor.refine.landmarks import place
 
@@ -69,6 +71,11 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     else:
         fits = polished(window, passes.modes, seeds, rng)
     estimate = verdict(window, fits)
+    if estimate.status is Status.LOST and not spoiled(window):
+        with timed(window.seconds, "faults"):
+            fault = suspected(window, estimate.stats["trust"]["ratio"], rng)
+        if fault:
+            estimate = replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}")
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
     estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)

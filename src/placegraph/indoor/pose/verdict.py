@@ -13,6 +13,7 @@ from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import covariance_of, probabilities, round_of
+from placegraph.indoor.pose.suspect import divided, spoiled
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -125,8 +126,14 @@ def _status(
     window: Window, modes: Sequence[PoseMode], agreed: Agreement, told: float
 ) -> tuple[Status, str]:
     """Status and reason by all frames together, by the newest alone, and by what was said."""
+    fault = spoiled(window)
+    if fault:
+        return Status.LOST, fault
     status, reason = judge(agreed, modes, told)
     pose, last = modes[0].pose, window.views(FINE)[-1:]
+    fault = divided(window, _frames(window, pose, agreed))
+    if fault:
+        return Status.LOST if status is Status.LOST else Status.AMBIGUOUS, fault
     if status is Status.OK and len(window) > 1:
         newest = agreement(window.scorer, pose, last, np.zeros((1, 4)))
         against = disagreement(newest, _PATCHES_TELL, _LENIENT)
@@ -145,6 +152,16 @@ def _status(
         unit = hint(window.views(FINE), window.table.background, frame)
         reason = f"{reason} {unit}".rstrip()
     return status, reason
+
+
+def _frames(window: Window, pose: Floats, agreed: Agreement) -> Floats:
+    """(T, 3) how far each frame of the window agrees with a pose of the last."""
+    older = len(window) - len(agreed.frames)
+    if not older:
+        return agreed.frames
+    steps = between(window.poses[-1], window.poses[:older])
+    before = agreement(window.scorer, pose, window.views(FINE)[:older], steps)
+    return np.concatenate([before.frames, agreed.frames])
 
 
 def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[Status, str]:

@@ -1,0 +1,209 @@
+"""What is wrong with the input: named, so that it can be mended.
+
+`spoiled` looks at frames alone, and costs next to nothing. `suspected` is asked where no pose is sure: it
+supposes one fault after the other, takes it back, and sees whether the frames then fit the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import level_from_camera, wrap
+from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.pose.evidence import agreement
+from placegraph.indoor.pose.polish import polished, round_of
+from placegraph.indoor.pose.search import search
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.pose.window import Window
+
+_FLAT = 2.0
+"""Deviation of the means of an image's blocks, of 255 steps, below which it shows nothing."""
+_MOVED, _TURNED = 0.1, 0.1
+"""Way [m] and turn [rad] over which no two images are the same."""
+_BLOCKS = (8, 12)
+_FITS, _MISSES = 0.75, 0.5
+"""Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
+_COLOURS_SAY = 0.1
+"""A frame whose colours tell more than this does fit [nat a sample]."""
+_STARTS = 4
+_GAIN, _TELLS = 1.2, 25.0
+"""A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
+_COLOURS_FIT = 0.3
+"""What colours tell of frames that fit, where there is no depth [nat a sample]."""
+
+
+_UPSIDE_DOWN = (
+    "With gravity turned round they fit: it seems to point up. Give the direction in which things "
+    "fall; an accelerometer at rest measures the opposite."
+)
+_LEFT_IS_RIGHT = (
+    "Mirrored they fit: left and right of the images seem to be changed. Give them as the camera "
+    "sees them."
+)
+
+
+def spoiled(window: Window) -> str:
+    """What is wrong with frames whatever the map is, in a sentence; empty: nothing."""
+    if _covered(window.sightings):
+        return (
+            "The lens seems to be covered: no image shows anything, and there is no depth. "
+            "Uncover it, or check what the camera delivers."
+        )
+    stuck = _stuck(window)
+    if stuck:
+        first, last = (window.sightings[i].frame.index for i in stuck)
+        return (
+            f"The images are frozen: frames {first} to {last} are the same, although the camera "
+            "moved by its odometry. Restart the camera, or leave repeated frames out."
+        )
+    return ""
+
+
+def _covered(sightings: list[Sighting]) -> bool:
+    """Whether all images are flat, and no frame has depth or labels."""
+    return all(
+        s.depth is None and not s.patches and s.rgb is not None and _flat(s.rgb) for s in sightings
+    )
+
+
+def _flat(rgb: NDArray[np.uint8]) -> bool:
+    """Whether an image (H, W, 3) has no contrast but its pixels' noise."""
+    rows, columns = (n // k * k for n, k in zip(rgb.shape, _BLOCKS, strict=False))
+    some = rgb[:rows:2, :columns:2].astype(np.float32).mean(axis=2)
+    height, width = (n // k for n, k in zip(some.shape, _BLOCKS, strict=True))
+    some = some[: height * _BLOCKS[0], : width * _BLOCKS[1]]
+    means = some.reshape(_BLOCKS[0], height, _BLOCKS[1], width).mean(axis=(1, 3))
+    return bool(means.std() < _FLAT)
+
+
+def _stuck(window: Window) -> tuple[int, int] | None:
+    """First and last row of the longest run of frames with one image over which the camera moved.
+
+    Two alike among many are a frame that was sent twice, except at the end, where the answer is.
+    """
+    found, start, last = None, 0, len(window) - 1
+    for i in range(1, len(window) + 1):
+        if i <= last and _same(window.sightings[i - 1], window.sightings[i]):
+            continue
+        ends_now, count = i - 1 == last, i - start
+        if count > 1 and (count > 2 or ends_now) and _moved(window.poses, start, i - 1):
+            found = max(found or (start, start), (start, i - 1), key=lambda run: run[1] - run[0])
+        start = i
+    return found
+
+
+def _same(one: Sighting, other: Sighting) -> bool:
+    """Whether two frames have an image in common: sensors' noise lets none repeat itself."""
+    pairs = ((one.rgb, other.rgb), (one.depth, other.depth))
+    return any(
+        a is not None
+        and b is not None
+        and a.shape == b.shape
+        and np.array_equal(a[::7, ::5], b[::7, ::5], equal_nan=a.dtype.kind == "f")
+        for a, b in pairs
+    )
+
+
+def _moved(poses: Floats, first: int, last: int) -> bool:
+    way = np.linalg.norm(poses[last, :3] - poses[first, :3])
+    turn = np.abs(wrap(poses[first : last + 1, 3] - poses[first, 3])).max()
+    return bool(way > _MOVED or turn > _TURNED)
+
+
+def divided(window: Window, frames: Floats) -> str:
+    """Which frames contradict the others, in a sentence; empty: they agree.
+
+    `frames`: (T, 3) how far each agrees with one pose of the window (`Agreement.frames`).
+
+    A frame that fits and one that does not cannot both have been taken where odometry says.
+    """
+    depth, colour = frames[:, 1], frames[:, 2]
+    silent = ~(colour > _COLOURS_SAY)
+    misses = np.flatnonzero((depth < _MISSES) & silent)
+    fit = np.flatnonzero(depth > _FITS)
+    if min(len(misses), len(fit)) < max(2, len(depth) // 5):
+        return ""
+    rows = [window.sightings[i].frame.index for i in misses]
+    listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
+    return (
+        f"Frames {listed} contradict the others: they were taken elsewhere, or the odometry "
+        "jumped. Localize each part by itself."
+    )
+
+
+# ------------------------------------------------------------------------------------ hypotheses
+
+
+def suspected(window: Window, ratio: float, rng: Generator) -> str:
+    """The fault of the input that explains why frames do not fit, in a sentence; empty: none does.
+
+    `ratio`: log-likelihood ratio against anywhere that the frames reached as they are, a frame [nat].
+    """
+    for other, said in _faults(window):
+        if not len(other.table):
+            continue
+        seeds = search(other, rng)
+        fit = polished(other, seeds[:_STARTS], seeds[:_STARTS], rng)[0]
+        newest = round_of(other.judging, FINE, rounds=0)
+        agreed = agreement(other.judging.scorer, fit.pose, newest.views, newest.steps)
+        fits = agreed.colour > _COLOURS_FIT if np.isnan(agreed.depth) else agreed.depth > _FITS
+        if fits and agreed.ratio > max(_TELLS, _GAIN * ratio):
+            return said
+    return ""
+
+
+def _faults(window: Window) -> Iterator[tuple[Window, str]]:
+    """Windows with a fault taken back, and what it is."""
+    if np.mean([s.frame.gravity[1] for s in window.sightings]) < 0:  # or held upside down
+        yield (
+            replace(
+                window,
+                sightings=[_turned_round(s) for s in window.sightings],
+                seconds={},
+                _views={},
+            ),
+            _UPSIDE_DOWN,
+        )
+    yield (
+        replace(window, sightings=[_mirrored(s) for s in window.sightings], seconds={}, _views={}),
+        _LEFT_IS_RIGHT,
+    )
+    scene, query = window.scene, window.query
+    top = float(scene.bounds[1, 2] - scene.floors.max())
+    for heights, where in (
+        ((-1.0, -0.3), "below the floor"),
+        ((top + 0.2, top + 0.9), "above the ceiling"),
+    ):
+        asked = replace(query, options=replace(query.options, heights=heights))
+        yield (
+            replace(window, query=asked, seconds={}, _views={}),
+            f"They fit a camera {where} of the map: check where its floor is, and which storey this is.",
+        )
+
+
+def _turned_round(sighting: Sighting) -> Sighting:
+    frame = replace(sighting.frame, gravity=-sighting.frame.gravity)
+    return replace(sighting, frame=frame, level=level_from_camera(frame.gravity))
+
+
+def _mirrored(sighting: Sighting) -> Sighting:
+    patches, depth, rgb = sighting.patches, sighting.depth, sighting.rgb
+    if patches is not None:
+        patches = replace(patches, rows=patches.rows.reshape(patches.grid)[:, ::-1].ravel())
+    return replace(
+        sighting,
+        patches=patches,
+        depth=None if depth is None else np.ascontiguousarray(depth[:, ::-1]),
+        rgb=None if rgb is None else np.ascontiguousarray(rgb[:, ::-1]),
+    )
