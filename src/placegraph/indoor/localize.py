@@ -71,7 +71,7 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     else:
         fits = polished(window, passes.modes, seeds, rng)
     estimate = verdict(window, fits)
-    if estimate.status is Status.LOST and not spoiled(window):
+    if estimate.status is Status.LOST and query.options.tracked and not spoiled(window):
         with timed(window.seconds, "faults"):
             fault = suspected(window, estimate.stats["trust"]["ratio"], rng)
         if fault:

@@ -7,7 +7,7 @@ supposes one fault after the other, takes it back, and sees whether the frames t
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,6 +51,8 @@ _LEFT_IS_RIGHT = (
     "Mirrored they fit: left and right of the images seem to be changed. Give them as the camera "
     "sees them."
 )
+
+_OUTSIDE = "They fit a camera {} of the map: check which storey this is, and the map's floor."
 
 
 def spoiled(window: Window) -> str:
@@ -164,32 +166,20 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
 
 
 def _faults(window: Window) -> Iterator[tuple[Window, str]]:
-    """Windows with a fault taken back, and what it is."""
-    if np.mean([s.frame.gravity[1] for s in window.sightings]) < 0:  # or held upside down
-        yield (
-            replace(
-                window,
-                sightings=[_turned_round(s) for s in window.sightings],
-                seconds={},
-                _views={},
-            ),
-            _UPSIDE_DOWN,
-        )
-    yield (
-        replace(window, sightings=[_mirrored(s) for s in window.sightings], seconds={}, _views={}),
-        _LEFT_IS_RIGHT,
-    )
-    scene, query = window.scene, window.query
+    """Windows with a fault taken back, looked for in all of the map, and what it is."""
+    query, sightings, scene = replace(window.query, prior=None), window.sightings, window.scene
+
+    def changed(**change: Any) -> Window:  # noqa: ANN401  # fields of a window
+        return replace(window, **{"query": query, "seconds": {}, "_views": {}} | change)
+
+    if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or held upside down
+        yield changed(sightings=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN
+    yield changed(sightings=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT
     top = float(scene.bounds[1, 2] - scene.floors.max())
-    for heights, where in (
-        ((-1.0, -0.3), "below the floor"),
-        ((top + 0.2, top + 0.9), "above the ceiling"),
-    ):
-        asked = replace(query, options=replace(query.options, heights=heights))
-        yield (
-            replace(window, query=asked, seconds={}, _views={}),
-            f"They fit a camera {where} of the map: check where its floor is, and which storey this is.",
-        )
+    outside = {"below the floor": (-1.0, -0.3), "above the ceiling": (top + 0.2, top + 0.9)}
+    for where, heights in outside.items():
+        options = replace(query.options, heights=heights)
+        yield changed(query=replace(query, options=options)), _OUTSIDE.format(where)
 
 
 def _turned_round(sighting: Sighting) -> Sighting:

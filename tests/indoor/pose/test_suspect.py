@@ -1,0 +1,84 @@
+"""Bad input is named, and never `OK`; what is only unusual is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture.capture import open_capture
+from placegraph_lab.tables.indoor import perturb_images as bad
+from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def shot(walk, room, truth):
+    """Ten frames in the room, with depth and colours alone."""
+    recording = Recording("walk", walk.frames, truth(walk), 0.2, lambda: room)
+    return bad.only(Shot.of(recording, range(10)), ("depth", "colour"))
+
+
+def half_elsewhere(shot, _, rng):  # noqa: ARG001
+    """The first frames are from the same walk seen in a mirror: no place of this room."""
+    frames = bad.mirrored(shot, 0, None).frames[:5] + shot.frames[5:]
+    return replace(shot, frames=frames)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "strength", "said"),
+    [
+        (bad.lens_cap, 0, "lens seems to be covered"),
+        (bad.frozen, 0, "frames 0 to 9 are the same"),
+        (bad.mirrored, 0, "left and right"),
+        (half_elsewhere, 0, "contradict the others"),
+        (height, 3.2, "above the ceiling"),
+    ],
+)
+def test_what_is_wrong_is_named(room, shot, rng, spoil, strength, said):
+    estimate = room.localize(spoil(shot, strength, rng).frames, refine=False)
+    assert estimate.status is not Status.OK
+    assert said in estimate.reason
+    assert estimate.reason.endswith(".")
+
+
+def test_time_that_runs_backwards_is_refused(room, walk, shot, tmp_path):
+    with pytest.raises(OptionError, match=r"frames: .* grow"):
+        room.localize(bad.backwards(shot, 0, None).frames)
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    for part in walk.path.iterdir():
+        (folder / part.name).symlink_to(part)
+    rows = (walk.path / "odometry.tum").read_text().splitlines()
+    first = next(i for i, row in enumerate(rows) if not row.startswith("#"))
+    (folder / "odometry.tum").unlink()
+    rows[first], rows[first + 1] = rows[first + 1], rows[first]
+    (folder / "odometry.tum").write_text("\n".join(rows))
+    with pytest.raises(InputError, match=rf"odometry\.tum, line {first + 2}: the stamp .* earlier"):
+        open_capture(folder)
+
+
+def test_plain_frames_are_above_suspicion(room, shot):
+    """As recorded; standing still, with the same image; one frame sent twice."""
+    assert room.localize(shot.frames, refine=False).status is Status.OK
+    last = shot.frames[-1]
+    still = [replace(last, stamp=last.stamp + i) for i in range(4)]
+    assert room.localize(still, refine=False).status is Status.OK
+    twice = list(shot.frames)
+    twice[4] = replace(twice[4], images=twice[3].images)
+    assert "frozen" not in room.localize(twice, refine=False).reason
+
+
+def test_a_place_elsewhere_is_lost_without_a_fault(room, shot):
+    """Depth that fits nothing: no fault taken back mends it, and none is named."""
+    rng = np.random.default_rng(4)
+    frames = [
+        bad.seen(f, rgb=rng.integers(0, 255, f.rgb().shape, np.uint8),
+                 depth=rng.uniform(0.5, 6, f.depth().shape))
+        for f in shot.frames
+    ]  # fmt: skip
+    estimate = room.localize(frames, refine=False)
+    assert estimate.status is Status.LOST
+    assert estimate.reason.startswith("Nowhere on the map fits")
