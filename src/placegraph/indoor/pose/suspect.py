@@ -7,7 +7,7 @@ supposes one fault after the other, takes it back, and sees whether the frames t
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import agreement
 from placegraph.indoor.pose.polish import polished, round_of
 from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.window import Window
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.observe import Sighting
-    from placegraph.indoor.pose.window import Window
+    from placegraph.indoor.pose.query import PoseQuery
 
 _FLAT = 2.0
 """Deviation of the means of an image's blocks, of 255 steps, below which it shows nothing."""
@@ -169,17 +170,17 @@ def _faults(window: Window) -> Iterator[tuple[Window, str]]:
     """Windows with a fault taken back, looked for in all of the map, and what it is."""
     query, sightings, scene = replace(window.query, prior=None), window.sightings, window.scene
 
-    def changed(**change: Any) -> Window:  # noqa: ANN401  # fields of a window
-        return replace(window, **{"query": query, "seconds": {}, "_views": {}} | change)
+    def changed(asked: PoseQuery = query, frames: list[Sighting] = sightings) -> Window:
+        return Window(asked, window.scorer, frames)
 
     if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or held upside down
-        yield changed(sightings=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN
-    yield changed(sightings=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT
+        yield changed(frames=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN
+    yield changed(frames=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT
     top = float(scene.bounds[1, 2] - scene.floors.max())
     outside = {"below the floor": (-1.0, -0.3), "above the ceiling": (top + 0.2, top + 0.9)}
     for where, heights in outside.items():
         options = replace(query.options, heights=heights)
-        yield changed(query=replace(query, options=options)), _OUTSIDE.format(where)
+        yield changed(replace(query, options=options)), _OUTSIDE.format(where)
 
 
 def _turned_round(sighting: Sighting) -> Sighting:
