@@ -155,11 +155,11 @@ class FilterOptions:
     """Use depth images, where there are any."""
     colour: bool = True
     """Use the colour images, where the map has colours."""
-    heights: tuple[float, ...] = (1.5, 1.6, 1.7, 1.8)
-    """Heights of the camera above the floor that are tried [m]."""
+    heights: tuple[float, ...] = (0.15, 2.3)
+    """Heights of the camera above the floor [m]: the table spans them, a uniform start has each."""
     start: Literal["table", "uniform"] = "table"
     """First particles: where the visibility table says the frames could be, or everywhere."""
-    spacing: float = 0.25
+    spacing: float = 0.5
     """Grid of the visibility table; of uniform particles the paper's 0.2 [m]."""
     per_cell: int = 3
     """Particles a cell and height of a uniform start."""
@@ -240,6 +240,7 @@ class FilterOptions:
         as the boxes are; 0.1 and 0.95 for KLD.
         """
         return cls(
+            heights=(1.5, 1.6, 1.7, 1.8),
             start="uniform",
             spacing=0.2,
             passes=_passes(20.0, 8.0, 4.0),

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.map.mesh import Mesh
+    from placegraph.indoor.map.scene import Scene
 
 LEVEL = 0.9
 """A triangle is level where its normal's z is at least this, 26 degrees from upright."""
@@ -21,6 +22,10 @@ _LOW = 0.25  # of the scene's height: where a floor without a label is looked fo
 _LOW_METRES = 0.4  # or this far above its lowest surfaces [m]
 _SHARE = 0.05  # of the footprint that a floor without a label has to cover
 _LEAST = 0.5  # and this much in any case [m2]
+
+_ROOM = 2.0  # between the floors of two storeys, at least [m]
+_ABOVE = 1.5  # a storey has surfaces so far above its floor [m]: else it is a roof
+_STOREY_SHARE, _STOREY_LEAST = 0.15, 4.0  # of the footprint, and [m2], that its floor covers
 
 _LYING = 0.25  # of the area of what is labelled floor is level, else it stands upright
 
@@ -70,6 +75,38 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
         if area >= max(_LEAST, _SHARE * footprint):
             return height
     return None
+
+
+def storeys(scene: Scene, part: int) -> list[float]:
+    """Heights of the floors of a merged scene (row `part`) [m, map], lowest first.
+
+    The first is the scene's own. Above it a storey begins where a level surface that looks up is as
+    wide as a room, with walls above it and a room's height below.
+    """
+    found = [float(scene.floors[part])]
+    normals = scene.mesh.normals()
+    own = scene.scene_of[scene.mesh.object_of] == part
+    areas = np.linalg.norm(normals, axis=1) / 2.0
+    heights = scene.mesh.vertices[:, 2][scene.mesh.triangles].mean(axis=1, dtype=np.float64)
+    (top,) = quantiles(heights[own], areas[own], (0.98,))
+    box = scene.scene_bounds[part, :, :2]
+    wide = max(_STOREY_LEAST, _STOREY_SHARE * float(np.prod(box[1] - box[0])))
+    level = own & (normals[:, 2] > LEVEL * 2.0 * areas)
+    while True:
+        higher = level & (heights > found[-1] + _ROOM) & (heights < top - _ABOVE)
+        if not higher.any():
+            return found
+        bins = ((heights[higher] - found[-1]) / _BIN).astype(np.int64)
+        area = np.convolve(np.bincount(bins, areas[higher]), np.ones(3), "same")
+        enough = np.flatnonzero(area >= wide)
+        if not len(enough):
+            return found
+        # the widest of the first storey's height: noise of a scan begins below it
+        near = np.arange(enough[0], min(enough[0] + round(0.5 / _BIN), len(area)))
+        best = near[area[near].argmax()]
+        around = np.abs(bins - best) <= 1
+        (height,) = quantiles(heights[higher][around], areas[higher][around], (0.5,))
+        found.append(height)
 
 
 def labelled_floors(

@@ -27,6 +27,13 @@ STEP = 2.0 * np.pi / AZIMUTHS
 """Bin of azimuth, and step of headings [rad]: 5 degrees."""
 
 
+HEADINGS = 36
+"""Headings of a camera that are looked up at each position: every other bin."""
+
+
+FOLD = AZIMUTHS // HEADINGS
+
+
 NEAREST, FARTHEST = 0.1, 30.0  # ranges are stored in 255 steps of their logarithm, 2.3 % each
 
 
@@ -95,84 +102,138 @@ def _look_around(tracer, surface, points, directions, seen, ranges, colours, fir
                     colours[k, e, c, a] = np.uint8(min(max(byte, np.float32(0)), np.float32(255)))
 
 
-def scan_headings(panoramas, mapped, patch, band, azimuth, semantic, depth, colour, colour_weight):
-    """Log-likelihood (K, A): for each sample, its bin's column turned through all headings."""
-    out = np.empty((len(panoramas.objects), AZIMUTHS), np.float32)
-    samples = mapped, patch, band, azimuth, semantic, depth, colour, colour_weight
-    share(_scan_headings, len(out), panoramas, *samples, out)
+class Samples(NamedTuple):
+    """S samples of T views, one view after the other, and the column of panoramas that each meets."""
+
+    ends: NDArray[np.int64]
+    """(T,) row behind the last sample of each view."""
+    band: NDArray[np.int32]
+    """(S,) band of elevation."""
+    azimuth: NDArray[np.int32]
+    """(S,) bin of azimuth, where the reference frame looks along bin 0."""
+    patch: NDArray[np.int32]
+    """(S,) row of `semantic`."""
+    semantic: NDArray[np.float32]
+    """(P, N + 1) log-likelihood of each object, and of none; no row: labels are not asked."""
+    depth: NDArray[np.float32]
+    """(S, 256) log-likelihood of each stored range; no row: depth is not asked."""
+    colour: NDArray[np.float32]
+    """(S, 3) on the scale of bytes; no row: colours are not asked."""
+
+
+def scan_headings(panoramas, mapped, samples, colour_weight):
+    """Log-likelihood (T, K, HEADINGS): for each sample, its column turned through all headings."""
+    out = np.empty((len(samples.ends), len(panoramas.objects), HEADINGS), np.float32)
+    share(_scan_headings, out.shape[1], panoramas, mapped, samples, colour_weight, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _scan_headings(
-    panoramas, mapped, patch, band, azimuth, semantic, depth, colour, colour_weight, out, first, last
-):  # fmt: skip
-    """Fill rows `first` to `last` of out (K, A)."""
-    samples = len(patch)
-    sums = np.zeros((3, 2), np.float32)
-    for s in range(len(colour)):
-        for c in range(3):
-            sums[c, 0] += colour[s, c]
-            sums[c, 1] += colour[s, c] * colour[s, c]
+def _scan_headings(panoramas, mapped, samples, colour_weight, out, first, last):
+    """Fill columns `first` to `last` of out (T, K, HEADINGS).
+
+    Panoramas are unrolled first, so that what the headings of one sample meet lies in one run.
+    """
+    # arrays are taken out of tuples once: each time costs more than a term
+    ends, band, azimuth, patch = samples.ends, samples.band, samples.azimuth, samples.patch
+    semantic, depth = samples.semantic, samples.depth
+    all_objects, all_ranges, all_colours = panoramas.objects, panoramas.ranges, panoramas.colours
+    objects = np.empty((ELEVATIONS * FOLD, 2 * HEADINGS), np.uint32)
+    ranges = np.empty((ELEVATIONS * FOLD, 2 * HEADINGS), np.uint32)
+    colours = np.empty((ELEVATIONS * FOLD, 4, 2 * HEADINGS), np.float32)
+    moments = np.empty((3, 5, HEADINGS), np.float32)
+    total = np.empty(HEADINGS, np.float32)
+    coloured = len(samples.colour) > 0
+    used = np.zeros(ELEVATIONS, np.bool_)
+    for s in range(len(band)):
+        used[band[s]] = True
     for k in range(first, last):
-        whole = mapped[k]
-        total = np.zeros(AZIMUTHS, np.float32)
-        hits = np.zeros(AZIMUTHS, np.float32)
-        m = np.zeros((3, 5, AZIMUTHS), np.float32)
-        for s in range(samples):
-            shift = azimuth[s]
-            for part in range(2):
-                # heading a looks at azimuth a + shift: two runs without a modulo in the loop
-                begin, end = (0, AZIMUTHS - shift) if part == 0 else (AZIMUTHS - shift, AZIMUTHS)
-                offset = shift if part == 0 else shift - AZIMUTHS
-                ranges = panoramas.ranges[k, band[s]]
+        for e in range(ELEVATIONS):
+            if used[e]:
+                _unroll(all_objects[k, e], objects[e * FOLD : (e + 1) * FOLD])
+                _unroll(all_ranges[k, e], ranges[e * FOLD : (e + 1) * FOLD])
+                if coloured:
+                    shown = colours[e * FOLD : (e + 1) * FOLD]
+                    _unroll_colours(all_colours[k, e], all_ranges[k, e], shown)
+        begin = 0
+        for t in range(len(ends)):
+            total[:] = 0.0
+            for s in range(begin, ends[t]):
+                row = np.uint32(band[s] * FOLD + azimuth[s] % FOLD)
+                shift, sample = np.uint32(azimuth[s] // FOLD), np.uint32(s)
                 if len(semantic):
-                    objects = panoramas.objects[k, band[s]]
-                    says = semantic[patch[s]]
-                    for a in range(begin, end):
-                        total[a] += says[objects[a + offset]]
+                    said = np.uint32(patch[s])
+                    for a in range(np.uint32(HEADINGS)):
+                        total[a] += semantic[said, objects[row, shift + a]]
                 if len(depth):
-                    costs = depth[s]
-                    for a in range(begin, end):
-                        total[a] += costs[ranges[a + offset]]
-                if len(colour) and whole:
-                    for c in range(3):
-                        q = colour[s, c]
-                        column = panoramas.colours[k, band[s], c]
-                        for a in range(begin, end):
-                            r = np.float32(column[a + offset])
-                            m[c, 1, a] += r
-                            m[c, 3, a] += r * r
-                            m[c, 4, a] += q * r
-                elif len(colour):
-                    for a in range(begin, end):
-                        hits[a] += np.float32(ranges[a + offset] != NOTHING)
-                    for c in range(3):
-                        q = colour[s, c]
-                        column = panoramas.colours[k, band[s], c]
-                        for a in range(begin, end):
-                            there = np.float32(ranges[a + offset] != NOTHING)
-                            r = np.float32(column[a + offset]) * there
-                            m[c, 0, a] += q * there
-                            m[c, 1, a] += r
-                            m[c, 2, a] += q * q * there
-                            m[c, 3, a] += r * r
-                            m[c, 4, a] += q * r
-        if len(colour) and whole:  # sums of the image alone: the same everywhere
-            hits[:] = samples
+                    for a in range(np.uint32(HEADINGS)):
+                        total[a] += depth[sample, ranges[row, shift + a]]
+            if coloured:
+                part = begin, ends[t]
+                _add_colours(total, colours, mapped[k], samples, part, moments, colour_weight)
+            for a in range(HEADINGS):
+                out[t, k, a] = total[a]
+            begin = ends[t]
+
+
+@kernel
+def _unroll(columns, out):
+    """Columns (A,) of a band, twice over, those of all headings beside each other (FOLD, 2 H)."""
+    for fold in range(FOLD):
+        for a in range(HEADINGS):
+            out[fold, a] = out[fold, a + HEADINGS] = columns[a * FOLD + fold]
+
+
+@kernel
+def _unroll_colours(colours, ranges, out):
+    """The same of colours (3, A), and whether anything is hit: (FOLD, 4, 2 H)."""
+    for fold in range(FOLD):
+        for a in range(HEADINGS):
+            there = np.float32(ranges[a * FOLD + fold] != NOTHING)
+            out[fold, 3, a] = out[fold, 3, a + HEADINGS] = there
             for c in range(3):
-                m[c, 0] = sums[c, 0]
-                m[c, 2] = sums[c, 1]
-        if len(colour):
-            _add_correlation(total, hits, m, colour_weight / np.float32(samples))
-        for a in range(AZIMUTHS):
-            out[k, a] = total[a]
+                shown = there * np.float32(colours[c, a * FOLD + fold])
+                out[fold, c, a] = out[fold, c, a + HEADINGS] = shown
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _add_colours(total, colours, whole, samples, part, m, colour_weight):
+    """Add what the colours of one view tell to all headings of one position; m is room to work."""
+    band, azimuth, colour = samples.band, samples.azimuth, samples.colour
+    hits = np.zeros(HEADINGS, np.float32)
+    m[:] = 0.0
+    sums = np.zeros((3, 2), np.float32)
+    for s in range(part[0], part[1]):
+        row = np.uint32(band[s] * FOLD + azimuth[s] % FOLD)
+        shift = np.uint32(azimuth[s] // FOLD)
+        for c in range(np.uint32(3)):
+            q = colour[s, c]
+            for a in range(np.uint32(HEADINGS)):
+                r = colours[row, c, shift + a]
+                m[c, 1, a] += r
+                m[c, 3, a] += r * r
+                m[c, 4, a] += q * r
+            if whole:  # sums of the image alone are the same everywhere
+                sums[c, 0] += q
+                sums[c, 1] += q * q
+            else:
+                for a in range(np.uint32(HEADINGS)):
+                    there = colours[row, 3, shift + a]
+                    m[c, 0, a] += q * there
+                    m[c, 2, a] += q * q * there
+        for a in range(np.uint32(HEADINGS)):
+            hits[a] += colours[row, 3, shift + a]
+    if whole:
+        for c in range(3):
+            m[c, 0] = sums[c, 0]
+            m[c, 2] = sums[c, 1]
+    _add_correlation(total, hits, m, colour_weight / np.float32(max(1, part[1] - part[0])))
 
 
 @kernel(fastmath=True, error_model="numpy")
 def _add_correlation(total, hits, m, weight):
     """Add what the colours tell (`score._correlation`) to all headings of one position."""
-    for a in range(AZIMUTHS):
+    for a in range(HEADINGS):
         n = hits[a]
         if n < LANES:
             continue
@@ -188,7 +249,7 @@ def _add_correlation(total, hits, m, weight):
 
 
 def add_moved(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
-    """Add to each pose of the reference frame what `scan` says of it moved by `step`."""
+    """Add to each pose of the reference frame what `scan` says of it moved by `step` (3,) [m]."""
     grid = positions, layer_of, index, origin, spacing, step
     share(_add_moved, len(positions), total, scan, unknown, *grid)
 
@@ -199,19 +260,14 @@ def _add_moved(
 ):  # fmt: skip
     """Add to rows `first` to `last`."""
     _, nx, ny = index.shape
-    cosines, sines = np.cos(np.arange(AZIMUTHS) * STEP), np.sin(np.arange(AZIMUTHS) * STEP)
-    turn = int(np.round(step[3] / STEP))
-    for k in range(first, last):
-        for a in range(AZIMUTHS):
-            c, s = cosines[a], sines[a]
-            x = positions[k, 0] + c * step[0] - s * step[1]
-            y = positions[k, 1] + s * step[0] + c * step[1]
-            i = int(np.floor((x - origin[0]) / spacing))
-            j = int(np.floor((y - origin[1]) / spacing))
+    turn = 2.0 * np.pi / HEADINGS
+    for a in range(HEADINGS):
+        c, s = np.cos(a * turn), np.sin(a * turn)
+        along, across = c * step[0] - s * step[1], s * step[0] + c * step[1]
+        for k in range(first, last):
+            i = int(np.floor((positions[k, 0] + along - origin[0]) / spacing))
+            j = int(np.floor((positions[k, 1] + across - origin[1]) / spacing))
             row = -1
             if 0 <= i < nx and 0 <= j < ny:
                 row = index[layer_of[k], i, j]
-            if row >= 0:
-                total[k, a] += scan[row, (a + turn) % AZIMUTHS]
-            else:
-                total[k, a] += unknown
+            total[k, a] += scan[row, a] if row >= 0 else unknown

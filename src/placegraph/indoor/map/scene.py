@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -58,6 +58,8 @@ class Scene:
     """Key of the encoder that the graph's embeddings are of; empty: nobody said."""
     landmarks: Landmarks | None = None
     """Points of its surfaces that images show again; None: the map was built without."""
+    viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    """(V, 3) where the cameras were that the map was made from [m, map]; none of a mesh."""
 
     @classmethod
     def create(
@@ -127,6 +129,7 @@ class Scene:
             ("floors", np.float64, (s,)),
             ("scene_of", np.int32, (n,)),
             ("scene_from_map", np.float64, (s, 4, 4)),
+            ("viewpoints", np.float64, (len(self.viewpoints), 3)),
         ):
             column = np.array(getattr(self, name), dtype)
             if column.shape != shape or not np.isfinite(column).all():

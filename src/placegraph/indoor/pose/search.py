@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import between
 from placegraph.indoor.likelihood.observe import COARSE, spread
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.particles import distinct
 from placegraph.indoor.pose.window import timed
+from placegraph.indoor.rays.layout import LANES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,10 +32,31 @@ SEEDS = 48
 """Places kept of them."""
 SCREENED = 10
 """Frames that screen the seeds."""
-_TRIES = 8  # poses tried around each seed
 _POOL = 6000  # best cells among which distinct seeds are looked for
 _UNTOLD = 0.3  # share of seeds that do not listen to a description
 _FEWEST = 3  # seeds of a merged scene, however small its share
+
+
+class _Try(NamedTuple):
+    """One round in which seeds are moved to the best of poses tried around them."""
+
+    each: int
+    box: float
+    """Edge of the box around each seed [m] ..."""
+    turn: float
+    """... and half its width in yaw [rad]."""
+    frames: int
+    thinned: int
+    """Every so many tiles of a view take part."""
+    most: int
+    """Seeds that go on."""
+
+
+_TRIES = (
+    _Try(12, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
+    _Try(8, 0.3, 0.05, SCREENED, 2, SEEDS // 2),
+)
+"""From a cell of the table to a hand's breadth: many tries by few rays, then few by many."""
 
 
 def search(window: Window, rng: Generator) -> Floats:
@@ -58,16 +80,37 @@ def search(window: Window, rng: Generator) -> Floats:
     if window.options.start == "uniform" or window.query.prior is not None:
         return np.zeros((0, 4))
     with timed(window.seconds, "search"):
-        poses, last = window.poses, len(window) - 1
-        noise = window.scorer.model.noise
-        seeds, _ = table_seeds(window.table, views, poses, noise, last, leaning=window.leaning)
-        tries = around(seeds, _TRIES, 0.3, 0.06, rng)
-        looked = spread(len(window), SCREENED)
-        steps = between(poses[last], poses[looked])
-        values = window.scorer.together(tries, [views[i] for i in looked], steps)
-        values = values.reshape(len(seeds), _TRIES)
-        best = tries.reshape(len(seeds), _TRIES, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
-        return np.asarray(best[np.argsort(-values.max(axis=1), kind="stable")])
+        last, noise = len(window) - 1, window.scorer.model.noise
+        table, leaning = window.table, window.leaning
+        seeds, _ = table_seeds(table, views, window.poses, noise, last, leaning=leaning)
+        for round_ in _TRIES:
+            seeds = _tried(window, seeds, round_, rng)
+        return seeds
+
+
+def _tried(window: Window, seeds: Floats, round_: _Try, rng: Generator) -> Floats:
+    """Best of the poses tried around each seed (K, 4), best first."""
+    poses, last = window.poses, len(window) - 1
+    tries = around(seeds, round_.each, round_.box, round_.turn, rng)
+    looked = spread(len(window), round_.frames)
+    steps = between(poses[last], poses[looked])
+    views = [_thinned(window.views(COARSE)[i], round_.thinned, i) for i in looked]
+    values = window.scorer.together(tries, views, steps).reshape(len(seeds), round_.each)
+    best = tries.reshape(len(seeds), round_.each, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
+    return np.asarray(best[np.argsort(-values.max(axis=1), kind="stable")[: round_.most]])
+
+
+def _thinned(view: View, step: int, offset: int) -> View:
+    """Every so many tiles of a view; its patches speak for those left out."""
+    tiles = np.arange(len(view.patch) // LANES)
+    use = np.repeat(tiles % step == offset % step, LANES)
+    if step > len(tiles):
+        return view
+    return view._replace(
+        directions=view.directions[use], patch=view.patch[use], depth=view.depth[use],
+        usual_depth=view.usual_depth[use], colour=view.colour[use],
+        weight=view.weight * np.float32(len(use) / use.sum()),
+    )  # fmt: skip
 
 
 def table_seeds(
@@ -89,7 +132,7 @@ def table_seeds(
     ranks = table.ranks([views[i] for i in looked], steps, noise)
     if leaning is None:
         return _best(table, ranks, np.arange(len(table)), most)
-    directed = ranks + leaning.logs
+    directed = ranks + leaning.logs[:, :: AZIMUTHS // HEADINGS]
     parts = [
         _best(table, directed, rows, max(_FEWEST, round(share * most)))
         for rows, share in leaning.parts
@@ -108,8 +151,8 @@ def _best(
     """Distinct poses (K, 4) of some positions, best first, and their ranks."""
     flat = ranks[rows].ravel()
     pool = np.argpartition(-flat, min(_POOL, flat.size - 1))[:_POOL]
-    position, heading = np.divmod(pool, AZIMUTHS)
-    found = np.column_stack([table.positions[rows[position]], heading * STEP])
+    position, heading = np.divmod(pool, HEADINGS)
+    found = np.column_stack([table.positions[rows[position]], heading * (2.0 * np.pi / HEADINGS)])
     kept = distinct(found, flat[pool].astype(np.float64), most, apart=0.45, turned=0.3)
     return found[kept], flat[pool][kept].astype(np.float64)
 

@@ -1,0 +1,184 @@
+"""Where a camera can be: storeys, layers of places above their floors, and which of them are free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.indoor.map.floor import storeys
+from placegraph.indoor.map.panoramas import DIRECTIONS, range_of
+from placegraph.indoor.map.panoramas_kernels import ELEVATIONS, NOTHING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+    from placegraph.indoor.map.panoramas_kernels import Panoramas
+    from placegraph.indoor.map.scene import Scene
+
+MOST = 18_000
+"""Places of a grid and its layers; larger maps get a wider grid."""
+GAP = 0.43
+"""Most between two layers [m]."""
+BEYOND = 1.5
+"""Cameras are looked for this far beyond the box of the mesh [m]: a scan may look in from outside."""
+_WALKED = 0.75  # around where a camera was, there may be one again [m]
+_CLEARANCE = 0.15  # a camera is no nearer to a surface [m]
+_ENCLOSED = 0.5  # nor in a place where half of what it sees is nearer than this [m]
+_CLOSED = 0.95
+_MAPPED = 0.1  # nor where less than this share of its panorama is mapped
+_BACKS = 0.4  # nor beside the floor where so much of what is seen are backs of triangles
+_TARGETS, _SIGHTED = 12, 0.25  # places on the floor looked for from one that has none; share seen
+_PROBES = DIRECTIONS[5::61]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """Square cells of the ground, and layers of places above them."""
+
+    origin: Floats
+    """(2,) lower corner [m]."""
+    spacing: float
+    shape: tuple[int, int]
+    """(nx, ny)"""
+    floor: Floats
+    """(L, nx * ny) height of the floor that each place stands above [m, map]."""
+    height: Floats
+    """(L, nx * ny) height of each place [m, map]; NaN: there is none."""
+
+    @property
+    def centres(self) -> Floats:
+        """(nx * ny, 2) x, y of the cells [m]."""
+        x, y = (
+            self.origin[i] + (np.arange(n) + 0.5) * self.spacing for i, n in enumerate(self.shape)
+        )
+        return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
+    """Places at `heights` [m] above all floors of a map, and where its viewpoints were.
+
+    Layers stand at most `GAP` apart, between the lowest and the highest of `heights`.
+    """
+    above = layers(heights)
+    levels = [storeys(scene, s) for s in range(len(scene.scenes))]
+    count = max(map(len, levels))
+    box = _ground(scene, spacing)
+    extent = box[1] - box[0]
+    spacing = max(spacing, float(np.sqrt(np.prod(extent) * count * len(above) / MOST)))
+    nx, ny = np.maximum(1, np.ceil(extent / spacing).astype(int)).tolist()
+    bare = Grid(box[0], spacing, (nx, ny), np.zeros((0, nx * ny)), np.zeros((0, nx * ny)))
+    within = nearest_scene(scene, bare.centres)
+    # storeys (S, count) of each merged scene; NaN: it has fewer
+    floors = np.array([[*own, *[np.nan] * (count - len(own))] for own in levels])[within].T
+    floor = np.repeat(floors, len(above), axis=0)
+    height = floor + np.tile(above, count)[:, None]
+    if len(scene.viewpoints):
+        seen = _walked(scene.viewpoints, bare)
+        under = np.nanmax(np.where(floors <= seen, floors, floors[0]), axis=0)
+        floor, height = np.vstack([under, floor]), np.vstack([seen, height])
+    return Grid(box[0], spacing, (nx, ny), floor, height)
+
+
+def layers(heights: Sequence[float]) -> list[float]:
+    """Few heights, at most `GAP` apart, between the lowest and the highest asked for."""
+    low, high = min(heights), max(heights)
+    count = max(1, int(np.ceil((high - low) / GAP - 1e-9)))
+    return [low + (high - low) * (i + 0.5) / count for i in range(count)]
+
+
+def nearest_scene(scene: Scene, points: Floats) -> NDArray[np.int64]:
+    """Row (N,) of the merged scene that each of points (N, 2) is in, or nearest to."""
+    boxes = scene.scene_bounds[:, :, :2]
+    outside = np.maximum(boxes[:, 0] - points[:, None], points[:, None] - boxes[:, 1])
+    return np.asarray(np.maximum(outside, 0.0).sum(axis=2).argmin(axis=1))
+
+
+def _walked(viewpoints: Floats, grid: Grid) -> Floats:
+    """Height (nx * ny,) at which a camera was nearest to each cell; NaN where none came near."""
+    apart = np.linalg.norm(grid.centres[:, None] - viewpoints[None, :, :2], axis=2)
+    nearest = apart.argmin(axis=1)
+    near = apart.min(axis=1) < max(_WALKED, grid.spacing)
+    return np.where(near, viewpoints[nearest, 2], np.nan)
+
+
+def _ground(scene: Scene, spacing: float) -> Floats:
+    """Box (2, 2) in which cameras are looked for: around the map, or a vast map's better part.
+
+    One triangle that reaches to the horizon must not spread the grid over nothing: where the box
+    would hold more cells than the table can, it is cut to where all but a hundredth of the
+    surface lies, no triangle counting for more than a square metre.
+    """
+    box = scene.bounds[:, :2].copy()
+    if np.prod(box[1] - box[0]) > MOST * spacing**2:
+        corners = scene.mesh.vertices[scene.mesh.triangles].astype(np.float64)
+        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.minimum(np.linalg.norm(sides, axis=1) / 2.0, 1.0)
+        for axis in range(2):
+            centre = corners[:, :, axis].mean(axis=1)
+            order = np.argsort(centre)
+            share = np.cumsum(area[order]) / area.sum()
+            box[:, axis] = centre[order][np.searchsorted(share, [0.005, 0.995])]
+    beyond = np.array([[-BEYOND], [BEYOND]])
+    if len(scene.viewpoints):
+        seen = scene.viewpoints[:, :2]
+        box = np.stack([np.minimum(box[0], seen.min(axis=0)), np.maximum(box[1], seen.max(axis=0))])
+    return box + beyond
+
+
+def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
+    """Rows of points (K, 3) that need no panorama to be ruled out.
+
+    A few rays say where a place is shut in or sees nothing. One without a floor below, in a map that
+    is closed below the horizon, lies outside unless it looks in: sees places that have one. And who
+    stands beside the floor of a map whose surfaces face inwards does not see their backs.
+    """
+    if not len(points):
+        return np.zeros(0, np.bool_)
+    count = len(_PROBES)
+    hits = scene.caster.cast(np.repeat(points, count, axis=0), np.tile(_PROBES, (len(points), 1)))
+    there, shape = hits.triangle >= 0, (len(points), count)
+    towards = np.einsum("nk,nk->n", scene.normals[hits.triangle], np.tile(_PROBES, (len(points), 1)))
+    backs = (there & (towards > 0)).reshape(shape).sum(axis=1) / np.maximum(
+        there.reshape(shape).sum(axis=1), 1
+    )
+    near = (hits.distance < _ENCLOSED).reshape(shape).mean(axis=1)
+    able = there.reshape(shape).any(axis=1) & (near < 0.7)
+    below = scene.caster.cast(points, np.tile([0.0, 0.0, -1.0], (len(points), 1)))
+    floored = np.isfinite(below.distance)
+    inside = np.flatnonzero(able & floored)
+    if not len(inside):
+        return able
+    low = there.reshape(shape)[:, _PROBES[:, 2] < 0].mean(axis=1)
+    beside = np.flatnonzero(able & ~floored)
+    if np.median(backs[inside]) < 0.5 * _BACKS:
+        able[beside] &= backs[beside] < _BACKS
+    if np.median(low[inside]) > _CLOSED:
+        able[beside] &= _looks_in(scene, points[beside], points[inside])
+    return able
+
+
+def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]:
+    """Which of points (K, 3) see their share of places (M, 3): the nearest, and others all over."""
+    if not len(points):
+        return np.zeros(0, np.bool_)
+    apart = np.linalg.norm(points[:, None] - inside[None], axis=2)
+    nearest = np.argsort(apart, axis=1)[:, : _TARGETS // 2]
+    spread = np.linspace(0, len(inside) - 1, _TARGETS // 2).round().astype(np.int64)
+    rows = np.concatenate([nearest, np.broadcast_to(spread, (len(points), len(spread)))], axis=1)
+    ways = (inside[rows] - points[:, None]).reshape(-1, 3)
+    hits = scene.caster.cast(np.repeat(points, rows.shape[1], axis=0), ways)
+    return np.asarray((hits.distance > 1.0).reshape(rows.shape).mean(axis=1) >= _SIGHTED)
+
+
+def free(panoramas: Panoramas) -> NDArray[np.int64]:
+    """Rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
+    ranges = range_of(panoramas.ranges.reshape(len(panoramas.ranges), -1))
+    mapped = (panoramas.ranges != NOTHING).mean(axis=(1, 2))
+    nearest = np.partition(ranges, ranges.shape[1] // 100, axis=1)[:, ranges.shape[1] // 100]
+    enclosed = (ranges < _ENCLOSED).mean(axis=1) > 0.5
+    return np.flatnonzero((nearest > _CLEARANCE) & ~enclosed & (mapped > _MAPPED))
