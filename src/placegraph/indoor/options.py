@@ -145,6 +145,10 @@ def _passes(first: float, second: float, third: float) -> tuple[Pass, ...]:
     )
 
 
+STANDING = (1.5, 1.6, 1.7, 1.8)
+"""Heights at which people look, and hold a camera [m]: those of the paper's start."""
+
+
 @dataclass(frozen=True, slots=True)
 class FilterOptions:
     """Everything that can be set about localizing a capture in a scene map."""
@@ -240,7 +244,7 @@ class FilterOptions:
         as the boxes are; 0.1 and 0.95 for KLD.
         """
         return cls(
-            heights=(1.5, 1.6, 1.7, 1.8),
+            heights=STANDING,
             start="uniform",
             spacing=0.2,
             passes=_passes(20.0, 8.0, 4.0),

@@ -19,7 +19,7 @@ from placegraph.geometry import Camera
 from placegraph.indoor.encode.grid import GRID
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import STANDING, FilterOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -135,7 +135,8 @@ def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     cells = np.zeros(len(scene), np.int64)
     if not scene.coloured:
         return sums.astype(np.float32), cells
-    renderer, table = Renderer(scene), visibility(scene, FilterOptions())
+    renderer = Renderer(scene)
+    table = visibility(scene, FilterOptions(heights=STANDING, spacing=0.25))
 
     def look(poses: NDArray[np.float64]) -> None:
         for pose in poses:

@@ -47,7 +47,7 @@ class Scenes:
         What scenes and captures are compared by: names, such as ``labels``, or encoders. A capture
         needs something for one of them only.
     height
-        Of the cameras above the floor [m]; those of `FilterOptions.heights` if not given.
+        Of the cameras above the floor [m]; `options.STANDING` if not given.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import STANDING, FilterOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -113,7 +113,7 @@ def signature_of(
             f"{scene.source or 'The map'}: none of its {len(scene)} objects says anything to "
             f"{', '.join(e.name for e in encoders)}; give labels to its objects, or colours."
         )
-    heights = FilterOptions().heights if height is None else (height,)
+    heights = STANDING if height is None else (height,)
     table = build_table(scene, FilterOptions(heights=(float(np.mean(heights)),), spacing=_SPACING))
     if not len(table):
         raise OptionError(

@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
 
-_ASKED = 180  # samples of all views together that are looked up: more tell little
+_ASKED = 240  # samples of all views together that are looked up: more tell little
 _USUAL = (1.05, 1.85)  # heights at which cameras are carried and mounted [m] ...
-_RARE = -2.0  # ... and the log prior of others, in units of the views' temperature
+_RARE = -4.0  # ... and the log prior of others, in units of the views' temperature
 _THINNED = 7  # values of a scan that tell its percentiles: every seventh
 _BLURRED = 0.5  # of the grid's spacing: how far off a range is at the next position of the table
 
@@ -104,9 +104,7 @@ class VisibilityTable:
             )
         return total
 
-    def scans(
-        self, views: Sequence[View], turns: Floats, noise: Noise
-    ) -> NDArray[np.float32]:
+    def scans(self, views: Sequence[View], turns: Floats, noise: Noise) -> NDArray[np.float32]:
         """Log-likelihood (T, K, HEADINGS) of views alone at every position.
 
         Heading a is that of the reference frame; view t looks along a * 2 pi / HEADINGS + `turns`[t].
@@ -161,7 +159,9 @@ def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
         ground.append(grid.floor[layer, cells[rows]])
         parts.append(Panoramas(*(a[rows] for a in panoramas)))
     panoramas = Panoramas(*(np.concatenate(a) for a in zip(*parts, strict=True)))
-    layer_of = np.repeat(np.arange(len(grid.height), dtype=np.int32), [len(p.objects) for p in parts])
+    layer_of = np.repeat(
+        np.arange(len(grid.height), dtype=np.int32), [len(p.objects) for p in parts]
+    )
     return VisibilityTable(
         positions=np.concatenate(positions),
         ground=np.concatenate(ground),
@@ -200,7 +200,7 @@ def _background(panoramas: Panoramas, objects: int) -> Background:
 
 def floor_under(scene: Scene, points: Floats) -> Floats:
     """Height of the floor (N,) of the merged scene that each of points (N, 2) is in, or nearest."""
-    return np.asarray(scene.floors[nearest_scene(scene, points)])
+    return np.asarray(scene.floors[nearest_scene(scene, points)[0]])
 
 
 def _samples(

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.indoor.map.floor import storeys
 from placegraph.indoor.map.panoramas import DIRECTIONS, range_of
-from placegraph.indoor.map.panoramas_kernels import ELEVATIONS, NOTHING
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,11 +72,11 @@ def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
     spacing = max(spacing, float(np.sqrt(np.prod(extent) * count * len(above) / MOST)))
     nx, ny = np.maximum(1, np.ceil(extent / spacing).astype(int)).tolist()
     bare = Grid(box[0], spacing, (nx, ny), np.zeros((0, nx * ny)), np.zeros((0, nx * ny)))
-    within = nearest_scene(scene, bare.centres)
+    within, away = nearest_scene(scene, bare.centres)
     # storeys (S, count) of each merged scene; NaN: it has fewer
     floors = np.array([[*own, *[np.nan] * (count - len(own))] for own in levels])[within].T
     floor = np.repeat(floors, len(above), axis=0)
-    height = floor + np.tile(above, count)[:, None]
+    height = np.where(away > BEYOND, np.nan, floor + np.tile(above, count)[:, None])
     if len(scene.viewpoints):
         seen = _walked(scene.viewpoints, bare)
         under = np.nanmax(np.where(floors <= seen, floors, floors[0]), axis=0)
@@ -91,11 +91,15 @@ def layers(heights: Sequence[float]) -> list[float]:
     return [low + (high - low) * (i + 0.5) / count for i in range(count)]
 
 
-def nearest_scene(scene: Scene, points: Floats) -> NDArray[np.int64]:
-    """Row (N,) of the merged scene that each of points (N, 2) is in, or nearest to."""
+def nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Row (N,) of the merged scene whose box each of points (N, 2) is in or nearest to, and how far.
+
+    How far (N,) is meant along x and y together [m].
+    """
     boxes = scene.scene_bounds[:, :, :2]
     outside = np.maximum(boxes[:, 0] - points[:, None], points[:, None] - boxes[:, 1])
-    return np.asarray(np.maximum(outside, 0.0).sum(axis=2).argmin(axis=1))
+    away = np.maximum(outside, 0.0).sum(axis=2)
+    return away.argmin(axis=1), away.min(axis=1)
 
 
 def _walked(viewpoints: Floats, grid: Grid) -> Floats:
@@ -142,7 +146,9 @@ def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
     count = len(_PROBES)
     hits = scene.caster.cast(np.repeat(points, count, axis=0), np.tile(_PROBES, (len(points), 1)))
     there, shape = hits.triangle >= 0, (len(points), count)
-    towards = np.einsum("nk,nk->n", scene.normals[hits.triangle], np.tile(_PROBES, (len(points), 1)))
+    towards = np.einsum(
+        "nk,nk->n", scene.normals[hits.triangle], np.tile(_PROBES, (len(points), 1))
+    )
     backs = (there & (towards > 0)).reshape(shape).sum(axis=1) / np.maximum(
         there.reshape(shape).sum(axis=1), 1
     )
@@ -177,7 +183,7 @@ def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]
 
 def free(panoramas: Panoramas) -> NDArray[np.int64]:
     """Rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
-    ranges = range_of(panoramas.ranges.reshape(len(panoramas.ranges), -1))
+    ranges = range_of(panoramas.ranges.reshape(-1, ELEVATIONS * AZIMUTHS))
     mapped = (panoramas.ranges != NOTHING).mean(axis=(1, 2))
     nearest = np.partition(ranges, ranges.shape[1] // 100, axis=1)[:, ranges.shape[1] // 100]
     enclosed = (ranges < _ENCLOSED).mean(axis=1) > 0.5

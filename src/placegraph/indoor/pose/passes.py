@@ -109,8 +109,7 @@ def everywhere(window: Window, rng: Generator) -> Floats:
     makes its grid wider than asked, a cell gets as many more poses.
     """
     table, options = window.table, window.options
-    floors = floor_under(window.scene, table.positions[:, :2])
-    cells = np.unique(np.column_stack([table.positions[:, :2], floors]), axis=0)
+    cells = np.unique(np.column_stack([table.positions[:, :2], table.ground]), axis=0)
     each = round(options.per_cell * (table.spacing / options.spacing) ** 2)
     count = len(options.heights) * each
     out = np.empty((len(cells) * count, 4))
@@ -128,7 +127,8 @@ def near_prior(
     """`count` poses (count, 4) drawn around a prior."""
     out = rng.normal(size=(count, 4)) * np.array([prior.spread, prior.spread, 0.05, prior.turn])
     out[:, :2] += (prior.x, prior.y)
-    out[:, 2] += floor + rng.choice(options.heights, count) if prior.z is None else prior.z
+    low, high = min(options.heights), max(options.heights)
+    out[:, 2] += floor + rng.uniform(low, high, count) if prior.z is None else prior.z
     if prior.yaw is None:
         out[:, 3] = rng.uniform(-np.pi, np.pi, count)
     else:

@@ -50,7 +50,14 @@ def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
             ),
         )
         return
-    chosen = np.linspace(0, len(table) - 1, min(_PLACES, len(table))).round().astype(int)
+    below = scene.caster.cast(table.positions, np.tile([0.0, 0.0, -1.0], (len(table), 1)))
+    # inside: with a floor below, where there is one
+    inside = (
+        np.flatnonzero(below.triangle >= 0)
+        if (below.triangle >= 0).any()
+        else np.arange(len(table))
+    )
+    chosen = inside[np.linspace(0, len(inside) - 1, min(_PLACES, len(inside))).round().astype(int)]
     origins = np.repeat(table.positions[chosen], len(DIRECTIONS) * 2, axis=0)
     rays = np.concatenate([DIRECTIONS, _steep()])
     hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
