@@ -31,7 +31,7 @@ def test_poses_about_a_prior(rng):
 def test_what_a_prior_leaves_open_is_anything(rng):
     got = near_prior(Prior(0.0, 0.0), 10.0, 20_000, OPTIONS, rng)
     # heights are those of cameras above the floor that is there
-    assert 10.0 < got[:, 2].min() < 10.2
+    assert 9.9 < got[:, 2].min() < 10.2
     assert 12.2 < got[:, 2].max() < 12.5
     turns = np.histogram(got[:, 3], bins=8, range=(-np.pi, np.pi))[0]
     assert turns.sum() == 20_000

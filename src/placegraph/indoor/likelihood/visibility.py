@@ -117,12 +117,10 @@ class VisibilityTable:
             for t, (view, turn) in enumerate(zip(views, turns, strict=True))
         ]
         first = np.cumsum([0, *[len(p.semantic) for p in parts]])
-        samples = Samples(
-            np.cumsum([len(p.band) for p in parts]),
-            *(np.concatenate([getattr(p, f) for p in parts]) for f in ("band", "azimuth")),
-            np.concatenate([p.patch + n for p, n in zip(parts, first, strict=False)]),
-            *(np.concatenate([getattr(p, f) for p in parts]) for f in ("semantic", "depth", "colour")),
-        )  # fmt: skip
+        shifted = [p._replace(patch=p.patch + n) for p, n in zip(parts, first, strict=False)]
+        columns = [np.concatenate(column) for column in zip(*shifted, strict=True)]
+        columns[0] = np.cumsum(columns[0])
+        samples = Samples._make(columns)
         weight = np.float32(noise.colour_weight)
         found: NDArray[np.float32] = scan_headings(self.panoramas, self.mapped, samples, weight)
         return found
@@ -231,7 +229,7 @@ def _samples(
     # where labels and depth are there, colours are left to the rays: they are the dearest here
     if terms[COLOUR] and not (terms[SEMANTIC] and terms[DEPTH]):
         colour = as_bytes(view.colour[use])
-    ends = np.zeros(1, np.int64)
+    ends = np.array([len(patch)])
     band = np.minimum(band, ELEVATIONS - 1)
     return Samples(ends, band, azimuth, patch.astype(np.int32), semantic, depth, colour)
 
