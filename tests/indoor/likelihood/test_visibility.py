@@ -419,9 +419,7 @@ def test_views_are_turned_before_they_are_put_in_bins(table, room, rng):
         assert got[k, a] == pytest.approx(slow_scan(table, view, k, a, 0.4), rel=2e-3, abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    "terms", [(True, False, False), (False, True, False), (False, False, True)]
-)
+@pytest.mark.parametrize("terms", [(False, True, False), (True, True, False)])
 def test_few_samples_speak_for_all(terms, table, room, rng):
     """Many views are looked up by few samples each; what these say is what all would."""
     view = some_view(rng, len(room), terms)

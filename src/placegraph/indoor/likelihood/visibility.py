@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
 
-_ASKED = 240  # samples of all views together that are looked up: more tell little
+_ASKED, _ASKED_FLAT = 240, 720  # samples of all views that are looked up; without depth
 _USUAL = (1.05, 1.85)  # heights at which cameras are carried and mounted [m] ...
 _RARE = -4.0  # ... and the log prior of others, in units of the views' temperature
 _THINNED = 7  # values of a scan that tell its percentiles: every seventh
@@ -109,7 +109,8 @@ class VisibilityTable:
 
         Heading a is that of the reference frame; view t looks along a * 2 pi / HEADINGS + `turns`[t].
         """
-        share = _ASKED / max(1, sum(np.count_nonzero(v.patch >= 0) for v in views))
+        asked = _ASKED if any(v.terms[DEPTH] for v in views) else _ASKED_FLAT
+        share = asked / max(1, sum(np.count_nonzero(v.patch >= 0) for v in views))
         lanes = min(LANES, int(np.ceil(share * LANES)))
         blur = _BLURRED * self.spacing
         parts = [
