@@ -174,7 +174,7 @@ def scene_of(
         source=model.path.name,
         encoded=blobs,
     )
-    return replace(scene, landmarks=source.landmarks)
+    return replace(scene, landmarks=source.landmarks, viewpoints=source.viewpoints)
 
 
 def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:

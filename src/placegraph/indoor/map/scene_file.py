@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 KIND = "scene"
 VERSION = 2
+CENTIMETRE = 0.01
+"""Step of viewpoints [m]."""
 
 PARTS = {
     "surface": ("vertices", "triangles", "object_of", "texture_of"),
@@ -90,6 +92,8 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     }
     if graph.embeddings is not None:
         arrays["embeddings"], arrays["embedding_scales"] = in_8_bits(graph.embeddings)
+    if len(scene.viewpoints):
+        arrays["viewpoints"] = np.rint(scene.viewpoints / CENTIMETRE).astype(np.int32)
     if scene.landmarks is not None:
         arrays |= scene.landmarks.columns()
     return meta, arrays
@@ -124,6 +128,11 @@ def _fields(file: MapFile) -> dict[str, Any]:
         "encoded": blobs,
         "encoder": str(file.meta.get("encoder", "")),
         "landmarks": Landmarks.read(file),
+        "viewpoints": (
+            file.array("viewpoints", "<i4", 2) * CENTIMETRE
+            if "viewpoints" in file.arrays
+            else np.zeros((0, 3))
+        ),
     }
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from os import PathLike
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.encode.segmenter import Segmenter
     from placegraph.indoor.map.landmarks import Landmarks
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int], None]
 """Is told a stage, how much of it is done, and of how much."""
+VIEWPOINTS = 300
+"""Places of its cameras that a map remembers, at most."""
 UNKNOWN = "unknown"
 """Label of what nobody named."""
 _LOWEST = 0.005
@@ -67,6 +71,8 @@ class Source:
     """What is left to be done once the model is in metres and upright."""
     landmarks: Landmarks | None = None
     """Points that its frames show again and again."""
+    viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    """(V, 3) where its frames were taken from, thinned [m]."""
 
 
 def captured(
@@ -116,7 +122,18 @@ def captured(
         landmarks = landmarks_of(capture.frames, poses, _stage(progress, "landmarks"))
     notes = _notes(path, told, fused.stats, found.labels)
     told_of = (*capture.notes, *notes, *guessed)
-    return Source(model, colour_of, told_of, landmarks=landmarks)
+    seen_from = thinned(poses[:, :3, 3])
+    return Source(model, colour_of, told_of, landmarks=landmarks, viewpoints=seen_from)
+
+
+def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Some of points (N, 3) [m], at most `VIEWPOINTS`, one in each cube of an edge that leaves so few."""
+    edge, points = 0.25, np.round(points, 2)  # to a centimetre, as a map file holds them
+    while True:
+        _, first = np.unique(np.floor(points / edge), axis=0, return_index=True)
+        if len(first) <= VIEWPOINTS:
+            return np.asarray(points[np.sort(first)])
+        edge *= 1.25
 
 
 def _floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str, ...]]:

@@ -64,6 +64,7 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
         source=", ".join(scenes),
         encoded=_joined([m.encoded for m in moved]),
         landmarks=Landmarks.joined([m.landmarks for m in moved]),
+        viewpoints=np.concatenate([m.viewpoints for m in moved]),
     )
     if out_path is not None:
         from placegraph.indoor.map.scene_file import save_scene
@@ -120,6 +121,7 @@ def _moved(name: str, scene: S, shift: NDArray[np.float64]) -> S:
         graph=graph,
         mesh=scene.mesh.moved(shift),
         landmarks=scene.landmarks and scene.landmarks.moved(shift),
+        viewpoints=scene.viewpoints + shift,
         floors=scene.floors + shift[2],
         scenes=tuple(parts),
         scene_from_map=scene.scene_from_map @ back,

@@ -1,0 +1,100 @@
+"""Where a camera can be: in each storey, where others were, and beside a map that is open there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.geometry import split_pose
+from placegraph.indoor.build import scene_of_model
+from placegraph.indoor.map.floor import storeys
+from placegraph.indoor.map.free import BEYOND
+from placegraph.indoor.map.scene_file import columns, save_scene
+from placegraph.indoor.mapping import merge
+from placegraph.indoor.mapping.from_capture import VIEWPOINTS, thinned
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+STAGE = {
+    "floor": ((0, 0, -0.1), (5, 4, 0)),
+    "ceiling": ((0, 0, 2.6), (5, 4, 2.7)),
+    "wall west": ((-0.2, 0, 0), (0, 4, 2.6)),
+    "wall south": ((0, -0.2, 0), (5, 0, 2.6)),
+    "wall north": ((0, 4, 0), (5, 4.2, 2.6)),
+    "table": ((1, 1, 0.7), (3, 3, 0.75)),
+}
+CLOSED = {"wall east": ((5, 0, 0), (5.2, 4, 2.6))}
+SHIFT = np.array([0.4, -0.3, 3.0])
+
+
+@pytest.fixture(scope="module")
+def stacked(room, flat):
+    """The flat as the upper storey of the room."""
+    upper = merge._moved("up", flat, SHIFT)
+    both = [room, upper]
+    return replace(
+        room,
+        graph=merge._graph([m.graph for m in both], [0, len(room)]),
+        mesh=merge._mesh([m.mesh for m in both], [0, len(room)]),
+        attributes=(*room.attributes, *flat.attributes),
+        scene_of=np.zeros(len(room) + len(flat), np.int32),
+        encoded=(*room.encoded, *flat.encoded),
+    )
+
+
+def test_storeys_are_floors_with_rooms_above(room, flat, stacked, boxes):
+    below, above = storeys(stacked, 0)
+    assert below == room.floors[0]
+    assert above == pytest.approx(flat.floors[0] + SHIFT[2], abs=0.02)
+    assert len(storeys(room, 0)) == 1, "a roof is no storey"
+    shelves = {f"shelf {i}": ((0, i, 2.2), (5, i + 0.3, 2.25)) for i in range(3)}
+    assert len(storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
+
+
+@pytest.mark.all
+def test_either_storey_is_found(stacked, walk, flat_walk, truth):
+    for capture, shift in ((walk, np.zeros(3)), (flat_walk, SHIFT)):
+        found = stacked.localize(capture, options=FilterOptions().only(depth=True, colour=True))
+        true = split_pose(truth(capture)[-1])[0]
+        assert found.best.pose[:3] == pytest.approx(true[:3] + shift, abs=0.1)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_places_beside_an_open_side_look_in(closed, boxes):
+    """A scan may look in from outside its box; through a wall nobody does."""
+    scene = scene_of_model(boxes(STAGE | (CLOSED if closed else {})))
+    at = scene.visibility(FilterOptions()).positions
+    beside = at[at[:, 0] > 5.3]
+    assert bool(len(beside)) is not closed
+    assert (at[:, 0] < 5.2 + BEYOND).all()
+    assert (at[np.abs(at[:, 1] - 2.0) > 2.2, 0] > 5.2).all()
+    low = at[at[:, 2] < 0.5]
+    under = (low[:, :2] > [1, 1]) & (low[:, :2] < [3, 3])
+    assert under.all(axis=1).any(), "under the table"
+
+
+def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
+    seen = np.array([[3.0, 3.0, 0.61], [3.5, 3.0, 0.63]]) + [0, 0, room.floors[0]]
+    scene = replace(room, viewpoints=seen)
+    table = scene.visibility(FilterOptions())
+    own = table.positions[table.usual]
+    assert 0 < len(own) < 40
+    assert (np.abs(own[:, :2] - seen[0, :2]).max(axis=1) < 1.5).all()
+    np.testing.assert_allclose(own[:, 2] - room.floors[0], 0.62, atol=0.011)
+    assert (table.layer[table.usual] == 0).all()
+    save_scene(scene, tmp_path / "it.scene")
+    np.testing.assert_allclose(SceneMap.open(tmp_path / "it.scene").viewpoints, seen, atol=0.0051)
+    assert "viewpoints" not in columns(room)[1], "a mesh has none; nor have older files"
+    moved = merge.merge_scenes({"a": room, "b": scene})
+    shift = np.linalg.inv(moved.scene_from_map[1])[:3, 3]
+    np.testing.assert_allclose(moved.viewpoints, seen + shift)
+
+
+def test_viewpoints_are_few_and_everywhere(rng):
+    points = rng.uniform(0, 10, (5000, 3))
+    got = thinned(points)
+    assert VIEWPOINTS / 3 < len(got) <= VIEWPOINTS
+    nearest = np.linalg.norm(points[:, None] - got[None], axis=2).min(axis=1)
+    assert nearest.max() < 4.0
+    np.testing.assert_allclose(thinned(points[:1].repeat(9, axis=0)), points[:1], atol=0.005)
