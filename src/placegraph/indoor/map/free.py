@@ -29,7 +29,6 @@ BEYOND = 1.5
 _WALKED = 0.75  # around where a camera was, there may be one again [m]
 _CLEARANCE = 0.15  # a camera is no nearer to a surface [m]
 _ENCLOSED = 0.5  # nor in a place where half of what it sees is nearer than this [m]
-_CLOSED = 0.95
 _MAPPED = 0.1  # nor where less than this share of its panorama is mapped
 _BACKS = 0.4  # nor beside the floor where so much of what is seen are backs of triangles
 _TARGETS, _SIGHTED = 12, 0.25  # places on the floor looked for from one that has none; share seen
@@ -137,9 +136,8 @@ def _ground(scene: Scene, spacing: float) -> Floats:
 def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
     """Rows of points (K, 3) that need no panorama to be ruled out.
 
-    A few rays say where a place is shut in or sees nothing. One without a floor below, in a map that
-    is closed below the horizon, lies outside unless it looks in: sees places that have one. And who
-    stands beside the floor of a map whose surfaces face inwards does not see their backs.
+    A few rays say where a place is shut in or sees nothing. One without a floor below lies
+    outside unless it looks in: sees places that have one. And who stands beside the floor of a map whose surfaces face inwards does not see their backs.
     """
     if not len(points):
         return np.zeros(0, np.bool_)
@@ -159,12 +157,10 @@ def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
     inside = np.flatnonzero(able & floored)
     if not len(inside):
         return able
-    low = there.reshape(shape)[:, _PROBES[:, 2] < 0].mean(axis=1)
     beside = np.flatnonzero(able & ~floored)
     if np.median(backs[inside]) < 0.5 * _BACKS:
         able[beside] &= backs[beside] < _BACKS
-    if np.median(low[inside]) > _CLOSED:
-        able[beside] &= _looks_in(scene, points[beside], points[inside])
+    able[beside] &= _looks_in(scene, points[beside], points[inside])
     return able
 
 
