@@ -134,10 +134,11 @@ def _ground(scene: Scene, spacing: float) -> Floats:
 
 
 def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
-    """Rows of points (K, 3) that need no panorama to be ruled out.
+    """Which of points (K, 3) a few rays do not rule out.
 
-    A few rays say where a place is shut in or sees nothing. One without a floor below lies
-    outside unless it looks in: sees places that have one. And who stands beside the floor of a map whose surfaces face inwards does not see their backs.
+    They say where a place is shut in or sees nothing. One without a floor below lies outside unless
+    it looks in: sees places that have one. And who stands beside the floor of a map whose surfaces
+    face inwards does not see their backs.
     """
     if not len(points):
         return np.zeros(0, np.bool_)
