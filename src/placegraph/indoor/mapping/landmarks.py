@@ -116,12 +116,12 @@ def _looked(frame: Frame) -> _Look:
     """Features of a frame where its depth is sound."""
     found = features_of(finder(FEATURES), frame, frame.rgb())
     rays = frame.camera.directions(found.points)
-    depth = _depth_at(frame, rays)
+    depth = depth_at(frame, rays)
     known = np.isfinite(depth)
     return _Look(rays[known], depth[known], found.vectors[known])
 
 
-def _depth_at(frame: Frame, rays: Floats) -> Floats:
+def depth_at(frame: Frame, rays: Floats) -> Floats:
     """Depth (N,) [m] along rays (N, 3), between pixels interpolated; NaN at jumps and holes."""
     depth, camera = frame.depth(), frame.depth_camera
     if depth is None or camera is None or not len(rays):
