@@ -105,33 +105,32 @@ def sights_of(landmarks: Landmarks, found: Features, frame: Frame) -> Sights:
     if not len(found) or not len(landmarks):
         return Sights.none()
     cosine = found.vectors @ landmarks.unit_vectors.T
-    nearest = cosine.argmax(axis=1)
-    rows = np.flatnonzero(cosine.argmax(axis=0)[nearest] == np.arange(len(found)))
-    best = nearest[rows]
-    sure = cosine[rows, best]
-    rival = _rivals(cosine[rows], best, landmarks.points)
-    clear = 1.0 - sure < RATIO**2 * (1.0 - rival)
+    every = np.arange(len(found))
+    best = cosine.argmax(axis=1)
+    sure = cosine[every, best]
+    mutual = cosine[:, best].argmax(axis=0) == every
+    rival = _rivals(cosine, best, landmarks.points)
+    clear = mutual & (1.0 - sure < RATIO**2 * (1.0 - rival))
     points = landmarks.points[best[clear]].astype(np.float64)
-    return Sights.of(points, found.points[rows[clear]], frame.camera, SIGMA)
+    return Sights.of(points, found.points[clear], frame.camera, SIGMA)
 
 
 def _rivals(
     cosine: NDArray[np.float32], best: NDArray[np.int64], points: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Largest cosine (K,) of rows (K, L) at landmarks that lie elsewhere than each row's best.
+    """Largest cosine (N,) of rows (N, L) at landmarks that lie elsewhere than each row's best.
 
     `cosine` is overwritten.
     """
-    out = np.full(len(best), -1.0, np.float32)
-    left, column = np.arange(len(best)), best
+    every, column = np.arange(len(best)), best
     for _ in range(_RIVALS):
-        cosine[left, column] = -1.0
-        column = cosine[left].argmax(axis=1)
-        out[left] = cosine[left, column]
-        same = np.linalg.norm(points[column] - points[best[left]], axis=1) < _APART
-        left, column = left[same], column[same]
-        if not len(left):
+        cosine[every, column] = -1.0
+        column = cosine.argmax(axis=1)
+        out = cosine[every, column]
+        same = np.linalg.norm(points[column] - points[best], axis=1) < _APART
+        if not same.any():
             break
+        column = np.where(same, column, best)  # others stay as they are
     return out
 
 
