@@ -10,7 +10,7 @@ are the same for every map.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.observe import Sighting
     from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.matching.features import Features
     from placegraph.indoor.refine.refiner import Refiner
@@ -141,21 +140,22 @@ def seen(window: Window) -> list[Sights]:
     Found once for each frame.
     """
     landmarks, out = window.scene.landmarks, [Sights.none()] * len(window)
-    if landmarks is None or not window.options.colour:
+    if landmarks is None:
+        return out
+    try:
+        sift = finder(FEATURES)
+    except MissingExtraError:
         return out
     for t in spread(len(window), LOOKS):
-        sighting = window.sightings[t]
-
-        def found(sighting: Sighting = sighting) -> Sights:
-            try:
-                sift = finder(FEATURES)
-            except MissingExtraError:
-                return Sights.none()
-            rgb = sighting.frame.rgb() if sighting.rgb is None else sighting.rgb
-            return sights_of(landmarks, features_of(sift, sighting.frame, rgb), sighting.frame)
-
-        out[t] = window.derived(("landmarks", sighting.frame.index), found)
+        frame, rgb = window.sightings[t].frame, window.sightings[t].rgb
+        if rgb is not None:
+            look = partial(_seen, landmarks, sift, frame, rgb)
+            out[t] = window.derived(("landmarks", frame.index), look)
     return out
+
+
+def _seen(landmarks: Landmarks, sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Sights:
+    return sights_of(landmarks, features_of(sift, frame, rgb), frame)
 
 
 def agreed(sights: Sequence[Sights], mounts: Floats, options: RefineOptions) -> Consensus | None:
