@@ -243,4 +243,5 @@ def pycolmap() -> Any:  # noqa: ANN401  # it is untyped
         raise MissingExtraError(
             "The comparison needs COLMAP: pip install 'placegraph-lab[colmap]'."
         ) from error
+    library.logging.minloglevel = library.logging.Level.ERROR.value  # else every image is told
     return library
