@@ -14,7 +14,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.query import WORDS, encode, told_apart
-from placegraph.indoor.library.search import scores
+from placegraph.indoor.library.search import patch_weights, scores
 from placegraph.indoor.library.search_kernels import best_cosines, mixtures
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.home import scene_of
@@ -90,6 +90,31 @@ def test_evidence_names_what_was_seen(by_labels, rooms):
     plain = estimate.to_dict()
     assert plain["modes"][0]["scene"] == "bedroom"
     assert plain["stats"]["frames"] == 6
+
+
+def test_a_thing_taken_for_another_in_every_frame_is_one_witness(by_labels, rooms):
+    """Walls that are all called what only another room has outshout no thing that is told right."""
+    film = rooms["study"].film(3, frames=8)
+    wrong = next(i for i, n in film.label_names.items() if n == "wall")
+    called = [replace(f, label_names=f.label_names | {wrong: "bathtub"}) for f in film]
+    maps = {name: by_labels.scene(name) for name in by_labels}
+    named = replace(maps["bedroom"].graph, labels=tuple(
+        "bathtub" if n == "wardrobe" else n for n in maps["bedroom"].graph.labels
+    ))  # fmt: skip
+    maps["bedroom"] = replace(maps["bedroom"], graph=named)
+    assert library_of(maps, encoders="labels").search(called).best.scene == "study"
+
+
+def test_noise_is_what_no_patch_beside_says(rooms):
+    (encoder,) = SceneLibrary("labels").encoders
+    said = encode(list(rooms["study"].film(3, frames=2)), [encoder]).said[0]
+    quiet = patch_weights(replace(said, beside=np.zeros_like(said.beside)), 2, SearchOptions())
+    assert not quiet.any()
+    weight = patch_weights(said, 2, SearchOptions(thing=1.5))
+    by_word = np.bincount(said.word, weight)
+    assert by_word.max() == pytest.approx(1.5, rel=1e-5)
+    assert (said.beside >= 0).all()
+    assert (said.beside <= 8).all()
 
 
 def test_the_same_question_has_the_same_answer(by_labels, rooms):

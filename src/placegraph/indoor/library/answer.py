@@ -15,6 +15,7 @@ from placegraph.indoor.language import read, score
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import encode
 from placegraph.indoor.library.search import patch_weights, ratio, scores
+from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""
+DOUBT, FEW = 1.25, 4
+"""Being in none of S scenes is `DOUBT` (S + `FEW`) times as likely, before anything is seen, as being
+in a certain one of them."""
 _EXPLAINED = 8  # objects named
 UNKNOWN = 0.05
 """Probability that a text describes no scene of the library, before it is read."""
@@ -66,6 +70,8 @@ def search_capture(
     exact = options.method == "cosines"
     index = library.own_index if exact else library.index
     chosen = chosen_frames(capture, frames)
+    if not exact:
+        chosen = [chosen[i] for i in spread(len(chosen), options.looks)]
     start = perf_counter()
     query = encode(chosen, library.encoders, exact=exact)
     encoding = perf_counter() - start
@@ -92,12 +98,14 @@ def search_capture(
 def posterior(found: Scores, said: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Probability of each scene (S,), and of being in none of them.
 
-    Scores beyond the S scenes are those of `decoys`, which are as likely as any scene: what cannot
-    be told from a few dozen homes is not known. `said`: (S,) what a text tells of each scene [nat].
+    Scores beyond the S scenes are those of `decoys`, which stand for all other homes: what cannot be
+    told from a few dozen is not known. `said`: (S,) what a text tells of each scene [nat].
     """
     count = len(said)
     logs = found.total / found.heat
     logs[:count] += said
+    others = len(logs) - count
+    logs[count:] += np.log(DOUBT * (count + FEW) / max(1, others))
     share = np.exp(logs - logs.max())
     share /= share.sum()
     return share[:count], float(share[count:].sum())

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.signature import Signature
 
 
-SAMPLE = 4096
+SAMPLE = 1024
 """Vectors that stand for all of a library's."""
 
 

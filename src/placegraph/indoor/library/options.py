@@ -28,12 +28,14 @@ class SearchOptions:
     """Share of what is seen in a direction that is the object which fills most of it."""
     witnesses: float = 24.0
     """Patches of a frame that speak independently of each other."""
-    heat: float = 2.5
+    thing: float = 6.0
+    """Patches that say the same, in all frames together, that speak independently of each other."""
+    heat: float = 2.8
     """Nats of log-likelihood that count as one, for a single frame; T frames of one way see much
-    the same, and T^0.65 times as many count as one; of two encoders, twice as many."""
+    the same, and T^0.45 times as many count as one; of two encoders, sqrt(2) times."""
     looks: int = 12
-    """Frames compared with panoramas, spread over the capture."""
-    finalists: int = 24
+    """Frames compared, spread over the capture: those between show much the same."""
+    finalists: int = 16
     """Scenes compared with panoramas: the best by what they hold."""
     shortlist: int = 1000
     """Scenes looked at in a larger library: those whose vectors are nearest."""
@@ -44,5 +46,5 @@ class SearchOptions:
         if not 0 < self.wrong < 1:
             raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
         check_numbers(self)
-        check_positive(self, "witnesses", "heat")
+        check_positive(self, "witnesses", "thing", "heat")
         check_whole(self, "looks", "finalists", "shortlist")

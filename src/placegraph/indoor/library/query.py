@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
+    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.encode import Encoder
 
-WORDS = 192
+WORDS = 128
 """Vectors that the patches of one query are told apart by, where they are not fewer; of T frames
 48 + 16 T, if these are fewer."""
 _UNIT = 2.0 * np.pi / TURNS
+_AROUND = [(y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +48,8 @@ class Said:
     """(P,) bin of its azimuth, relative to the camera's heading."""
     band: NDArray[np.int32]
     """(P,) bin of its elevation; -1: beyond what panoramas show."""
+    beside: NDArray[np.int32]
+    """(P,) patches around it, of eight, that say the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +84,8 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder], *, exact: bool 
     """
     if not frames:
         raise OptionError("frames: there is none; a query needs at least one.")
-    said = [s for s in (_said(frames, e, exact) for e in encoders) if s is not None]
+    levels = level_from_camera(np.stack([frame.gravity for frame in frames]))
+    said = [s for s in (_said(frames, levels, e, exact) for e in encoders) if s is not None]
     if not said:
         names = ", ".join(e.name for e in encoders)
         raise OptionError(
@@ -91,20 +95,22 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder], *, exact: bool 
     return Query(tuple(said), leveled(frames))
 
 
-def _said(frames: Sequence[Frame], encoder: Encoder, exact: bool) -> Said | None:
+def _said(frames: Sequence[Frame], levels: Floats, encoder: Encoder, exact: bool) -> Said | None:
     vectors, owners, turns, bands = [], [], [], []
-    for t, frame in enumerate(frames):
+    grids: list[NDArray[np.bool_]] = []
+    for t, (frame, up) in enumerate(zip(frames, levels, strict=True)):
         patches = patches_of(encoder, frame)
         if patches is None:
             continue
         flat = patches.reshape(-1, patches.shape[2])
         telling = flat.any(axis=1)
         rays = centres(encoder.camera(frame), patches.shape[:2])
-        level = rays[telling] @ level_from_camera(frame.gravity).T
+        level = rays[telling] @ up.T
         elevation = np.arcsin(level[:, 2])
         turn = np.round(np.arctan2(level[:, 1], level[:, 0]) / _UNIT).astype(np.int32) % TURNS
         band = ((elevation / REACH + 1.0) / 2.0 * BANDS).astype(np.int32)
         vectors.append(flat[telling])
+        grids.append(np.reshape(telling, patches.shape[:2]))
         owners.append(np.full(len(level), t, np.int32))
         turns.append(turn)
         bands.append(np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32))
@@ -121,7 +127,24 @@ def _said(frames: Sequence[Frame], encoder: Encoder, exact: bool) -> Said | None
         np.concatenate(owners),
         np.concatenate(turns),
         np.concatenate(bands),
+        _beside(word, grids),
     )
+
+
+def _beside(word: NDArray[np.int32], grids: list[NDArray[np.bool_]]) -> NDArray[np.int32]:
+    """How many of the eight patches around each (P,) say the same; `grids`: which patches speak."""
+    out, first = [], 0
+    for telling in grids:
+        last = first + int(telling.sum())
+        said = np.full((telling.shape[0] + 2, telling.shape[1] + 2), -1)
+        said[1:-1, 1:-1][telling] = word[first:last]
+        rows, columns = telling.shape
+        same = np.zeros(telling.shape, np.int32)
+        for y, x in _AROUND:
+            same += said[1:-1, 1:-1] == said[y : y + rows, x : x + columns]
+        out.append(same[telling])
+        first = last
+    return np.concatenate(out)
 
 
 @lru_cache(maxsize=16)
@@ -147,7 +170,9 @@ def told_apart(
         return vectors[first], word.astype(np.int32)
     centre = vectors[np.linspace(0, len(vectors) - 1, most).astype(np.int64)]
     nearest = (vectors @ centre.T).argmax(axis=1)
+    order = np.argsort(nearest, kind="stable")
+    own, starts = np.unique(nearest[order], return_index=True)
     sums = np.zeros_like(centre)
-    np.add.at(sums, nearest, vectors)
+    sums[own] = np.add.reduceat(vectors[order], starts, axis=0)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return sums / np.maximum(lengths, 1e-9), nearest.astype(np.int32)

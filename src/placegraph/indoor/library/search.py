@@ -23,7 +23,6 @@ from placegraph.indoor.library.search_kernels import (
     mixtures,
 )
 from placegraph.indoor.library.signature import BANDS, TURNS
-from placegraph.indoor.likelihood.observe import spread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,7 +33,9 @@ if TYPE_CHECKING:
 
 _COMPARED = 50_000  # vectors that a word is compared with quickly
 _TABLE = 1 << 24  # cosines held at once
-_TOGETHER = 0.65  # exponent of the frames of one way in what counts as one
+_TOGETHER = 0.45  # exponent of the frames of one way in what counts as one
+BESIDE = 2.0
+"""Patches around one that have to say the same for it to count in full."""
 ANYTHING = 4e-4
 """Belief that what is said is of anything, at least: what is like nothing in the library, and
 nothing in the homes beside it, is no evidence for what it is least unlike."""
@@ -69,7 +70,7 @@ def scores(index: Index, query: Query, options: SearchOptions) -> Scores:
         seconds["placed"] = perf_counter() - start
     whole = np.full(len(index), total.min())
     whole[rows] = total
-    heat = float(options.heat * len(said) * len(query) ** _TOGETHER)
+    heat = float(options.heat * len(said) ** 0.5 * len(query) ** _TOGETHER)
     return Scores(_of_scenes(whole, index.owner, heat), heat, seconds)
 
 
@@ -134,10 +135,17 @@ def _cosines(index: Index, said: Said, frames: int) -> NDArray[np.float64]:
 
 
 def patch_weights(said: Said, frames: int, options: SearchOptions) -> NDArray[np.float32]:
-    """Weight (P,) of each patch: those of one frame count for `witnesses` together at most."""
+    """Weight (P,) of each patch, which is no witness of its own.
+
+    Those of one frame count for `witnesses` together at most, and those that say one word for
+    `thing`: networks err by whole things, alike in all frames. What no patch beside says is noise.
+    """
     per_frame = np.bincount(said.frame, minlength=frames)
-    share = np.minimum(1.0, options.witnesses / np.maximum(per_frame, 1))
-    return np.asarray(share[said.frame], np.float32)
+    share = np.minimum(1.0, options.witnesses / np.maximum(per_frame, 1))[said.frame]
+    share = share * np.minimum(1.0, said.beside / BESIDE)
+    per_word = np.bincount(said.word, share, len(said.words))
+    capped = np.minimum(1.0, options.thing / np.maximum(per_word, 1e-9))
+    return np.asarray(share * capped[said.word], np.float32)
 
 
 def _held(
@@ -170,23 +178,22 @@ def _placed(
     if not count:
         return bound
     chosen = np.sort(able[np.argpartition(-bound[able], count - 1)[:count]])
-    looked = spread(len(query), options.looks)
     objects = _in_sight(index, chosen)
     code = np.zeros(int(index.starts[-1]), np.int32)
     code[objects] = np.arange(len(objects))
     told, turns, bands, starts, unknown = _told(
-        index, query, said, ratios, chosen, objects, looked, options
+        index, query, said, ratios, chosen, objects, options
     )
-    rows = [np.arange(len(looked))] if options.odometry else list(np.arange(len(looked))[:, None])
+    every = np.arange(len(query))
+    rows = [every] if options.odometry else list(every[:, None])
     placed = np.zeros(count)
     for group in rows:
         first, last = starts[group[0]], starts[group[-1] + 1]
         placed += along_ways(
             told[first:last], turns[first:last], bands[first:last],
             np.append(starts[group], last) - first, chosen, index.starts, code, index.panoramas,
-            index.place_starts, index.places, query.steps(looked[group]), unknown[group],
+            index.place_starts, index.places, query.steps(group), unknown[group],
         )  # fmt: skip
-    placed *= len(query) / len(looked)
     total = np.minimum(bound, placed.min())
     total[chosen] = placed
     return total
@@ -209,7 +216,6 @@ def _told(
     ratios: list[NDArray[np.float32]],
     chosen: NDArray[np.int64],
     objects: NDArray[np.int64],
-    looked: NDArray[np.int64],
     options: SearchOptions,
 ) -> tuple[NDArray[Any], ...]:
     """What bins of frames tell of some objects (O,), as `along_ways` takes it.
@@ -217,16 +223,14 @@ def _told(
     told (B, O), turn (B,), band (B,), first bin of each frame (T + 1,), and what each frame is
     taken to tell of what is not mapped (T,).
     """
-    rank = np.full(len(query), -1)
-    rank[looked] = np.arange(len(looked))
-    uses = [(rank[s.frame] >= 0) & (s.band >= 0) for s in said]
+    uses = [s.band >= 0 for s in said]
     where = [
-        (rank[s.frame] * BANDS + s.band)[use] * TURNS + s.turn[use]
+        (s.frame * BANDS + s.band)[use] * TURNS + s.turn[use]
         for s, use in zip(said, uses, strict=True)
     ]
     bins, bin_of = np.unique(np.concatenate(where), return_inverse=True)
     told = np.zeros((len(bins), len(objects)), np.float32)
-    unknown = np.zeros(len(looked), np.float32)
+    unknown = np.zeros(len(query), np.float32)
     # of each object its place among the chosen
     unit = np.searchsorted(chosen, np.searchsorted(index.starts, objects, "right") - 1)
     ends = np.cumsum([len(w) for w in where])
@@ -237,11 +241,14 @@ def _told(
         there = options.focus * r[code] + (1.0 - options.focus) * mixture[unit]
         logs = np.log((1.0 - options.wrong) * there.T + np.float32(options.wrong))
         weight = patch_weights(s, len(query), options)[use]
-        add_told(told, bin_of.ravel()[end - int(use.sum()) : end], s.word[use], weight, logs)
+        # patches of a bin that say the same speak as one
+        bin_ = bin_of.ravel()[end - int(use.sum()) : end]
+        pairs, pair = np.unique(bin_ * len(s.words) + s.word[use], return_inverse=True)
+        add_told(told, *np.divmod(pairs, len(s.words)), np.bincount(pair.ravel(), weight), logs)
         unknown += np.bincount(
-            rank[s.frame[use]], 0.5 * np.log(options.wrong) * weight, len(looked)
+            s.frame[use], 0.5 * np.log(options.wrong) * weight, len(query)
         ).astype(np.float32)
     frame, place = np.divmod(bins, BANDS * TURNS)
     band, turn = np.divmod(place, TURNS)
-    starts = np.searchsorted(frame, np.arange(len(looked) + 1))
+    starts = np.searchsorted(frame, np.arange(len(query) + 1))
     return told, turn.astype(np.int32), band.astype(np.int32), starts.astype(np.int64), unknown

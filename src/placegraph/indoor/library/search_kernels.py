@@ -15,6 +15,8 @@ NEAR = 1.2
 """Places farther from each other than this are not beside each other [m]."""
 OFF = 1.5
 """Farther from all places than this is off the map [m]."""
+CELL = 0.25
+"""Edge of the cells of ground that share their nearest place [m]."""
 SLIP = 1.0
 """What being at the next place, or turned by one bin more, costs [nat]."""
 
@@ -130,52 +132,87 @@ def _along_ways(
     chosen, object_starts, code, panoramas, place_starts, places, out, begin, end,
 ):  # fmt: skip
     turns = panoramas.shape[2]
-    frames = len(frame_starts) - 1
     unit = 2.0 * np.pi / turns
     for c in range(begin, end):
         s = chosen[c]
         first, last = place_starts[s], place_starts[s + 1]
-        count = last - first
-        objects = object_starts[s + 1] - object_starts[s]
         own = code[object_starts[s] : object_starts[s + 1]]
-        total = np.zeros((count, turns))
-        score = np.empty((count, turns), np.float32)
-        near = _neighbours(places[first:last])
-        for t in range(frames):
+        column = _columns(panoramas[first:last], own, told.shape[1])
+        at = places[first:last]
+        near, ground = _neighbours(at), _nearest(at)
+        total = np.zeros((last - first, turns))
+        score = np.empty((last - first, turns), np.float32)
+        said = np.empty(told.shape[1] + 1, np.float32)
+        for t in range(len(frame_starts) - 1):
             score[:] = 0.0
             bins = frame_starts[t + 1] - frame_starts[t]
             for b in range(frame_starts[t], frame_starts[t + 1]):
-                for p in range(count):
-                    ring = panoramas[first + p, bin_band[b]]
+                said[:-1] = told[b]
+                said[-1] = unknown[t] / bins
+                for p in range(last - first):
+                    ring, row = column[p, bin_band[b], bin_turn[b] :], score[p]
                     for h in range(turns):
-                        a = h + bin_turn[b]
-                        a = a - turns if a >= turns else a
-                        seen = ring[a]
-                        if seen < objects:
-                            score[p, h] += told[b, own[seen]]
-                        else:
-                            score[p, h] += unknown[t] / bins
+                        row[h] += said[ring[h]]
             score = _blurred(score, near)
             for h in range(turns):
                 yaw = h * unit
                 dx = np.cos(yaw) * steps[t, 0] - np.sin(yaw) * steps[t, 1]
                 dy = np.sin(yaw) * steps[t, 0] + np.cos(yaw) * steps[t, 1]
                 turned = (h + int(np.round(steps[t, 2]))) % turns
-                for p in range(count):
-                    x, y = places[first + p, 0] + dx, places[first + p, 1] + dy
-                    nearest, least = 0, 1e30
-                    for q in range(count):
-                        away = (places[first + q, 0] - x) ** 2 + (places[first + q, 1] - y) ** 2
-                        if away < least:
-                            nearest, least = q, away
-                    # farther from any place than places are from each other: off the map
-                    total[p, h] += score[nearest, turned] if least < OFF * OFF else unknown[t]
+                for p in range(last - first):
+                    q = _place(ground, at[p, 0] + dx - at[0, 0], at[p, 1] + dy - at[0, 1])
+                    total[p, h] += score[q, turned] if q >= 0 else unknown[t]
         top = total.max()
         mean = 0.0
-        for p in range(count):
+        for p in range(last - first):
             for h in range(turns):
                 mean += np.exp(total[p, h] - top)
-        out[c] = top + np.log(mean / (count * turns))
+        out[c] = top + np.log(mean / total.size)
+
+
+@kernel
+def _columns(panoramas, own, unmapped):
+    """Column of what each bin of panoramas (P, bands, turns) shows, twice around."""
+    count, bands, turns = panoramas.shape
+    out = np.empty((count, bands, 2 * turns), np.int32)
+    for p in range(count):
+        for band in range(bands):
+            for a in range(turns):
+                seen = panoramas[p, band, a]
+                out[p, band, a] = own[seen] if seen < len(own) else unmapped
+                out[p, band, a + turns] = out[p, band, a]
+    return out
+
+
+@kernel
+def _nearest(places):
+    """Nearest place of each cell of the ground (X, Y) around the first of them; -1: off the map."""
+    reach = 0.0
+    for p in range(len(places)):
+        for axis in range(2):
+            reach = max(reach, abs(places[p, axis] - places[0, axis]))
+    half = int((reach + OFF) / CELL) + 1
+    out = np.empty((2 * half + 1, 2 * half + 1), np.int32)
+    for i in range(2 * half + 1):
+        x = places[0, 0] + (i - half) * CELL
+        for j in range(2 * half + 1):
+            y = places[0, 1] + (j - half) * CELL
+            nearest, least = -1, OFF * OFF
+            for q in range(len(places)):
+                away = (places[q, 0] - x) ** 2 + (places[q, 1] - y) ** 2
+                if away < least:
+                    nearest, least = q, away
+            out[i, j] = nearest
+    return out
+
+
+@kernel
+def _place(ground, x, y):
+    """Place nearest to a point beside the first place [m]; -1: off the map."""
+    half = len(ground) // 2
+    i, j = int(np.round(x / CELL)) + half, int(np.round(y / CELL)) + half
+    inside = 0 <= i < len(ground) and 0 <= j < len(ground)
+    return ground[i, j] if inside else np.int32(-1)
 
 
 @kernel
