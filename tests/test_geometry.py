@@ -1,6 +1,7 @@
 """Geometry: the plane is a plane, bearings are a compass's, poses a group, cameras invertible."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -379,6 +380,37 @@ def test_distortion_is_opencvs():
     assert math.isclose(RATIONAL.project((x, y, 1.0))[0], 520 * xd + 320, abs_tol=1e-10)
 
 
+FISHEYE = Camera(640, 480, 200.0, 205.0, 322.0, 236.0, (0.02, -0.005, 0.001, 0.0), "fisheye")
+
+
+def test_a_fisheye_is_opencvs():
+    """The formula of OpenCV's fisheye module, written out for one point."""
+    x, y = 1.2, -0.7
+    r = math.hypot(x, y)
+    theta = math.atan(r)
+    k1, k2, k3, k4 = FISHEYE.distortion
+    bent = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
+    expected = (200 * bent / r * x + 322, 205 * bent / r * y + 236)
+    np.testing.assert_allclose(FISHEYE.project((2 * x, 2 * y, 2.0)), expected, atol=1e-10)
+
+
+@given(st.floats(0, math.radians(84.9)), st.floats(-4, 4))
+def test_a_fisheye_sees_far_off_its_axis(angle, around):
+    ray = np.array([*math.tan(angle) * np.array([math.cos(around), math.sin(around)]), 1.0])
+    np.testing.assert_allclose(FISHEYE.directions(FISHEYE.project(ray)), ray, rtol=1e-6, atol=1e-9)
+
+
+def test_a_fisheye_has_a_rim():
+    assert np.isnan(FISHEYE.directions((4.0, 4.0))[:2]).all()
+    assert np.isnan(FISHEYE.project((20.0, 0.0, 1.0))).all()
+    folded = replace(
+        FISHEYE, distortion=(-0.3, 0.0, 0.0, 0.0)
+    )  # the radius shrinks from 61 degrees
+    assert np.isnan(folded.project((math.tan(math.radians(62)), 0.0, 1.0))).all()
+    edge = folded.project((math.tan(math.radians(60)), 0.0, 1.0))
+    assert math.isclose(folded.directions(edge)[0], math.tan(math.radians(60)), rel_tol=1e-3)
+
+
 def test_what_lies_behind_has_no_pixel():
     uv = PLAIN.project([[0, 0, 1], [0, 0, 0], [0.1, 0, -1]])
     assert np.isnan(uv).tolist() == [[False, False], [True, True], [True, True]]
@@ -399,6 +431,7 @@ def test_a_camera_as_plain_numbers():
         "width": 640, "height": 360, "fx": 460.0, "fy": 455.0, "cx": 318.0, "cy": 181.5,
     }  # fmt: skip
     assert Camera(**WIDE.to_dict() | {"distortion": WIDE.distortion}) == WIDE
+    assert Camera(**FISHEYE.to_dict() | {"distortion": FISHEYE.distortion}) == FISHEYE
 
 
 @pytest.mark.parametrize(
@@ -411,6 +444,8 @@ def test_a_camera_as_plain_numbers():
         ({"cx": math.inf}, "not a number"),
         ({"distortion": (0.1, math.nan, 0, 0)}, "not a number"),
         ({"distortion": (0.1, 0.2)}, "4, 5 or 8"),
+        ({"distortion": (0.1,) * 5, "model": "fisheye"}, "fisheye 4"),
+        ({"model": "fov"}, "model is 'fov'; it is one of opencv, fisheye"),
     ],
 )
 def test_cameras_that_are_none(change, says):

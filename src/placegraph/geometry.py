@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph import lens
 from placegraph.errors import OptionError
 
 Floats = NDArray[np.float64]
@@ -251,7 +252,7 @@ def cross_matrix(vector: ArrayLike) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Pinhole camera with OpenCV's distortion; pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
+    """Camera of one of OpenCV's models; pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
 
     width: int
     height: int
@@ -260,7 +261,9 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
-    """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
+    """Of the lens, empty: none. OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its four."""
+    model: str = "opencv"
+    """`lens.MODELS`: a pinhole ("opencv"), or "fisheye", which shows up to 85 degrees off its axis."""
 
     def __post_init__(self) -> None:
         sizes = (self.width, self.height, self.fx, self.fy)
@@ -270,60 +273,51 @@ class Camera:
             )
         if not all(np.isfinite(v) for v in (self.cx, self.cy, *self.distortion)):
             raise OptionError("camera: cx, cy or the distortion is not a number.")
-        if len(self.distortion) not in {0, 4, 5, 8}:
+        if self.model not in lens.MODELS:
+            raise OptionError(
+                f"camera: model is {self.model!r}; it is one of {', '.join(lens.MODELS)}."
+            )
+        if len(self.distortion) not in lens.COEFFICIENTS[self.model]:
             raise OptionError(
                 f"camera: {len(self.distortion)} distortion coefficients; OpenCV's "
-                "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8."
+                "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8, those of its fisheye 4."
             )
+
+    @property
+    def straight(self) -> bool:
+        """Whether straight lines are straight in its images."""
+        return self.model == "opencv" and not any(self.distortion)
 
     def resized(self, width: int, height: int) -> Camera:
         """Intrinsics of the same camera with images of another size."""
         sx, sy = width / self.width, height / self.height
-        return Camera(
-            width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, self.distortion
-        )
+        focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)
+        return Camera(width, height, *focal, *centre, self.distortion, self.model)
 
     def directions(self, uv: ArrayLike) -> Floats:
-        """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px]."""
-        uv = np.asarray(uv, np.float64)
-        distorted = (uv - (self.cx, self.cy)) / (self.fx, self.fy)
-        xy = distorted
-        for _ in range(100 if any(self.distortion) else 0):
-            # fixed point, as OpenCV does, but to its end: wide corners need more than a few rounds
-            before, xy = xy, (distorted - self._tangential(xy)) / self._radial(xy)[..., None]
-            if np.abs(xy - before).max(initial=0.0) < 1e-9:
-                break
+        """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].
+
+        x and y are NaN where a fisheye's image shows nothing, or what is beyond `lens.WIDEST`.
+        """
+        places = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        xy = lens.unbent(self.model, self.distortion, places)
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
     def project(self, points: ArrayLike) -> Floats:
-        """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN behind it."""
+        """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN where it sees none.
+
+        It sees none behind it, and a fisheye none beyond `lens.WIDEST`.
+        """
         points = np.asarray(points, np.float64)
         depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
-        xy = points[..., :2] / depth
-        if any(self.distortion):
-            xy = xy * self._radial(xy)[..., None] + self._tangential(xy)
-        uv: Floats = xy * (self.fx, self.fy) + (self.cx, self.cy)
+        places = lens.bent(self.model, self.distortion, points[..., :2] / depth)
+        uv: Floats = places * (self.fx, self.fy) + (self.cx, self.cy)
         return uv
-
-    def _radial(self, xy: Floats) -> Floats:
-        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * 8)[:8]
-        r2 = np.sum(xy * xy, axis=-1)
-        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        ratio: Floats = above / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        return ratio
-
-    def _tangential(self, xy: Floats) -> Floats:
-        p1, p2 = self.distortion[2:4]
-        x, y = xy[..., 0], xy[..., 1]
-        r2 = x * x + y * y
-        return np.stack(
-            [2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
-            axis=-1,
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in `camera.json`."""
         out: dict[str, Any] = {
             name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")
         }
-        return out | ({"distortion": list(self.distortion)} if self.distortion else {})
+        out |= {"distortion": list(self.distortion)} if self.distortion else {}
+        return out | ({} if self.model == "opencv" else {"model": self.model})

@@ -182,6 +182,8 @@ def test_no_odometry(folder):
         ({"height": 10**9}, "width and height"),
         ({"distortion": [0.1, 0.2]}, "2 distortion coefficients"),
         ({"distortion": 3}, "distortion must be a list"),
+        ({"model": "fov"}, "model is 'fov'; it is one of opencv, fisheye"),
+        ({"model": ["fisheye"]}, "model is"),
         ({"depth": []}, "depth must be an object"),
         ({"depth": {"scale": 0.001}}, "depth.scale is 0.001"),
         ({"depth": {"width": 4, "height": 3, "fx": 5}}, "depth.fy is missing"),
@@ -208,6 +210,8 @@ def test_what_is_no_camera_file(text, folder):
 def test_distortion(folder):
     folder.json("camera.json", folder.camera | {"distortion": [0.1, 0.01, 0, 0, 0]})
     assert open_capture(folder.path).camera.distortion == (0.1, 0.01, 0.0, 0.0, 0.0)
+    folder.json("camera.json", folder.camera | {"distortion": [0.1] * 4, "model": "fisheye"})
+    assert open_capture(folder.path).camera.model == "fisheye"
 
 
 def test_entries_without_intrinsics_share_the_colour_cameras_view(folder):

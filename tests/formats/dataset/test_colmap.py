@@ -17,7 +17,8 @@ TILT = rotation_from_vector([1.9, -0.6, 0.8])
 UP = TILT[:, 2]
 UNIT = 0.37  # metres in a unit of the model
 NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4,
-           "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6, "FOV": 7}  # fmt: skip
+           "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6, "FOV": 7,
+           "SIMPLE_RADIAL_FISHEYE": 8, "THIN_PRISM_FISHEYE": 10}  # fmt: skip
 EVEN = Camera(96, 72, 80.0, 80.0, 49.5, 35.0)
 
 
@@ -132,13 +133,16 @@ def test_points_and_colours(form, where, recorded, save, tmp_path):
         ("RADIAL", (80.0, 49.5, 35.0, 0.04, -0.01)),
         ("OPENCV", (80.0, 80.0, 49.5, 35.0, 0.04, -0.01, 0.002, -0.003)),
         ("FULL_OPENCV", (80.0, 80.0, 49.5, 35.0, 0.04, -0.01, 0.002, -0.003, 0.01, 0.0, 0.0, 0.0)),
+        ("SIMPLE_RADIAL_FISHEYE", (80.0, 49.5, 35.0, 0.04)),
+        ("OPENCV_FISHEYE", (80.0, 80.0, 49.5, 35.0, 0.04, -0.01, 0.002, -0.003)),
     ],
 )  # fmt: skip
 def test_camera_models(camera, parameters, recorded, save, tmp_path):
     given = {4: 1, 5: 2}.get(len(parameters), len(parameters) - 4) if len(parameters) > 3 else 0
     distortion = [*parameters[len(parameters) - given :], 0, 0, 0, 0] if given else []
     distortion = tuple(float(v) for v in distortion[: max(4, given)]) if given else ()
-    drawn = Camera(96, 72, 80.0, 80.0, 49.5, 35.0, distortion)
+    lens = "fisheye" if "FISHEYE" in camera else "opencv"
+    drawn = Camera(96, 72, 80.0, 80.0, 49.5, 35.0, distortion, lens)
     world = recorded(camera=drawn, frames=3)
     model = Model(world, camera=camera, parameters=parameters)
     for form in ("binary", "text"):
@@ -149,10 +153,10 @@ def test_camera_models(camera, parameters, recorded, save, tmp_path):
         check(world, capture)
 
 
-@pytest.mark.parametrize("camera", ["OPENCV_FISHEYE", "FOV"])
+@pytest.mark.parametrize("camera", ["THIN_PRISM_FISHEYE", "FOV"])
 def test_other_camera_models(camera, recorded, save, tmp_path):
     world = recorded()
-    parameters = (80.0, 80.0, 49.5, 35.0, *(0.1,) * (4 if "FISH" in camera else 1))
+    parameters = (80.0, 80.0, 49.5, 35.0, *(0.1,) * (8 if "FISH" in camera else 1))
     model = Model(world, camera=camera, parameters=parameters)
     for form in ("binary", "text"):
         getattr(model, form)(tmp_path / form)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import Camera
+from placegraph.lens import MODELS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -118,8 +119,13 @@ def _camera(path: Path, content: dict[str, Any], prefix: str) -> Camera:
     if not isinstance(distortion, list):
         raise InputError(f"{path}: {prefix}distortion must be a list of numbers.")
     numbers = tuple(_number(path, d, f"{prefix}distortion") for d in distortion)
+    model = content.get("model", "opencv")
+    if model not in MODELS:
+        raise InputError(
+            f"{path}: {prefix}model is {str(model)[:40]!r}; it is one of {', '.join(MODELS)}."
+        )
     try:
-        return Camera(width, height, fx, fy, cx, cy, numbers)
+        return Camera(width, height, fx, fy, cx, cy, numbers, model)
     except OptionError as error:
         raise InputError(f"{path}: {prefix}{error}") from error
 

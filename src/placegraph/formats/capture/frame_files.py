@@ -161,7 +161,10 @@ def quarter_turn(turns: int) -> NDArray[np.float64]:
 def turned_camera(camera: Camera, turns: int) -> Camera:
     """Intrinsics of a camera whose images are turned as `np.rot90` does."""
     for _ in range(turns % 4):
-        k1, k2, p1, p2, *more = (*camera.distortion, *(0.0,) * 4)[: max(4, len(camera.distortion))]
+        bent = camera.distortion
+        if camera.model == "opencv" and bent:  # a fisheye's is the same all around
+            k1, k2, p1, p2, *more = bent
+            bent = (k1, k2, -p2, p1, *more)
         camera = Camera(
             width=camera.height,
             height=camera.width,
@@ -169,7 +172,8 @@ def turned_camera(camera: Camera, turns: int) -> Camera:
             fy=camera.fx,
             cx=camera.cy,
             cy=camera.width - camera.cx,
-            distortion=(k1, k2, -p2, p1, *more) if camera.distortion else (),
+            distortion=bent,
+            model=camera.model,
         )
     return camera
 

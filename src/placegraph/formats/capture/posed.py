@@ -164,12 +164,16 @@ def nearest_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> ND
 
 
 def camera_of(
-    name: str, size: tuple[int, int], intrinsics: Sequence[float], distortion: Sequence[float] = ()
+    name: str,
+    size: tuple[int, int],
+    intrinsics: Sequence[float],
+    distortion: Sequence[float] = (),
+    model: str = "opencv",
 ) -> Camera:
     """Camera of width and height [px] and fx, fy, cx, cy; `InputError`, which begins with `name`."""
     fx, fy, cx, cy = (float(v) for v in intrinsics)
     try:
-        return Camera(*size, fx, fy, cx, cy, tuple(float(v) for v in distortion))
+        return Camera(*size, fx, fy, cx, cy, tuple(float(v) for v in distortion), model)
     except OptionError as error:
         raise InputError(f"{name}: {error}") from error
 

@@ -31,6 +31,8 @@ _MODELS = (
 )  # fmt: skip
 """Camera models by number, and how many parameters they have."""
 _PARAMETERS = dict(_MODELS)
+_RADIAL = ("SIMPLE_RADIAL", "RADIAL")
+_RADIAL_FISHEYE = ("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 _NO_POINT = np.uint64(2**64 - 1)
 _PIXEL = np.dtype([("uv", "<f8", 2), ("point", "<u8")])
 _TRACK = 8  # bytes of an element of a point's track
@@ -118,21 +120,22 @@ def _camera(where: str, model: str, size: tuple[int, int], values: list[float]) 
     """Camera of a COLMAP model's name and parameters; `InputError` where it is no pinhole."""
     if len(values) != _PARAMETERS.get(model, -1):
         raise InputError(f"{where}: no camera model {model!r} has {len(values)} parameters.")
-    if model in {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"}:
+    if model in {*_RADIAL, *_RADIAL_FISHEYE, "SIMPLE_PINHOLE"}:
         focal, *values = values
         values = [focal, focal, *values]
     if model in {"SIMPLE_PINHOLE", "PINHOLE"}:
         distortion = []
-    elif model in {"SIMPLE_RADIAL", "RADIAL"}:
+    elif model in {*_RADIAL, *_RADIAL_FISHEYE}:
         distortion = [*values[4:], 0.0, 0.0, 0.0][:4]
-    elif model in {"OPENCV", "FULL_OPENCV"}:
+    elif model in {"OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"}:
         distortion = values[4:]
     else:
         raise InputError(
             f"{where}: the camera model {model} cannot be used; run `colmap image_undistorter`, and "
             "give its folder."
         )
-    return camera_of(where, size, values[:4], distortion)
+    kind = "fisheye" if model in {*_RADIAL_FISHEYE, "OPENCV_FISHEYE"} else "opencv"
+    return camera_of(where, size, values[:4], distortion, kind)
 
 
 # --------------------------------------------------------------------------------------- binary

@@ -54,6 +54,8 @@ def readings(frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 
     inside = (v >= 0) & (u >= 0)
     v, u = np.maximum(v, 0), np.maximum(u, 0)
     kept = inside & np.isfinite(depth[v, u]) & ~_edges(depth)[v, u]
+    if camera.model == "fisheye":
+        kept &= np.isfinite(camera.directions(np.stack([u, v], axis=-1) + 0.5)).all(axis=-1)
     flat = camera_rays(camera)
     rays = np.concatenate([flat, np.ones((h, w, 1), np.float32)], axis=2)
     return Readings(

@@ -51,11 +51,17 @@ class Sights:
 
     @classmethod
     def of(cls, points: Floats, pixels: Floats, camera: Camera, sigma: float) -> Sights:
-        """Sights of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide]."""
+        """Sights of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
+
+        What the camera has no ray for is left out.
+        """
         rays = camera.directions(pixels)[:, :2] if len(pixels) else np.zeros((0, 2))
         unit = max(camera.width, camera.height) / REFERENCE
         sigmas = np.full(len(points), sigma * unit)
-        return cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)
+        if camera.model == "fisheye":  # near its rim a pixel moves a ray far more than ahead
+            sigmas *= 1.0 + np.sum(rays * rays, axis=1)
+        all_ = cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)
+        return all_[np.isfinite(rays).all(axis=1)]
 
     @classmethod
     def none(cls) -> Sights:

@@ -62,6 +62,12 @@ class Rendering:
             np.full((*shape, 3), np.nan, np.float32),
         )
 
+    def blank(self, hidden: NDArray[np.bool_]) -> None:
+        """Show nothing at the pixels of a mask (H, W)."""
+        self.colour[hidden] = 0
+        self.depth[hidden] = self.points[hidden] = np.nan
+        self.objects[hidden] = self.triangles[hidden] = -1
+
     @property
     def mask(self) -> NDArray[np.bool_]:
         """(H, W), where the map shows anything."""
@@ -155,7 +161,10 @@ class Renderer:
             np.ascontiguousarray(pose[:3, :3], np.float32),
             np.ascontiguousarray(pose[:3, 3], np.float32),
         )
-        return self._draw(eye, Rendering.empty(camera), pattern(samples))
+        drawn = self._draw(eye, Rendering.empty(camera), pattern(samples))
+        if camera.model == "fisheye":
+            drawn.blank(_hidden(camera))
+        return drawn
 
     def _by_cpu(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
         rows = len(drawn.depth)
@@ -206,6 +215,15 @@ def camera_rays(camera: Camera) -> NDArray[np.float32]:
     out[~np.isfinite(out).all(axis=-1)] = 0.0
     out.flags.writeable = False
     return out
+
+
+@lru_cache(maxsize=2)
+def _hidden(camera: Camera) -> NDArray[np.bool_]:
+    """Pixels (H, W) whose centres have no ray."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = camera.directions(np.stack([u, v], axis=-1))
+    hidden: NDArray[np.bool_] = ~np.isfinite(rays).all(axis=-1)
+    return hidden
 
 
 @lru_cache(maxsize=len(SAMPLES))

@@ -114,7 +114,7 @@ def sharpness(colours: Bytes) -> float:
 
 def _plain(camera: Camera) -> Camera:
     """The camera without distortion, no larger than `LONGEST`."""
-    camera = replace(camera, distortion=())
+    camera = replace(camera, distortion=(), model="opencv")
     scale = LONGEST / max(camera.width, camera.height)
     if scale >= 1.0:
         return camera

@@ -76,10 +76,10 @@ def view_of(frame: Frame, row: int, map_from_camera: Floats) -> Shot | None:
     if depth is None or depth_camera is None or not (depth > 0).any():
         return None
     image, camera = frame.rgb(), frame.camera
-    if any(depth_camera.distortion):
+    if not depth_camera.straight:
         depth_camera, table = undistorted(depth_camera)
         depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
-    if any(camera.distortion):
+    if not camera.straight:
         camera, table = undistorted(camera)
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
@@ -101,8 +101,10 @@ def undistorted(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
         [np.stack([i, np.full(w, v)], axis=1) for v in (0.0, h)]
         + [np.stack([np.full(h, u), j], axis=1) for u in (0.0, w)]
     )
-    reached = camera.directions(rim)[:, :2] * (camera.fx, camera.fy)
     limit = 0.5 * WIDEST * np.array([w, h])
+    reached = camera.directions(rim)[:, :2] * (camera.fx, camera.fy)
+    beyond = np.where(rim < (camera.cx, camera.cy), -limit, limit)
+    reached = np.where(np.isfinite(reached), reached, beyond)
     low = np.ceil(np.minimum(np.maximum(-reached.min(axis=0), 1), limit))
     high = np.ceil(np.minimum(np.maximum(reached.max(axis=0), 1), limit))
     width, height = (low + high).astype(int).tolist()

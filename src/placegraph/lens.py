@@ -1,0 +1,105 @@
+"""How lenses bend rays: OpenCV's two models, on an image plane of focal length 1.
+
+A ray is x and y where z is 1; a place is where the image shows it. "opencv": a pinhole, whose lens
+moves places along the radius and a little across it. "fisheye": the angle off the axis tells how
+far from the centre a ray is shown (Kannala and Brandt 2006).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+MODELS = ("opencv", "fisheye")
+COEFFICIENTS = {"opencv": (0, 4, 5, 8), "fisheye": (0, 4)}
+"""How many a model may have; 0: an ideal one."""
+WIDEST = radians(85.0)
+"""Angle off a fisheye's axis beyond which it is not asked: rays with z = 1 grow without end."""
+_ROUNDS = 100
+_NEWTON = 12
+
+
+def bent(model: str, distortion: tuple[float, ...], rays: Floats) -> Floats:
+    """Places (..., 2) of rays (..., 2); NaN where a fisheye shows none."""
+    if model == "fisheye":
+        return _fisheye_places(rays, distortion)
+    if not any(distortion):
+        return rays
+    places: Floats = rays * _radial(rays, distortion)[..., None] + _tangential(rays, distortion)
+    return places
+
+
+def unbent(model: str, distortion: tuple[float, ...], places: Floats) -> Floats:
+    """Rays (..., 2) of places (..., 2); NaN where a fisheye shows nothing."""
+    if model == "fisheye":
+        return _fisheye_rays(places, distortion)
+    rays = places
+    for _ in range(_ROUNDS if any(distortion) else 0):
+        # fixed point, as OpenCV does, but to its end: wide corners need more than a few rounds
+        before = rays
+        rays = (places - _tangential(rays, distortion)) / _radial(rays, distortion)[..., None]
+        if np.abs(rays - before).max(initial=0.0) < 1e-9:
+            break
+    return rays
+
+
+def _radial(rays: Floats, distortion: tuple[float, ...]) -> Floats:
+    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *(0.0,) * 8)[:8]
+    r2 = np.sum(rays * rays, axis=-1)
+    above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    ratio: Floats = above / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    return ratio
+
+
+def _tangential(rays: Floats, distortion: tuple[float, ...]) -> Floats:
+    p1, p2 = distortion[2:4]
+    x, y = rays[..., 0], rays[..., 1]
+    r2 = x * x + y * y
+    return np.stack(
+        [2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1
+    )
+
+
+# -------------------------------------------------------------------------------------- fisheye
+
+
+def _fisheye_places(rays: Floats, distortion: tuple[float, ...]) -> Floats:
+    radius = np.linalg.norm(rays, axis=-1)
+    angle = np.arctan(radius)
+    ratio = angle * _spread(angle, distortion)[0] / np.maximum(radius, 1e-12)
+    ratio = np.where(radius > 1e-12, ratio, 1.0)
+    return rays * np.where(angle <= _reach(distortion), ratio, np.nan)[..., None]
+
+
+def _fisheye_rays(places: Floats, distortion: tuple[float, ...]) -> Floats:
+    reach = _reach(distortion)
+    radius = np.linalg.norm(places, axis=-1)
+    angle = np.minimum(radius, reach)
+    for _ in range(_NEWTON):
+        share, slope = _spread(angle, distortion)
+        angle = np.clip(angle - (angle * share - radius) / np.maximum(slope, 1e-3), 0.0, reach)
+    ratio = np.where(radius > 1e-12, np.tan(angle) / np.maximum(radius, 1e-12), 1.0)
+    seen = radius <= reach * _spread(np.asarray(reach), distortion)[0]
+    return places * np.where(seen, ratio, np.nan)[..., None]
+
+
+def _spread(angle: Floats, distortion: tuple[float, ...]) -> tuple[Floats, Floats]:
+    """Radius over angle (...) at which a fisheye shows it, and the radius's derivative by it."""
+    k1, k2, k3, k4 = distortion or (0.0,) * 4
+    a2 = angle * angle
+    share: Floats = 1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))
+    slope: Floats = 1 + a2 * (3 * k1 + a2 * (5 * k2 + a2 * (7 * k3 + a2 * 9 * k4)))
+    return share, slope
+
+
+@lru_cache(maxsize=16)
+def _reach(distortion: tuple[float, ...]) -> float:
+    """Angle up to which what is farther off the axis is shown farther out, `WIDEST` at most."""
+    angles = np.linspace(0.0, WIDEST, 500)
+    folded = np.flatnonzero(_spread(angles, distortion)[1] <= 0)
+    return float(angles[max(0, folded[0] - 1)]) if len(folded) else WIDEST
