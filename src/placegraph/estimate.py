@@ -202,6 +202,26 @@ class Refinement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """How a camera differs from what its capture says of it; pairs are values and their deviations."""
+
+    focal_factor: tuple[float, float]
+    """On fx and fy of the colour images."""
+    depth_focal_factor: tuple[float, float]
+    """The same of the depth images."""
+    depth_scale: tuple[float, float]
+    """On depth readings."""
+    camera_from_depth: NDArray[np.float64]
+    """(4, 4) pose of the depth camera in the axes of the colour camera [m]."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers."""
+        pairs = ("focal_factor", "depth_focal_factor", "depth_scale")
+        plain = {name: list(getattr(self, name)) for name in pairs}
+        return plain | {"camera_from_depth": self.camera_from_depth.tolist()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PassRecord:
     """Particles of one pass of the filter, for pictures."""
 
@@ -275,6 +295,8 @@ class PoseEstimate(Estimate[PoseMode]):
     """Particles of each pass, where `FilterOptions.record` asked for them."""
     refinement: Refinement | None = None
     """How the pose was refined; None where nobody asked for it or there was nothing to refine."""
+    calibration: Calibration | None = None
+    """What was found to be wrong with the camera, and mended for this answer; None: nothing."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""
@@ -283,6 +305,7 @@ class PoseEstimate(Estimate[PoseMode]):
             "trajectory": self.trajectory.tolist(),
             "stats": self.stats,
             "refinement": self.refinement.to_dict() if self.refinement else None,
+            "calibration": self.calibration.to_dict() if self.calibration else None,
         }
 
 

@@ -18,7 +18,7 @@ from placegraph.indoor.pose.suspect import spoiled, suspected
 from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
-from placegraph.indoor.refine import RefineOptions, Refining, refined
+from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
 from placegraph.indoor.refine.landmarks import place
 
 if TYPE_CHECKING:
@@ -56,10 +56,21 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     The same query on the same machine gives the same answer. `refining` says how the best mode is
     fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
     """
+    window, estimate = _found(query, refining)
+    mend = refining and wrong_camera(window, estimate, refining)
+    if not mend:
+        return estimate
+    mended = replace(query, frames=mend.frames(query.frames))
+    return mend.chosen(query, estimate, _found(mended, refining)[1])
+
+
+def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEstimate]:
+    """The answer if the camera is as it is said to be, and the frames that it rests on."""
     if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
         estimate = tracker.follow(query.frames)
-        return refined(_tail(query, tracker), estimate, refining) if refining else estimate
+        window = _tail(query, tracker)
+        return window, refined(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
     seeds = search(window, rng)
@@ -79,7 +90,7 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
     estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)
-    return refined(window, estimate, refining, explained=True) if refining else estimate
+    return window, refined(window, estimate, refining, explained=True) if refining else estimate
 
 
 def _tail(query: PoseQuery, tracker: Tracker) -> Window:

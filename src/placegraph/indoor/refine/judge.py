@@ -9,8 +9,8 @@ import numpy as np
 
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.pose.window import timed
+from placegraph.indoor.refine.camera import DULL, SUSPECT, suspected
 from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
-from placegraph.indoor.refine.intrinsics import better_focal, scales
 from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
 
@@ -66,8 +66,8 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     if not refiner.options.check:
         return Judgement(True, f"Refined by {by}, unchecked.", stats)
     with timed(refiner.seconds, "check"):
-        doubt = _wrong_focal(refiner, fitted, stats) or _wrong_scale(refiner, fitted, stats)
-        against = doubt or _unconfirmed(refiner, coarse, fitted, stats)
+        against = _unconfirmed(refiner, coarse, fitted, stats)
+        _suspect_camera(refiner, fitted, stats)
     if against:
         return Judgement(False, f"Not refined: {against}.", stats, doubt)
     return Judgement(True, f"Refined by {by}.{_late(fitted)}", stats)
@@ -101,36 +101,6 @@ def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
 NOTHING = "the frames show nothing that could be matched with the map"
 
 
-def _wrong_focal(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
-    """Whether the images were taken with another focal length than their camera says."""
-    if refiner.has_depth:  # which says more of scales: see below
-        return ""
-    factor = better_focal(refiner.problem(fitted.sights), fitted.poses)
-    if factor == 1.0:
-        return ""
-    stats["focal_factor"] = factor
-    how = "longer" if factor > 1.0 else "shorter"
-    return (
-        f"the images fit a focal length about {abs(factor - 1.0):.0%} {how} clearly better; check the "
-        "intrinsics in camera.json"
-    )
-
-
-def _wrong_scale(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
-    """Whether depth, or the image it belongs to, is larger or smaller than its camera says."""
-    poses = fitted.poses if fitted.lags is None else fitted.lags.of_depth(fitted.poses)
-    for what, scale in scales(refiner.scene, refiner.problem(), poses).items():
-        if scale.wrong:
-            stats[f"{what}_scale"] = round(1.0 + scale.share, 3)
-            how = "larger" if scale.share > 0 else "smaller"
-            thing = {"depth": "depth readings", "image": "depth images"}[what]
-            return (
-                f"the map fits clearly better if the {thing} are {abs(scale.share):.0%} {how}; check "
-                "scale and intrinsics in camera.json"
-            )
-    return ""
-
-
 def _unconfirmed(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[str, Any]) -> str:
     """Whether held-back samples fail to speak for the refined trajectory."""
     gains = _gains(refiner, coarse, fitted)
@@ -145,6 +115,16 @@ def _unconfirmed(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[s
     if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < needed:
         return "held-back pixels are not explained better than by the coarse pose"
     return ""
+
+
+def _suspect_camera(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> None:
+    """Note what `camera.wrong_camera` should look into."""
+    factor = suspected(refiner, fitted)
+    images = stats["held_back"].get("images", {}).get("after")
+    if abs(factor) > SUSPECT:
+        stats["camera"] = f"a scale looks {factor:+.1%} off"
+    elif refiner.has_depth and images is not None and images < DULL:
+        stats["camera"] = "images do not show what depth does"
 
 
 def moved(before: Floats, after: Floats) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import polish
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import observe
+from placegraph.indoor.refine.camera import wrong_camera
 from placegraph.indoor.refine.refinement import MOST, tried
 from placegraph.indoor.refine.refiner import Refiner
 
@@ -33,6 +34,16 @@ def refine(query: PoseQuery, given: Floats, refining: Refining) -> PoseEstimate:
     Where there is depth, the neighbourhood is searched first. Errors: `SceneMap.refine`.
     """
     query = replace(query, frames=query.frames[-MOST:])
+    window, estimate = _refined(query, given, refining)
+    mend = wrong_camera(window, estimate, refining)
+    if mend is None:
+        return estimate
+    mended = replace(query, frames=mend.frames(query.frames))
+    return mend.chosen(query, estimate, _refined(mended, given, refining)[1])
+
+
+def _refined(query: PoseQuery, given: Floats, refining: Refining) -> tuple[Window, PoseEstimate]:
+    """The answer if the camera is as it is said to be, and the frames that it rests on."""
     window = observe(query)
     odometry = np.stack([f.odometry for f in query.frames])
     coarse = given @ np.linalg.inv(odometry[-1]) @ odometry
@@ -43,7 +54,7 @@ def refine(query: PoseQuery, given: Floats, refining: Refining) -> PoseEstimate:
     refiner.known = coarse, np.maximum(_reach(refining.options), _SHARPEST)
     told = tried(window, _given(window, coarse, refining.options), refiner, start, explained=True)
     status, reason = _status(window, told)
-    return replace(told, status=status, reason=reason)
+    return window, replace(told, status=status, reason=reason)
 
 
 def _status(window: Window, told: PoseEstimate) -> tuple[Status, str]:

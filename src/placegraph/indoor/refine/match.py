@@ -60,8 +60,8 @@ class Sights:
         sigmas = np.full(len(points), sigma * unit)
         if camera.model == "fisheye":  # near its rim a pixel moves a ray far more than ahead
             sigmas *= 1.0 + np.sum(rays * rays, axis=1)
-        all_ = cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)
-        return all_[np.isfinite(rays).all(axis=1)]
+        seen = np.flatnonzero(np.isfinite(rays).all(axis=1))
+        return cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)[seen]
 
     @classmethod
     def none(cls) -> Sights:

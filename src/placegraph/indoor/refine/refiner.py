@@ -154,7 +154,7 @@ class Refiner:
         stages = self._stages(solution)
         for number, stage in enumerate(stages):
             tell("matching images", number, len(stages))
-            found = self._looked(stage, poses)
+            found = self.matched(stage, poses)
             if not self.options.joint:
                 return self._best_frame(found, poses)
             sights, led = self._agreed(stage, found, poses)
@@ -190,7 +190,7 @@ class Refiner:
             return known
         return known + stages_of(self.matcher, near=solution is not None and solution.cost <= LOST)
 
-    def _looked(self, stage: Stage, poses: Floats) -> list[Sights]:
+    def matched(self, stage: Stage, poses: Floats) -> list[Sights]:
         """Matches of the frames that are looked at, those in held-back blocks left out."""
         if stage.matcher is None:
             return kept_out(self.landmarks, self.frames, self.options)

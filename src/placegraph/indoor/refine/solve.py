@@ -114,9 +114,7 @@ def solve(
                 _add_lagged(block, slopes[k], in_map_axes(seen[k], twist), 6 * count + k, h, g)
             h[-2:, -2:] += np.eye(2) / usual**2
             g[-2:] += lags / usual**2
-            _add_odometry(problem, poses, h, g)
-            _add_gravity(problem, poses, h, g)
-            _add_known(problem, poses, start, h[held, held], g[held])
+            add_beliefs(problem, poses, start, h[held, held], g[held])
             whole = -np.linalg.solve(h, g)
             step = whole[held].reshape(count, 6)
             if not np.isfinite(whole).all():  # a ray that is no number would never come back
@@ -242,6 +240,13 @@ def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None
         rows = slice(6 * t, 6 * t + 12)
         h[rows, rows] += weighted @ j
         g[rows] += weighted @ errors[t]
+
+
+def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
+    """Add what is believed of poses (T, 4, 4) without looking to normal equations (6 T)."""
+    _add_odometry(problem, poses, h, g)
+    _add_gravity(problem, poses, h, g)
+    _add_known(problem, poses, start, h, g)
 
 
 def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:

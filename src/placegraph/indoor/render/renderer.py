@@ -221,9 +221,7 @@ def camera_rays(camera: Camera) -> NDArray[np.float32]:
 def _hidden(camera: Camera) -> NDArray[np.bool_]:
     """Pixels (H, W) whose centres have no ray."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = camera.directions(np.stack([u, v], axis=-1))
-    hidden: NDArray[np.bool_] = ~np.isfinite(rays).all(axis=-1)
-    return hidden
+    return np.isnan(camera.directions(np.stack([u, v], axis=-1))[..., 0])
 
 
 @lru_cache(maxsize=len(SAMPLES))
