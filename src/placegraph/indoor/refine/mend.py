@@ -81,14 +81,15 @@ class Mend:
         """Of the answers before and after mending the better one, which says what was found.
 
         The mended answer is taken where it is `OK` and its refinement confirmed; else the camera is
-        a doubt about the other.
+        a doubt about the other, if there is anything to doubt.
         """
         said = self.sentence(asked.frames[-1])
         told = after.refinement
         if after.status is Status.OK and told is not None and told.accepted:
             return replace(after, reason=f"{after.reason} {said}", calibration=self.calibration())
-        status = Status.AMBIGUOUS if before.status is Status.OK else before.status
-        return replace(before, status=status, reason=f"{before.reason} Perhaps: {said}")
+        if before.status is Status.LOST:
+            return before
+        return replace(before, status=Status.AMBIGUOUS, reason=f"{before.reason} Perhaps: {said}")
 
     def sentence(self, frame: Frame) -> str:
         """What is wrong, and what should stand in `camera.json` instead."""
