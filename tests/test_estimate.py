@@ -66,7 +66,9 @@ def posed():
 
 def test_a_pose_as_json(posed):
     got = strict(posed)
-    keys = {"status", "reason", "modes", "frames", "trajectory", "stats", "refinement"}
+    keys = {
+        "status", "reason", "modes", "frames", "trajectory", "stats", "refinement", "calibration",
+    }  # fmt: skip
     assert set(got) == keys
     assert got["refinement"] is None
     assert (got["status"], got["reason"]) == ("OK", "One pose fits.")

@@ -152,11 +152,6 @@ def with_camera(capture, change):
     return Capture.from_frames(frames)
 
 
-CONSISTENT = pytest.mark.xfail(
-    strict=True, reason="a pose shifted to suit a wrong scale explains the images better"
-)
-
-
 @pytest.mark.parametrize(
     ("factor", "depth"),
     [
@@ -164,8 +159,8 @@ CONSISTENT = pytest.mark.xfail(
         (1.3, True),
         (2.0, True),
         (2.0, False),
-        pytest.param(0.7, False, marks=CONSISTENT),
-        pytest.param(1.3, False, marks=CONSISTENT),
+        (0.7, False),
+        (1.3, False),
     ],
 )
 def test_a_wrong_focal_length(room, walk, exact, kit, factor, depth):

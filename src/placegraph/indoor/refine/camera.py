@@ -26,7 +26,8 @@ from placegraph.indoor.refine.calibrate import (
     calibrate,
 )
 from placegraph.indoor.refine.mend import Mend, brought, share_view
-from placegraph.indoor.refine.refiner import Refiner, stages_of
+from placegraph.indoor.refine.refiner import Refiner
+from placegraph.indoor.refine.stages import stages_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.pose.window import timed
-from placegraph.indoor.refine.camera import DULL, SUSPECT, suspected
+from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, suspected
 from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
 from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
@@ -67,9 +67,9 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
         return Judgement(True, f"Refined by {by}, unchecked.", stats)
     with timed(refiner.seconds, "check"):
         against = _unconfirmed(refiner, coarse, fitted, stats)
-        _suspect_camera(refiner, fitted, stats)
-    if against:
-        return Judgement(False, f"Not refined: {against}.", stats, doubt)
+        doubt = _suspect_camera(refiner, fitted, stats)
+    if against or doubt:
+        return Judgement(False, f"Not refined: {doubt or against}.", stats, doubt)
     return Judgement(True, f"Refined by {by}.{_late(fitted)}", stats)
 
 
@@ -117,14 +117,22 @@ def _unconfirmed(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[s
     return ""
 
 
-def _suspect_camera(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> None:
-    """Note what `camera.wrong_camera` should look into."""
+def _suspect_camera(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
+    """What seems wrong with the camera; noted, too, where `wrong_camera` should look closer."""
     factor = suspected(refiner, fitted)
     images = stats["held_back"].get("images", {}).get("after")
     if abs(factor) > SUSPECT:
         stats["camera"] = f"a scale looks {factor:+.1%} off"
     elif refiner.has_depth and images is not None and images < DULL:
         stats["camera"] = "images do not show what depth does"
+    if abs(factor) <= OFF:
+        return ""
+    what = "depth readings or their image" if refiner.has_depth else "images"
+    how = "larger" if factor > 0 else "smaller"
+    return (
+        f"the map fits clearly better if the {what} are some {abs(factor):.0%} {how}; check scale and "
+        "intrinsics in camera.json"
+    )
 
 
 def moved(before: Floats, after: Floats) -> tuple[float, float]:
