@@ -2,6 +2,8 @@
 
 import hashlib
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +16,9 @@ from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.window import observe
 from placegraph.indoor.refine import RefineOptions, Refining
 from placegraph.indoor.refine import refined as refined_in
+from placegraph.indoor.refine.judge import Judgement
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
+from placegraph.indoor.refine.refinement import _told
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
@@ -105,6 +109,22 @@ def test_images_alone(room, walk, exact, kit):
     assert after[0] < 0.15
     assert "depth" not in told.stats["held_back"]
     assert told.stats["matches"] > 100
+
+
+@pytest.mark.parametrize(
+    ("before", "accepted", "landmarks", "after"),
+    [
+        (Status.AMBIGUOUS, True, {"landmarks": 40}, Status.OK),
+        (Status.AMBIGUOUS, True, {}, Status.AMBIGUOUS),
+        (Status.AMBIGUOUS, False, {"landmarks": 40}, Status.AMBIGUOUS),
+        (Status.OK, False, {"landmarks": 40}, Status.AMBIGUOUS),
+    ],
+)
+def test_landmarks_make_sure_of_a_pose(coarse, before, accepted, landmarks, after):
+    refiner = SimpleNamespace(matcher=None, seconds={}, stats=landmarks)
+    judgement = Judgement(accepted, "", {}, doubt="" if accepted else "it is elsewhere")
+    told = _told(replace(coarse, status=before), refiner, None, judgement)
+    assert told.status is after
 
 
 def test_the_same_seed_the_same_answer(refined, room, walk):

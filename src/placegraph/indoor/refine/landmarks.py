@@ -188,6 +188,11 @@ def plenty(sights: Sequence[Sights]) -> bool:
     return sum(map(len, sights)) >= PLENTY * sum(len(s) > 0 for s in sights)
 
 
+def firm(sights: Sequence[Sights]) -> bool:
+    """Whether each frame that was looked at, and not some alone, shows so many."""
+    return all(len(sights[t]) >= PLENTY for t in spread(len(sights), LOOKS))
+
+
 def place(window: Window) -> Floats:
     """Pose (K, 4) of the last frame that landmarks tell: one, or none."""
     with timed(window.seconds, "landmarks"):

@@ -136,6 +136,10 @@ def _told(
         status, reason = Status.AMBIGUOUS, _BENT
     if status is Status.OK and judgement.doubt:
         status, reason = Status.AMBIGUOUS, f"One place fits, but {judgement.doubt}."
+    if estimate.status is Status.AMBIGUOUS and judgement.accepted and "landmarks" in stats:
+        # they were looked for in the whole map, and led to where the likelihood is largest
+        agreed = f"{stats['landmarks']} landmarks of the map agree on it"
+        status, reason = Status.OK, f"One place fits: {agreed}."
     return replace(
         estimate,
         status=status,

@@ -13,7 +13,7 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
-from placegraph.indoor.refine.landmarks import kept_out, near, plenty, seen
+from placegraph.indoor.refine.landmarks import firm, kept_out, near, plenty, seen
 from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.solve import Problem, Solution, solve
@@ -164,6 +164,8 @@ class Refiner:
                 solution = solve(self.problem(sights), led, FINE_WIDTHS)
             poses = solution.poses
             if stage.matcher is None and plenty(sights):
+                if firm(sights):
+                    self.stats["landmarks"] = sum(map(len, sights))
                 break
         tell("checking", 0, 1)
         return self._finished(poses, solution, sights)
