@@ -91,9 +91,15 @@ def read_rgb(
 ) -> NDArray[np.uint8]:
     """Colours (H, W, 3) uint8 of an image that must be of this width and height [px].
 
-    `source` is where its bytes are, if they are not in a file of that name.
+    Pixels are taken as they are stored; if only as a telephone would show them (EXIF's orientation)
+    they have that size, as they are shown. `source` is where its bytes are, if they are not in a
+    file of that name.
     """
     with opened(source or path, path) as image:
+        if image.size != size and image.size[::-1] == size:
+            from PIL import ImageOps
+
+            ImageOps.exif_transpose(image, in_place=True)
         _check_size(image, path, size)
         return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
 
