@@ -23,6 +23,7 @@ from placegraph.indoor.refine.calibrate import (
     PLACE,
     SCALE,
     TIME,
+    WIDTHS,
     calibrate,
 )
 from placegraph.indoor.refine.mend import Mend, brought, share_view
@@ -71,7 +72,8 @@ SETTLED = 0.003
 def suspected(refiner: Refiner, fitted: Fitted) -> float:
     """Logarithm by which a scale or focal length looks off at fitted poses; 0: none does.
 
-    One linear step, which tells that something is wrong better than by how much.
+    Of depth one linear step, which tells that something is wrong better than by how much; matches
+    take more, since those that are left agree with the poses, and cost little.
     """
     free = [SCALE, FOCAL] if refiner.has_depth else [IMAGE]
     if not refiner.has_depth and sum(map(len, fitted.sights)) < ENOUGH:
@@ -80,7 +82,8 @@ def suspected(refiner: Refiner, fitted: Fitted) -> float:
     if lags is not None:
         poses = (lags.of_depth if refiner.has_depth else lags.of_images)(poses)
     problem = refiner.problem(None if refiner.has_depth else fitted.sights)
-    found = calibrate(refiner.scene, problem, poses, free, widths=TRIAL[:1])
+    widths = TRIAL[:1] if refiner.has_depth else WIDTHS
+    found = calibrate(refiner.scene, problem, poses, free, widths)
     off = [found.values[k] for k in free if abs(found.values[k]) > CLEAR * found.errors[k]]
     return float(max(off, key=abs, default=0.0))
 
