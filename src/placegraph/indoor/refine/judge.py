@@ -111,7 +111,8 @@ def _unconfirmed(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[s
     zs = [g.z for g in gains.values() if not np.isnan(g.before)]
     if not zs:
         return "no held-back pixel tells whether it helped"
-    needed = SURE if refiner.has_depth else SURER
+    # landmarks were found in the whole map: unlike renderings they are not wrong together
+    needed = SURE if refiner.has_depth or "landmarks" in refiner.stats else SURER
     if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < needed:
         return "held-back pixels are not explained better than by the coarse pose"
     return ""
