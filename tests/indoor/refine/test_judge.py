@@ -1,5 +1,6 @@
 """What is believed of a refinement, what is refused, and why."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -48,7 +49,7 @@ def test_the_true_way_is_believed_and_a_worse_one_is_not(refiner, exact, kit):
     assert found.reason == "Refined by depth."
     held = found.stats["held_back"]
     assert set(held) == {"depth", "images"}
-    assert held["depth"]["after"] > held["depth"]["before"]
+    assert held["depth"]["gain"] > 10.0
     assert held["depth"]["z"] > 3.0
     assert found.stats["shift_m"] == pytest.approx(0.0707, abs=1e-3)
     assert found.stats["turn_deg"] == pytest.approx(2.0, abs=1e-2)
@@ -56,6 +57,39 @@ def test_the_true_way_is_believed_and_a_worse_one_is_not(refiner, exact, kit):
     assert not refused.accepted
     assert refused.reason.startswith("Not refined: held-back pixels")
     assert refused.stats["held_back"]["depth"]["z"] == pytest.approx(-held["depth"]["z"], abs=0.02)
+
+
+def test_weak_images_have_no_veto(refiner, exact, kit):
+    """Images taken from where the coarse pose is, and so noisy that they hardly show it."""
+    off = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0, 0, 2.0))
+    one, rng = refiner(), np.random.default_rng(0)
+    shown = [one.renderer.render(p, f.camera).colour for p, f in zip(off, one.frames, strict=True)]
+    noise = [rng.normal(0, 60, image.shape) for image in shown]
+    one.queries = [np.uint8(np.clip(i + n, 0, 255)) for i, n in zip(shown, noise, strict=True)]
+    found = judged(one, off, fitted(exact.poses))
+    assert found.stats["held_back"]["images"]["gain"] < 0.0
+    assert found.accepted
+
+
+def test_where_images_mislead_depth_alone_is_believed(refiner, exact, kit):
+    """Colours that are not calibrated to depth pull a joint fit away: held-back samples say so."""
+    off = kit.moved(exact.poses, (0.08, 0.0, 0.0))
+    pulled = replace(fitted(off, 40), by_depth=fitted(exact.poses))
+    start = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0, 0, 2.0))
+    found = judged(refiner(), start, pulled)
+    assert found.accepted
+    assert found.fitted is pulled.by_depth
+    assert found.reason == "Refined by depth."
+    better = replace(fitted(exact.poses, 40), by_depth=fitted(off))
+    assert judged(refiner(), start, better).fitted is better
+
+
+def test_depth_stands_in_for_a_joint_fit_that_went_astray(refiner, exact, kit):
+    start = kit.moved(exact.poses, (0.05, 0.05, 0.0))
+    astray = replace(fitted(kit.moved(exact.poses, (3.0, 0, 0)), 40), by_depth=fitted(exact.poses))
+    found = judged(refiner(), start, astray)
+    assert found.accepted
+    assert found.fitted is astray.by_depth
 
 
 def test_what_changes_nothing_is_not_called_better(refiner, exact):

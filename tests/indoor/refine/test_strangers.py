@@ -12,6 +12,7 @@ from placegraph.indoor.refine import RefineOptions, refinement
 from placegraph.indoor.refine.judge import Judgement
 from placegraph.indoor.refine.match import MOST, look
 from placegraph.indoor.refine.matching import Matches
+from placegraph.indoor.refine.refiner import Fitted
 from placegraph.indoor.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -185,7 +186,8 @@ def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch, d
     """What speaks against camera or depth speaks against the filter's pose as well."""
     before = room.localize(walk, frames=FIVE, refine=False)
     assert before.status is Status.OK
-    verdict = Judgement(False, "Not refined: so it is.", {}, doubt)
+    nothing = Fitted(np.eye(4)[None], None, [], np.eye(6))
+    verdict = Judgement(False, "Not refined: so it is.", nothing, {}, doubt)
     monkeypatch.setattr(refinement, "judged", lambda *_: verdict)
     after = told(room.localize(walk, frames=FIVE))
     assert not after.refinement.accepted

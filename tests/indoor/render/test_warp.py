@@ -19,6 +19,7 @@ def drawn_by(renderer, pose, samples):
         camera_rays(CAMERA),
         np.ascontiguousarray(pose[:3, :3], np.float32),
         np.ascontiguousarray(pose[:3, 3], np.float32),
+        np.zeros((0, 0), bool),
     )
     return renderer.draw(eye, Rendering.empty(CAMERA), pattern(samples))
 

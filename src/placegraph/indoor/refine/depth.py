@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.indoor.refine.fit_kernels import plane_distances
+from placegraph.indoor.refine.fit_kernels import plane_distances, read
 from placegraph.indoor.render import camera_rays
 
 if TYPE_CHECKING:
@@ -49,32 +49,12 @@ def readings(frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 
     h, w = depth.shape
     camera = frame.depth_camera or frame.camera
     stride = max(2, round((h * w / count) ** 0.5))
-    rows, columns = _lattice(h, stride, phase), _lattice(w, stride, phase)
-    v, u = _tiled(rows, columns)
-    inside = (v >= 0) & (u >= 0)
-    v, u = np.maximum(v, 0), np.maximum(u, 0)
-    kept = inside & np.isfinite(depth[v, u]) & ~_edges(depth)[v, u]
+    v, u = _tiled(_lattice(h, stride, phase), _lattice(w, stride, phase))
+    found = Readings(*read(depth, camera_rays(camera), v, u, _REACH))
     if camera.model == "fisheye":
-        kept &= np.isfinite(camera.directions(np.stack([u, v], axis=-1) + 0.5)).all(axis=-1)
-    flat = camera_rays(camera)
-    rays = np.concatenate([flat, np.ones((h, w, 1), np.float32)], axis=2)
-    return Readings(
-        rays[v, u],
-        np.where(kept, np.nan_to_num(depth[v, u]), 0.0).astype(np.float32),
-        _normals(rays * depth[..., None], v, u),
-    )
-
-
-def _normals(
-    points: NDArray[np.float32], v: NDArray[np.int64], u: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    """Unit normals (R, 3) towards the camera at pixels of points (h, w, 3); zero where unknown."""
-    h, w = points.shape[:2]
-    up, down = np.maximum(v - _REACH, 0), np.minimum(v + _REACH, h - 1)
-    left, right = np.maximum(u - _REACH, 0), np.minimum(u + _REACH, w - 1)
-    normal = np.cross(points[down, u] - points[up, u], points[v, right] - points[v, left])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.nan_to_num(normal / np.maximum(length, 1e-12)).astype(np.float32)
+        seen = np.isfinite(camera.directions(np.stack([u, v], axis=-1) + 0.5)).all(axis=-1)
+        found.depth[~seen] = 0.0
+    return found
 
 
 def _lattice(size: int, stride: int, phase: int) -> NDArray[np.int64]:
@@ -93,23 +73,6 @@ def _tiled(
     tiles = grid.reshape(2, len(v) // _TILE, _TILE, len(u) // _TILE, _TILE)
     flat = tiles.transpose(0, 1, 3, 2, 4).reshape(2, -1)
     return flat[0], flat[1]
-
-
-def _edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels (h, w) where depth jumps to a neighbour by more than a slanted wall's would."""
-    out = np.zeros(depth.shape, bool)
-    for axis in (0, 1):
-        jump = np.abs(np.diff(depth, axis=axis)) > 0.02 + 0.03 * _low(depth, axis)
-        before, after = [slice(None)] * 2, [slice(None)] * 2
-        before[axis], after[axis] = slice(None, -1), slice(1, None)
-        out[tuple(before)] |= jump
-        out[tuple(after)] |= jump
-    return out
-
-
-def _low(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    low = np.minimum(np.roll(depth, -1, axis), depth)
-    return low[:-1] if axis == 0 else low[:, :-1]
 
 
 class Surfaces(NamedTuple):

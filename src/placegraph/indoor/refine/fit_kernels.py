@@ -77,6 +77,62 @@ def depth_system(surfaces, shares, rotation, position, directions, depth, seen, 
     return h, g, told, sums
 
 
+@kernel(error_model="numpy")
+def read(depth, rays, v, u, reach):
+    """Readings of a depth image (h, w) at pixels `v`, `u` (R,), of which -1 is none.
+
+    `rays`: (h, w, 2) of the pixels, where z is 1; `reach`: pixels from a reading to the points that its
+    normal is made of. Returns, as of `depth.Readings`, directions (R, 3), depths (R,) and normals (R, 3).
+    """
+    h, w = depth.shape
+    directions = np.ones((len(v), 3), np.float32)
+    read = np.zeros(len(v), np.float32)
+    normals = np.zeros((len(v), 3), np.float32)
+    for k in range(len(v)):
+        row, column = max(v[k], 0), max(u[k], 0)
+        directions[k, 0], directions[k, 1] = rays[row, column]
+        if v[k] < 0 or u[k] < 0:
+            continue
+        z = depth[row, column]
+        if not np.isfinite(z) or at_edge(depth, row, column):
+            continue
+        read[k] = z
+        up, down = max(row - reach, 0), min(row + reach, h - 1)
+        left, right = max(column - reach, 0), min(column + reach, w - 1)
+        ax, ay, az = between(depth, rays, up, column, down, column)
+        bx, by, bz = between(depth, rays, row, left, row, right)
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 1e-12:  # not so where one of the points is no number
+            normals[k, 0], normals[k, 1], normals[k, 2] = x / length, y / length, z / length
+    return directions, read, normals
+
+
+@kernel(inline="always")
+def between(depth, rays, row, column, other, beside):
+    """Way (3 floats) from the point that a pixel shows to that of another."""
+    near, far = depth[row, column], depth[other, beside]
+    return (
+        far * rays[other, beside, 0] - near * rays[row, column, 0],
+        far * rays[other, beside, 1] - near * rays[row, column, 1],
+        far - near,
+    )
+
+
+@kernel(inline="always")
+def at_edge(depth, row, column):
+    """Whether depth jumps from a pixel to a neighbour by more than a slanted wall's would."""
+    z = depth[row, column]
+    for side in range(4):
+        i = row + (side == 1) - (side == 3)
+        j = column + (side == 0) - (side == 2)
+        if 0 <= i < depth.shape[0] and 0 <= j < depth.shape[1]:
+            beside = depth[i, j]
+            if abs(beside - z) > 0.02 + 0.03 * min(beside, z):
+                return True
+    return False
+
+
 @kernel(inline="always")
 def add_row(h, g, j, e, w):
     """Add one residual with its derivatives (6,) to the upper half of normal equations."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,11 +10,13 @@ import numpy as np
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, suspected
-from placegraph.indoor.refine.check import Gain, depth_gain, image_gain
+from placegraph.indoor.refine.check import Evidence, depth_evidence, image_evidence, surely
 from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from placegraph.geometry import Floats
     from placegraph.indoor.refine.refiner import Fitted, Refiner
 
@@ -25,11 +27,9 @@ FARTHEST_BLIND = (0.6, 0.4)
 BENT = 3.0
 """Root mean square of odometry's normalised errors beyond which the motion was not like that."""
 SURE = 1.0
-"""Standard errors by which the refined trajectory must explain held-back samples better ..."""
+"""Standard errors by which held-back samples must be more likely on the refined trajectory ..."""
 SURER = 3.0
 """... and where images alone speak: they are wrong together more easily (benchmark)."""
-AGAINST = -2.5
-"""Standard errors by which one sense may speak against it while the other speaks for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,37 @@ class Judgement:
     accepted: bool
     reason: str
     """One sentence."""
+    fitted: Fitted
+    """What was judged: where images took part, maybe what depth alone says."""
     stats: dict[str, Any]
     doubt: str = ""
     """What speaks against the coarse pose too, as half a sentence."""
 
 
 def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
-    """Compare a refined trajectory with the coarse one (T, 4, 4)."""
+    """Compare a refined trajectory, and what depth alone makes of it, with the coarse one (T, 4, 4)."""
+    judgement = _looked_at(refiner, coarse, fitted)
+    ways = [judgement]
+    if fitted.by_depth is not None:
+        alone = _looked_at(refiner, coarse, fitted.by_depth)
+        ways = [way for way in (alone, judgement) if way.accepted]
+        judgement = ways[-1] if ways else alone
+    if not judgement.accepted:
+        return judgement
+    if not refiner.options.check:
+        by = judgement.reason.removesuffix(".")
+        return replace(judgement, reason=f"{by}, unchecked.")
+    with timed(refiner.seconds, "check"):
+        way, against = _confirmed(refiner, coarse, ways)
+        doubt = _suspect_camera(refiner, way.fitted, way.stats)
+    against = doubt or against
+    if against:
+        return replace(way, accepted=False, reason=f"Not refined: {against}.", doubt=doubt)
+    return replace(way, reason=f"{way.reason}{_late(way.fitted)}")
+
+
+def _looked_at(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
+    """A trajectory by itself: whether anything holds it, and it is near and like the odometry."""
     inliers = sum(map(len, fitted.sights))
     shift, turn = moved(coarse[-1], fitted.poses[-1])
     stats: dict[str, Any] = {
@@ -59,18 +83,9 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
         against = doubt or _bent(refiner, fitted.poses, stats)
     if against:
         # what depth backs, images alone do not shake
-        return Judgement(
-            False, f"Not refined: {against}.", stats, "" if refiner.has_depth else doubt
-        )
-    by = _by(refiner, inliers)
-    if not refiner.options.check:
-        return Judgement(True, f"Refined by {by}, unchecked.", stats)
-    with timed(refiner.seconds, "check"):
-        against = _unconfirmed(refiner, coarse, fitted, stats)
-        doubt = _suspect_camera(refiner, fitted, stats)
-    if against or doubt:
-        return Judgement(False, f"Not refined: {doubt or against}.", stats, doubt)
-    return Judgement(True, f"Refined by {by}.{_late(fitted)}", stats)
+        doubt = "" if refiner.has_depth else doubt
+        return Judgement(False, f"Not refined: {against}.", fitted, stats, doubt)
+    return Judgement(True, f"Refined by {_by(refiner, inliers)}.", fitted, stats)
 
 
 def _late(fitted: Fitted) -> str:
@@ -101,27 +116,61 @@ def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
 NOTHING = "the frames show nothing that could be matched with the map"
 
 
-def _unconfirmed(refiner: Refiner, coarse: Floats, fitted: Fitted, stats: dict[str, Any]) -> str:
-    """Whether held-back samples fail to speak for the refined trajectory."""
-    gains = _gains(refiner, coarse, fitted)
-    stats["held_back"] = {
-        name: {"before": _rounded(g.before), "after": _rounded(g.after), "z": round(g.z, 2)}
-        for name, g in gains.items()
+def _confirmed(
+    refiner: Refiner, coarse: Floats, ways: Sequence[Judgement]
+) -> tuple[Judgement, str]:
+    """The way that held-back samples make likeliest, and what speaks against it all the same.
+
+    The log-likelihoods of the senses add up: none has a veto, and what says little weighs little.
+    """
+    senses = _evidence(refiner, coarse, [way.fitted for way in ways])
+    if not any(e.samples for e in senses.values()):
+        return ways[-1], "no held-back pixel tells whether it helped"
+    gains = [np.sum([e.gain(k + 1) for e in senses.values()], axis=0) for k in range(len(ways))]
+    row = int(np.argmax([np.sum(gain) for gain in gains]))
+    way, z = ways[row], surely(gains[row])
+    way.stats["held_back"] = {
+        name: {
+            "samples": e.samples,
+            "gain": round(float(e.gain(row + 1).sum()), 2),
+            "z": round(surely(e.gain(row + 1)), 2),
+        }
+        for name, e in senses.items()
     }
-    zs = [g.z for g in gains.values() if not np.isnan(g.before)]
-    if not zs:
-        return "no held-back pixel tells whether it helped"
+    if "images" in senses and senses["images"].samples:
+        alike = np.sqrt(-np.expm1(-2.0 * senses["images"].scores[row + 1]))
+        way.stats["held_back"]["images"]["alike"] = round(float(alike.mean()), 3)
     # landmarks were found in the whole map: unlike renderings they are not wrong together
     needed = SURE if refiner.has_depth or "landmarks" in refiner.stats else SURER
-    if min(zs) < AGAINST or sum(zs) / np.sqrt(len(zs)) < needed:
-        return "held-back pixels are not explained better than by the coarse pose"
-    return ""
+    if z < needed:
+        return way, "held-back pixels are not explained better than by the coarse pose"
+    return way, ""
+
+
+def _evidence(refiner: Refiner, coarse: Floats, fits: Sequence[Fitted]) -> dict[str, Evidence]:
+    """What each sense says of the coarse trajectory and of fits, in that order."""
+    found, looked = {}, set(refiner.looked().tolist())
+    measured, pictured = [coarse], [coarse]
+    for fit in fits:
+        lags = fit.lags
+        measured.append(fit.poses if lags is None else lags.of_depth(fit.poses))
+        pictured.append(fit.poses if lags is None else lags.of_images(fit.poses))
+    if refiner.has_depth:
+        held = [r if t in looked else None for t, r in enumerate(refiner.readings(1))]
+        found["depth"] = depth_evidence(refiner.surfaces, held, measured)
+    landmarks = Evidence.of(kept_scores(refiner, pictured))
+    if landmarks.samples >= refiner.options.least:
+        found["landmarks"] = landmarks
+    queries = [q if t in looked else None for t, q in enumerate(refiner.queries)]
+    if refiner.scene.coloured and any(query is not None for query in queries):
+        found["images"] = image_evidence(refiner.renderer, refiner.frames, queries, pictured)
+    return found
 
 
 def _suspect_camera(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
     """What seems wrong with the camera; noted, too, where `wrong_camera` should look closer."""
     factor = suspected(refiner, fitted)
-    images = stats["held_back"].get("images", {}).get("after")
+    images = stats.get("held_back", {}).get("images", {}).get("alike")
     if abs(factor) > SUSPECT:
         stats["camera"] = f"a scale looks {factor:+.1%} off"
     elif refiner.has_depth and images is not None and images < DULL:
@@ -142,26 +191,6 @@ def moved(before: Floats, after: Floats) -> tuple[float, float]:
     return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
 
 
-def _gains(refiner: Refiner, coarse: Floats, fitted: Fitted) -> dict[str, Gain]:
-    gains, lags = {}, fitted.lags
-    measured, pictured = fitted.poses, fitted.poses
-    if lags is not None:
-        measured, pictured = lags.of_depth(measured), lags.of_images(pictured)
-    if refiner.has_depth:
-        gains["depth"] = depth_gain(refiner.surfaces, refiner.readings(1), coarse, measured)
-    before, after = kept_scores(refiner, coarse, pictured)
-    if len(before) >= refiner.options.least:
-        gains["landmarks"] = Gain.of(before, after)
-    rows = [t for t in refiner.looked() if refiner.queries[t] is not None]
-    if rows and refiner.scene.coloured:
-        queries = [q for q in (refiner.queries[t] for t in rows) if q is not None]
-        frames = [refiner.frames[t] for t in rows]
-        gains["images"] = image_gain(
-            refiner.renderer, frames, queries, coarse[rows], pictured[rows]
-        )
-    return gains
-
-
 def _bent(refiner: Refiner, poses: Floats, stats: dict[str, Any]) -> str:
     """Whether the frames would have moved otherwise than odometry says."""
     stats["motion"] = 0.0
@@ -176,7 +205,3 @@ def _by(refiner: Refiner, inliers: int) -> str:
     if inliers:
         parts.append(f"{inliers} matches of images")
     return " and ".join(parts)
-
-
-def _rounded(value: float) -> float | None:
-    return None if np.isnan(value) else round(value, 4)

@@ -20,7 +20,7 @@ from placegraph.geometry import split_pose, vector_from_rotation
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import WIDTH, Landmarks
 from placegraph.indoor.pose.window import timed
-from placegraph.indoor.refine.check import held_back
+from placegraph.indoor.refine.check import held_back, likely
 from placegraph.indoor.refine.match import Consensus, Sights, smaller, solve_rig
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.matching.sift import SiftMatcher
@@ -206,16 +206,16 @@ def place(window: Window) -> Floats:
     return np.zeros((0, 4)) if consensus is None else split_pose(consensus.pose)[0][None]
 
 
-def kept_scores(refiner: Refiner, before: Floats, after: Floats) -> tuple[Floats, Floats]:
-    """Scores (N,), (N,) of landmarks kept for the check under two trajectories (T, 4, 4).
+def kept_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[list[Floats]]:
+    """Log-likelihoods (N,) of landmarks kept for the check, of each trajectory (T, 4, 4) and frame.
 
-    1 where they are seen just there, 0 far from it; those that neither explains are chance.
+    Those that none explains are chance.
     """
-    scores = [np.zeros((2, 0))]
+    out: list[list[Floats]] = [[] for _ in trajectories]
     for t, (s, frame) in enumerate(zip(refiner.landmarks, refiner.frames, strict=False)):
         kept = s[held_back(s.pixels, frame.camera)]
-        off = np.stack([kept.errors(before[t]), kept.errors(after[t])]) / kept.unit
+        off = np.stack([kept.errors(poses[t]) for poses in trajectories]) / kept.unit
         off = off[:, off.min(axis=0) < refiner.options.inlier]
-        scores.append(1.0 / (1.0 + np.square(off / (2.0 * SIGMA))))
-    whole = np.concatenate(scores, axis=1)
-    return whole[0], whole[1]
+        for scores, of_one in zip(out, off, strict=True):
+            scores.append(likely(of_one / (2.0 * SIGMA)))
+    return out

@@ -95,20 +95,18 @@ def tried(
     Where something is not installed, what can be done without it is done.
     """
     coarse, progress = estimate.trajectory[-len(start) :], window.query.progress
-    fitted: Fitted | None = None
     try:
-        fitted = refiner.fitted(start, progress)
-        judgement = judged(refiner, coarse, fitted)
+        judgement = judged(refiner, coarse, refiner.fitted(start, progress))
     except MissingExtraError as error:
         if refiner.matcher is not None:
             raise
         if refiner.has_depth:
             refiner.options = replace(refiner.options, images=False)
-            fitted = refiner.fitted(start, progress)
-            judgement = judged(refiner, coarse, fitted)
+            judgement = judged(refiner, coarse, refiner.fitted(start, progress))
         else:
-            fitted, judgement = None, Judgement(False, f"Not refined: {error}", {})
-    told = _told(estimate, refiner, fitted, judgement)
+            nothing = Fitted(start, None, [], np.full((6, 6), np.nan))
+            judgement = Judgement(False, f"Not refined: {error}", nothing, {})
+    told = _told(estimate, refiner, judgement)
     best = told.best
     if explained and judgement.accepted and best is not None:
         best = replace(best, explain=evidence_at(window, best.pose))
@@ -116,20 +114,18 @@ def tried(
     return told
 
 
-def _told(
-    estimate: PoseEstimate, refiner: Refiner, fitted: Fitted | None, judgement: Judgement
-) -> PoseEstimate:
+def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> PoseEstimate:
     """The estimate with what became of its best mode."""
     coarse, trajectory = estimate.modes[0], estimate.trajectory
-    best = coarse
-    if judgement.accepted and fitted is not None:
+    best, fitted = coarse, judgement.fitted
+    if judgement.accepted:
         before = trajectory[: len(trajectory) - len(fitted.poses)]
         trajectory = np.concatenate([before, fitted.poses])
         best = _moved_to(coarse, fitted)
     matcher = refiner.matcher.name if refiner.matcher else "guided"
     seconds = {stage: round(value, 4) for stage, value in refiner.seconds.items()}
     stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
-    if fitted is not None and not judgement.accepted:
+    if fitted.solution is not None and not judgement.accepted:
         stats["candidate"] = fitted.poses[-1].tolist()  # what was refused
     status, reason = estimate.status, estimate.reason
     if status is Status.OK and stats.get("motion", 0.0) > BENT:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -63,6 +63,8 @@ class Fitted:
     """(T,) matches used."""
     covariance: Floats
     """(6, 6) of the last frame, as `PoseMode.covariance`."""
+    by_depth: Fitted | None = None
+    """What depth alone says, where images took part, too."""
 
     @property
     def lags(self) -> Lags | None:
@@ -108,9 +110,8 @@ class Refiner:
         )
 
     def __post_init__(self) -> None:
-        self.surfaces = Surfaces.of(self.scene)
+        self.surfaces, self.seconds = Surfaces.of(self.scene), dict[str, float]()
         self.renderer = Renderer(self.scene, device=self.device)
-        self.seconds: dict[str, float] = {}
         self._readings: dict[int, list[Readings | None]] = {}
 
     @cached_property
@@ -122,11 +123,11 @@ class Refiner:
     def readings(self, phase: int = 0) -> list[Readings | None]:
         """Depth readings (T,) of a phase: 0 for the fit, 1 for the check; cut once."""
         if phase not in self._readings:
+            count = self.options.readings if self.options.depth else 0
             self._readings[phase] = [
-                None if depth is None or not self.options.depth
-                else readings(frame, depth, self.options.readings, phase)
+                readings(frame, depth, count, phase) if count and depth is not None else None
                 for frame, depth in zip(self.frames, self.depths, strict=True)
-            ]  # fmt: skip
+            ]
         return self._readings[phase]
 
     def problem(self, sights: Sequence[Sights] | None = None) -> Problem:
@@ -152,6 +153,7 @@ class Refiner:
         poses = start if solution is None else solution.poses
         sights: list[Sights] = [Sights.none()] * len(self.frames)
         stages = self._stages(solution)
+        by_depth = self._finished(poses, solution, sights) if solution and stages else None
         for number, stage in enumerate(stages):
             tell("matching images", number, len(stages))
             found = self.matched(stage, poses)
@@ -168,7 +170,7 @@ class Refiner:
                     self.stats["landmarks"] = sum(map(len, sights))
                 break
         tell("checking", 0, 1)
-        return self._finished(poses, solution, sights)
+        return replace(self._finished(poses, solution, sights), by_depth=by_depth)
 
     # ------------------------------------------------------------------------------- stages
 

@@ -46,6 +46,8 @@ class Eye(NamedTuple):
     """(3, 3) map_from_camera's rotation."""
     origin: NDArray[np.float32]
     """(3,) [m, map]"""
+    wanted: NDArray[np.bool_]
+    """(H / 4, W / 4), rounded up: tiles that are drawn, or (0, 0): all."""
 
 
 class Picture(NamedTuple):
@@ -60,16 +62,18 @@ class Picture(NamedTuple):
 
 @kernel(fastmath=FAST, error_model="numpy")
 def draw(world, eye, picture, first, last):
-    """Fill rows 4 `first` to before 4 `last` of a picture, one ray a pixel."""
+    """Fill rows 4 `first` to before 4 `last` of a picture, one ray a pixel, where it is wanted."""
     colour, depth, points = picture.colour, picture.depth, picture.points
     objects, triangles, object_of = picture.objects, picture.triangles, world.surface.object_of
-    rays = eye.rays
+    rays, wanted = eye.rays, eye.wanted
     rows, columns = depth.shape
     packet, ints, valid = new_packet()
     places = np.zeros((LANES, 2), np.int64)
     colours = np.zeros((LANES, 3), np.float32)
     for top in range(TILE * first, min(TILE * last, rows), TILE):
         for left in range(0, columns, TILE):
+            if wanted.size > 0 and not wanted[top // TILE, left // TILE]:
+                continue
             for lane in range(LANES):
                 row, column = top + lane // TILE, left + lane % TILE
                 valid[lane] = -1 if row < rows and column < columns else 0

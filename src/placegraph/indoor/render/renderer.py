@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 SAMPLES = (1, 2, 4, 8, 16)
 """Rays a pixel at edges may get."""
+_EVERYWHERE = np.zeros((0, 0), bool)
 _FARTHEST = 1e6
 """A camera farther from the map's origin than this [m] is a mistake."""
 _RIGID = 1e-3
@@ -151,8 +152,19 @@ class Renderer:
         else:
             raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
 
-    def render(self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4) -> Rendering:
-        """Picture of the map from a pose (4, 4); parameters and errors: `render`."""
+    def render(
+        self,
+        map_from_camera: ArrayLike,
+        camera: Camera,
+        *,
+        samples: int = 4,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> Rendering:
+        """Picture of the map from a pose (4, 4); parameters and errors: `render`.
+
+        `wanted`: (H / 4, W / 4), rounded up, tiles of 4 x 4 pixels that are looked at; others may be
+        left empty.
+        """
         if samples not in SAMPLES:
             raise OptionError(f"samples is {samples}; choose one of {SAMPLES}.")
         pose = checked_pose(map_from_camera)
@@ -160,6 +172,7 @@ class Renderer:
             camera_rays(camera),
             np.ascontiguousarray(pose[:3, :3], np.float32),
             np.ascontiguousarray(pose[:3, 3], np.float32),
+            _EVERYWHERE if wanted is None else wanted,
         )
         drawn = self._draw(eye, Rendering.empty(camera), pattern(samples))
         if camera.model == "fisheye":
@@ -202,11 +215,11 @@ def checked_pose(map_from_camera: ArrayLike) -> Floats:
     return pose
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def camera_rays(camera: Camera) -> NDArray[np.float32]:
     """Rays (H, W, 2) float32 of a camera: x and y where z is 1, through the pixels' centres.
 
-    Kept for the last two cameras: distortion takes far longer to undo than the map to render.
+    Kept for the last four cameras: distortion takes far longer to undo than the map to render.
     """
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = camera.directions(np.stack([u, v], axis=-1))
