@@ -35,12 +35,12 @@ _MOVED, _TURNED = 0.1, 0.1
 _BLOCKS = (8, 12)
 _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
-_COLOURS_SAY = 0.1
+_COLOURS_SAY = 0.02
 """A frame whose colours tell more than this does fit [nat a sample]."""
 _STARTS = 4
 _GAIN, _TELLS = 1.2, 25.0
 """A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
-_COLOURS_FIT = 0.3
+_COLOURS_FIT = 0.05
 """What colours tell of frames that fit, where there is no depth [nat a sample]."""
 
 

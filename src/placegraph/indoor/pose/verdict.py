@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import covariance_of, probabilities, round_of
 from placegraph.indoor.pose.suspect import divided, spoiled
+from placegraph.indoor.pose.trust import LOST, SURE, TRUST
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -26,21 +28,19 @@ if TYPE_CHECKING:
     from placegraph.indoor.pose.prior import Leaning
     from placegraph.indoor.pose.window import Window
 
-SURE = 0.9
-"""Probability of the best mode from which on the answer is `OK`."""
-SURER = 0.999
-"""The same where depth alone speaks and the map ends in much of what is seen."""
 LOOSE = 0.35
 """A pose whose position is not known better than this [m] is not `OK`."""
-
-_COVERED = 0.9
 _BLIND = 0.2
-_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
-_DEPTH_AGREES, _DEPTH_DOUBTFUL, _DEPTH_BACKED = 0.85, 0.8, 0.55
-_COLOURS_ALONE = 0.035
-_WITNESSES = 4
-_LENIENT = 0.15  # how much less the newest frame alone must agree
-_COLOURS_AGREE, _COLOURS_CONTRADICT = 0.025, 0.005
+"""Share of the view that the map has to show."""
+_PATCHES_AGREE, _PATCHES_TELL, _PATCHES_SURE, _WITNESSES = 0.5, 15.0, 0.9, 4
+"""Of labels: the share that agrees, what they tell a frame without depth [nat], the probability of the
+best mode, and the objects that speak for it, where they are alone."""
+_DEPTH_AGREES = 0.85
+"""Share of the depth readings from which on they are not what is doubted."""
+_LENIENT = 2.0
+"""By how much the log odds of the newest frame alone may be lower."""
+_COLOURS_AGREE = 0.025
+"""What colours tell that are said to agree [nat a sample]."""
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
@@ -140,7 +140,8 @@ def _status(
         if against:
             status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
     looks = any(s.patches is not None and not s.patches.named for s in window.sightings)
-    if status is Status.OK and looks and not _seen_otherwise(agreed):
+    otherwise = replace(agreed, semantic=np.nan)
+    if status is Status.OK and looks and not _sure(otherwise, modes[0].probability):
         status = Status.AMBIGUOUS
         reason = "One place fits best, but what patches look like says too little of it alone."
     if status is Status.OK and window.leaning is not None:
@@ -173,70 +174,59 @@ def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[St
     if against:
         return Status.LOST, f"Nowhere on the map fits: {against}."
     best = modes[0]
-    rivals = sum(m.probability > 0.01 for m in modes[1:])
-    depth_alone = np.isnan(agreed.semantic) and np.isnan(agreed.colour)
-    needed = SURER if depth_alone and agreed.covered < _COVERED else SURE
-    if best.probability < needed:
+    if _sure(agreed, 1.0) and not _sure(agreed, best.probability):
+        rivals = sum(m.probability > 0.01 for m in modes[1:])
         others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
         return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
-    doubt = _doubt(agreed)
-    if doubt:
-        return Status.AMBIGUOUS, f"One place fits best, but {doubt}."
+    if not _sure(agreed, best.probability):
+        return Status.AMBIGUOUS, f"One place fits best, but {_weakest(agreed)}."
     loose = float(np.sqrt(np.trace(best.covariance[:2, :2])))
     if loose > LOOSE:
         return Status.AMBIGUOUS, f"One place fits best, but only to within {loose:.1f} m."
     return Status.OK, f"One place fits: {_praise(agreed)}."
 
 
+def _named_alone(agreed: Agreement) -> bool:
+    """Whether labels speak, and no depth."""
+    return bool(np.isnan(agreed.depth) and not np.isnan(agreed.semantic))
+
+
+def _sure(agreed: Agreement, probability: float) -> bool:
+    """Whether a pose can be relied on that is the best with a probability."""
+    if _named_alone(agreed):
+        seen = int((agreed.weights > 1.0).sum()) >= _WITNESSES or agreed.colour > _COLOURS_AGREE
+        return probability >= _PATCHES_SURE and seen
+    return TRUST.of(agreed, probability) >= SURE
+
+
 def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
     """Why the best pose cannot be right; empty where it can.
 
-    `lenient`: how much smaller shares of agreement may be than for a whole window.
+    `lenient`: how much lower its log odds may be than of a whole window.
     """
-    if agreed.covered < _BLIND - lenient:
+    if agreed.covered < (_BLIND if not lenient else _BLIND / 2):
         return f"the map shows only {agreed.covered:.0%} of what the frames see"
-    backed = agreed.colour > _COLOURS_AGREE
-    if agreed.semantic < _PATCHES_AGREE - lenient:
+    if agreed.semantic < _PATCHES_AGREE - 0.1 * lenient:
         return f"only {agreed.semantic:.0%} of the labelled patches see their object"
-    if agreed.depth < (_DEPTH_BACKED if backed else _DEPTH_DOUBTFUL) - lenient:
-        return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
-    labelled, measured = not np.isnan(agreed.semantic), not np.isnan(agreed.depth)
-    if labelled and not measured and told < _PATCHES_TELL:
-        return "the labels seen fit many places as badly"
-    if not (labelled or measured or backed or lenient):
-        return "the colours hardly correlate with the map's anywhere"
+    if _named_alone(agreed):
+        poor = told < _PATCHES_TELL and not lenient
+        return "the labels seen fit many places as badly" if poor else ""
+    if TRUST.of(agreed) < LOST - lenient:
+        return _weakest(agreed)
     return ""
 
 
-def _doubt(agreed: Agreement) -> str:
-    """What keeps a pose that is better than all others from being trusted."""
+def _weakest(agreed: Agreement) -> str:
+    """What keeps a pose from being trusted."""
+    if _named_alone(agreed):
+        return f"only {int((agreed.weights > 1.0).sum())} of its objects were seen"
     if np.isnan(agreed.depth):
-        return _doubt_without_depth(agreed)
-    backed = agreed.colour > _COLOURS_AGREE
-    if agreed.depth < _DEPTH_AGREES and not backed:
+        return "the colours hardly correlate with the map's"
+    if agreed.depth < _DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
-    if not np.isnan(agreed.semantic) or np.isnan(agreed.colour) or backed:
-        return ""
-    if agreed.covered < _COVERED:
-        return "the map ends in much of what is seen, and the colours do not agree"
-    if agreed.colour < _COLOURS_CONTRADICT and agreed.depth < 0.95:
-        return "the colours do not agree"
-    return ""
-
-
-def _seen_otherwise(agreed: Agreement) -> bool:
-    """Whether depth, or colours by themselves, would make sure of a pose."""
-    return not np.isnan(agreed.depth) or agreed.colour > _COLOURS_ALONE
-
-
-def _doubt_without_depth(agreed: Agreement) -> str:
-    """Labels of a few large things, or colours that hardly correlate, fit many places."""
-    if np.isnan(agreed.semantic):
-        return "" if agreed.colour > _COLOURS_ALONE else "colours alone say too little of it"
-    witnesses = int((agreed.weights > 1.0).sum())
-    if witnesses < _WITNESSES and not agreed.colour > _COLOURS_AGREE:
-        return f"only {witnesses} of its objects were seen"
-    return ""
+    if np.isnan(agreed.colour) or agreed.colour > _COLOURS_AGREE:
+        return "what is seen is too bare to tell where along its surfaces the camera is"
+    return "depth alone speaks for it, and the colours do not agree"
 
 
 def _praise(agreed: Agreement) -> str:

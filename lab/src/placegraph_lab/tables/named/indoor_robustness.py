@@ -18,6 +18,7 @@ from placegraph_lab.tables.indoor.cases import quick as few
 from placegraph_lab.tables.indoor.jobs import ANSWERING, chosen
 from placegraph_lab.tables.indoor.robustness import Asked, Places, Told, ask, spoiled
 from placegraph_lab.tables.indoor.robustness_report import Row, report
+from placegraph_lab.tables.indoor.trust import fitted, honest, samples
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.run import Device, Fresh, Quick, Run, Seed, option, parts, table
 
@@ -34,6 +35,9 @@ def indoor_robustness(
     seed: Seed = 0,
     device: Device = "auto",
     *,
+    fit: Annotated[
+        bool, option("Fit the coefficients of pose/trust.py, and print only them.")
+    ] = False,
     quick: Quick = False,
     fresh: Fresh = False,
 ) -> None:
@@ -61,6 +65,11 @@ def indoor_robustness(
             bar.remove_task(task)
             rows[case.name] = Row(case, tuple(map(Told.from_dict, told)))
     ordered = [rows[case.name] for case in cases]
+    if fit:
+        found = samples(ordered)
+        trust = fitted([told for told, may in found if may and told.number % 2 == 0])
+        print(f"{trust}\n\n{honest(trust, found)}")
+        return
     print(report(ordered))
     run.save({"rows": [row.to_dict() for row in ordered]}, whole=not names)
 
