@@ -33,6 +33,7 @@ def half_elsewhere(shot, _, rng):  # noqa: ARG001
         (bad.lens_cap, 0, "lens seems to be covered"),
         (bad.frozen, 0, "frames 0 to 9 are the same"),
         (bad.mirrored, 0, "left and right"),
+        (bad.gravity_up, 0, "gravity turned round"),
         (half_elsewhere, 0, "contradict the others"),
         (height, 3.2, "above the ceiling"),
     ],

@@ -13,7 +13,7 @@ from placegraph.indoor.pose.evidence import Agreement
 from placegraph.indoor.pose.verdict import judge
 
 ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
-GOOD = Agreement(1.0, 0.95, 0.97, 0.5, np.full(8, 5.0), np.full(8, 4.0))
+GOOD = Agreement(1.0, 0.95, 0.97, 0.2, np.full(8, 5.0), np.full(8, 4.0), held=0.1)
 TOLD = 60.0
 
 

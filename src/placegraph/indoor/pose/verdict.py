@@ -211,7 +211,7 @@ def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
     if _named_alone(agreed):
         poor = told < _PATCHES_TELL and not lenient
         return "the labels seen fit many places as badly" if poor else ""
-    if TRUST.of(agreed) < LOST - lenient:
+    if TRUST.odds(agreed) < LOST - lenient:
         return _weakest(agreed)
     return ""
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.indoor.robustness_report import Row
 
 _RIDGE = 0.1
+_UNRIVALLED = 0.9
 TUNED = ("house", "office")
 """Sets that may be tuned on, even windows of them."""
 
@@ -35,7 +36,11 @@ def samples(rows: Sequence[Row]) -> list[tuple[Told, bool]]:
 
 
 def fitted(told: Sequence[Told]) -> Trust:
-    """Logistic regression of being right, by Newton's method; no coefficient of a share is negative."""
+    """Logistic regression of being right, by Newton's method; no coefficient of a share is negative.
+
+    Over answers without a rival: how far others may fit is another factor.
+    """
+    told = [t for t in told if _probability(t) >= _UNRIVALLED]
     columns = np.array([_features(t) for t in told])
     right = np.array([t.right for t in told], np.float64)
     free = np.ones(columns.shape[1], bool)
@@ -47,12 +52,10 @@ def fitted(told: Sequence[Told]) -> Trust:
             break
         free &= ~wrong
     rounded = weights.round(2).tolist()
-    return Trust(
-        rounded[0], rounded[1], (rounded[2], rounded[3], rounded[4]), (rounded[5], rounded[6])
-    )
+    return Trust(rounded[0], (rounded[1], rounded[2], rounded[3]), (rounded[4], rounded[5]))
 
 
-_GROWING = np.array([False, True, False, True, True, False, True])
+_GROWING = np.array([False, False, True, True, False, True])
 """Features of which more never makes an answer worse."""
 
 
@@ -70,12 +73,16 @@ def _logistic(columns: Floats, right: Floats) -> Floats:
 def _features(told: Told) -> list[float]:
     known = {k: np.nan if v is None else v for k, v in told.trust.items()}
     agreed = SimpleNamespace(depth=known["depth"], colour=known["colour"], held=known["held"])
-    return features(agreed, known["probability"])  # type: ignore[arg-type]  # what it looks at
+    return features(agreed)  # type: ignore[arg-type]  # what it looks at
+
+
+def _probability(told: Told) -> float:
+    return told.trust["probability"] or 0.0
 
 
 def honest(trust: Trust, found: Sequence[tuple[Told, bool]]) -> str:
     """What coefficients would call `OK`: of windows that were fitted, that were held out, and others."""
-    weights = np.array([trust.level, trust.rivals, *trust.depth, *trust.colour])
+    weights = np.array([trust.level, *trust.depth, *trust.colour])
     lines = []
     for name, parity, tuned in [
         *((f"tuned on, {half}", parity, True) for half, parity in HALVES.items()),
@@ -87,7 +94,8 @@ def honest(trust: Trust, found: Sequence[tuple[Told, bool]]) -> str:
         if not some:
             continue
         right = np.array([t.right for t in some])
-        ok = np.array([_features(t) for t in some]) @ weights >= SURE
+        odds = np.array([_features(t) for t in some]) @ weights
+        ok = np.array([_probability(t) for t in some]) / (1.0 + np.exp(-odds)) >= SURE
         sure = float(ok[right].mean()) if right.any() else float("nan")
         cells = [share(float(right.mean())), share(sure), f"{(ok & ~right).mean():.3f}"]
         lines.append([name, str(len(some)), *cells])
