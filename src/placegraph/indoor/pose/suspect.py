@@ -16,6 +16,7 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import agreement
 from placegraph.indoor.pose.polish import polished, round_of
 from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.trust import SPEAK
 from placegraph.indoor.pose.window import Window
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ _MOVED, _TURNED = 0.1, 0.1
 _BLOCKS = (8, 12)
 _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
-_COLOURS_SAY = 0.02
-"""A frame whose colours tell more than this does fit [nat a sample]."""
 _STARTS = 4
 _GAIN, _TELLS = 1.2, 25.0
 """A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
@@ -132,7 +131,7 @@ def divided(window: Window, frames: Floats) -> str:
     A frame that fits and one that does not cannot both have been taken where odometry says.
     """
     depth, colour = frames[:, 1], frames[:, 2]
-    silent = ~(colour > _COLOURS_SAY)
+    silent = ~(colour > SPEAK)
     misses = np.flatnonzero((depth < _MISSES) & silent)
     fit = np.flatnonzero(depth > _FITS)
     if min(len(misses), len(fit)) < max(2, len(depth) // 5):

@@ -14,13 +14,16 @@ import numpy as np
 if TYPE_CHECKING:
     from placegraph.indoor.pose.evidence import Agreement
 
-SURE = 0.85
+SURE = 0.75
 """Probability of being right from which on a pose is `OK`."""
-LOST = -0.5
+LOST = -1.0
 """Log odds below which nothing on the map fits."""
-_SLIM, _DIM = 0.01, 0.01
-"""What is added before a logarithm is taken: to how firmly surfaces hold a pose, and to what colours
-tell [nat]."""
+SPEAK = 0.02
+"""What colours tell from which on they speak, so that depth is not alone [nat a sample] ..."""
+_MOST = 0.12
+"""... and what counts at most."""
+_SLIM = 0.01
+"""Added to how firmly surfaces hold a pose, before its logarithm is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +36,10 @@ class Trust:
 
     level: float
     depth: tuple[float, float, float]
-    """That depth is there; log odds of its share that agrees; log of how firmly surfaces hold."""
+    """That depth is there; log odds of its share that agrees; where it speaks alone, the log of how
+    firmly surfaces hold the pose."""
     colour: tuple[float, float]
-    """That colours are there; log of what they tell."""
+    """That colours are there; what they tell [1 / nat]."""
 
     def odds(self, agreed: Agreement) -> float:
         """Log odds; minus infinity where there is neither depth nor colour."""
@@ -52,10 +56,12 @@ def features(agreed: Agreement) -> list[float]:
     """(6,) what the coefficients of `Trust` stand before."""
     depth = [0.0, 0.0, 0.0]
     if not np.isnan(agreed.depth):
-        depth = [1.0, log_odds(agreed.depth, 0.01), float(np.log(agreed.held + _SLIM))]
+        alone = np.isnan(agreed.semantic) and not agreed.colour > SPEAK
+        bare = float(np.log(agreed.held + _SLIM)) if alone else 0.0
+        depth = [1.0, log_odds(agreed.depth, 0.01), bare]
     colour = [0.0, 0.0]
     if not np.isnan(agreed.colour):
-        colour = [1.0, float(np.log(max(agreed.colour, 0.0) + _DIM))]
+        colour = [1.0, float(np.clip(agreed.colour, 0.0, _MOST))]
     return [1.0, *depth, *colour]
 
 
@@ -65,4 +71,4 @@ def log_odds(share: float, least: float) -> float:
     return float(np.log(share / (1.0 - share)))
 
 
-TRUST = Trust(level=2.5, depth=(1.0, 1.91, 2.2), colour=(2.37, 1.1))
+TRUST = Trust(level=6.47, depth=(-3.07, 1.74, 2.22), colour=(-5.49, 29.7))

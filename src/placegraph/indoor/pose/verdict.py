@@ -15,7 +15,7 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import covariance_of, probabilities, round_of
 from placegraph.indoor.pose.suspect import divided, spoiled
-from placegraph.indoor.pose.trust import LOST, SURE, TRUST
+from placegraph.indoor.pose.trust import LOST, SPEAK, SURE, TRUST
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -39,8 +39,6 @@ _DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _LENIENT = 2.0
 """By how much the log odds of the newest frame alone may be lower."""
-_COLOURS_AGREE = 0.025
-"""What colours tell that are said to agree [nat a sample]."""
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
@@ -194,7 +192,7 @@ def _named_alone(agreed: Agreement) -> bool:
 def _sure(agreed: Agreement, probability: float) -> bool:
     """Whether a pose can be relied on that is the best with a probability."""
     if _named_alone(agreed):
-        seen = int((agreed.weights > 1.0).sum()) >= _WITNESSES or agreed.colour > _COLOURS_AGREE
+        seen = int((agreed.weights > 1.0).sum()) >= _WITNESSES or agreed.colour > SPEAK
         return probability >= _PATCHES_SURE and seen
     return TRUST.of(agreed, probability) >= SURE
 
@@ -211,7 +209,8 @@ def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
     if _named_alone(agreed):
         poor = told < _PATCHES_TELL and not lenient
         return "the labels seen fit many places as badly" if poor else ""
-    if TRUST.odds(agreed) < LOST - lenient:
+    mute = np.isnan(agreed.depth) and not agreed.colour > SPEAK / 2.0 and not lenient
+    if mute or TRUST.odds(agreed) < LOST - lenient:
         return _weakest(agreed)
     return ""
 
@@ -224,7 +223,7 @@ def _weakest(agreed: Agreement) -> str:
         return "the colours hardly correlate with the map's"
     if agreed.depth < _DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
-    if np.isnan(agreed.colour) or agreed.colour > _COLOURS_AGREE:
+    if np.isnan(agreed.colour) or agreed.colour > SPEAK:
         return "what is seen is too bare to tell where along its surfaces the camera is"
     return "depth alone speaks for it, and the colours do not agree"
 
@@ -235,6 +234,6 @@ def _praise(agreed: Agreement) -> str:
         parts.append(f"{agreed.semantic:.0%} of the labelled patches")
     if not np.isnan(agreed.depth):
         parts.append(f"{agreed.depth:.0%} of the depth readings")
-    if agreed.colour > _COLOURS_AGREE:
+    if agreed.colour > SPEAK:
         parts.append("the colours")
     return f"{', '.join(parts) or 'what was seen'} agree with the map"

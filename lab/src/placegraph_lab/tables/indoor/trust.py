@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.indoor.robustness import Told
     from placegraph_lab.tables.indoor.robustness_report import Row
 
-_RIDGE = 0.1
-_UNRIVALLED = 0.9
+_RIDGE = 0.01
+_UNRIVALLED = 0.8
 TUNED = ("house", "office")
 """Sets that may be tuned on, even windows of them."""
 
@@ -60,6 +60,8 @@ _GROWING = np.array([False, False, True, True, False, True])
 
 
 def _logistic(columns: Floats, right: Floats) -> Floats:
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-9)
+    columns = columns / scale
     weights = np.zeros(columns.shape[1])
     for _ in range(100):
         p = 1.0 / (1.0 + np.exp(-columns @ weights))
@@ -67,12 +69,14 @@ def _logistic(columns: Floats, right: Floats) -> Floats:
         curvature += _RIDGE * np.eye(len(weights))
         step = np.linalg.solve(curvature, columns.T @ (right - p) - _RIDGE * weights)
         weights = weights + step
-    return weights
+    found: Floats = weights / scale
+    return found
 
 
 def _features(told: Told) -> list[float]:
     known = {k: np.nan if v is None else v for k, v in told.trust.items()}
-    agreed = SimpleNamespace(depth=known["depth"], colour=known["colour"], held=known["held"])
+    names = ("depth", "colour", "semantic", "held")
+    agreed = SimpleNamespace(**{name: known[name] for name in names})
     return features(agreed)  # type: ignore[arg-type]  # what it looks at
 
 
