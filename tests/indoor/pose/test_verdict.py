@@ -60,7 +60,7 @@ def test_fewer_cues_can_be_enough(cue):
     [
         ({"covered": 0.05}, "map shows only 5%"),
         ({"semantic": 0.1}, "only 10% of the labelled patches"),
-        ({"depth": 0.3}, "only 30% of the depth readings"),
+        ({"depth": 0.05}, "only 5% of the depth readings"),
         ({"semantic": math.nan, "depth": math.nan, "colour": 0.0}, "colours"),
         ({"semantic": math.nan, "depth": math.nan, "colour": math.nan}, ""),
     ],

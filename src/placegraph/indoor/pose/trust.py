@@ -71,4 +71,4 @@ def log_odds(share: float, least: float) -> float:
     return float(np.log(share / (1.0 - share)))
 
 
-TRUST = Trust(level=6.47, depth=(-3.07, 1.74, 2.22), colour=(-5.49, 29.7))
+TRUST = Trust(level=6.44, depth=(-3.0, 1.77, 2.26), colour=(-5.54, 31.36))
