@@ -37,8 +37,8 @@ _PATCHES_AGREE, _PATCHES_TELL, _PATCHES_SURE, _WITNESSES = 0.5, 15.0, 0.9, 4
 best mode, and the objects that speak for it, where they are alone."""
 _DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
-_LENIENT = 2.0
-"""By how much the log odds of the newest frame alone may be lower."""
+_HALF, _LENIENT = 0.55, 0.15
+"""Share of the newest frame's readings that has to agree, and how much less where other senses do."""
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
@@ -128,13 +128,12 @@ def _status(
     if fault:
         return Status.LOST, fault
     status, reason = judge(agreed, modes, told)
-    pose, last = modes[0].pose, window.views(FINE)[-1:]
+    pose = modes[0].pose
     fault = divided(window, _frames(window, pose, agreed))
     if fault:
         return Status.LOST if status is Status.LOST else Status.AMBIGUOUS, fault
     if status is Status.OK and len(window) > 1:
-        newest = agreement(window.scorer, pose, last, np.zeros((1, 4)))
-        against = disagreement(newest, _PATCHES_TELL, _LENIENT)
+        against = _newest_against(agreed.frames[-1])
         if against:
             status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
     looks = any(s.patches is not None and not s.patches.named for s in window.sightings)
@@ -197,20 +196,27 @@ def _sure(agreed: Agreement, probability: float) -> bool:
     return TRUST.of(agreed, probability) >= SURE
 
 
-def disagreement(agreed: Agreement, told: float, lenient: float = 0.0) -> str:
-    """Why the best pose cannot be right; empty where it can.
+def _newest_against(frame: Floats) -> str:
+    """Why the newest frame by itself, its agreements (3,), contradicts the pose; empty: it does not."""
+    semantic, depth, colour = frame.tolist()
+    if semantic < _PATCHES_AGREE - _LENIENT:
+        return f"only {semantic:.0%} of its labelled patches see their object"
+    if depth < (_HALF - _LENIENT if colour > SPEAK else _HALF):
+        return f"only {depth:.0%} of its depth readings lie on the map's surfaces"
+    return ""
 
-    `lenient`: how much lower its log odds may be than of a whole window.
-    """
-    if agreed.covered < (_BLIND if not lenient else _BLIND / 2):
+
+def disagreement(agreed: Agreement, told: float) -> str:
+    """Why the best pose cannot be right; empty where it can."""
+    if agreed.covered < _BLIND:
         return f"the map shows only {agreed.covered:.0%} of what the frames see"
-    if agreed.semantic < _PATCHES_AGREE - 0.1 * lenient:
+    if agreed.semantic < _PATCHES_AGREE:
         return f"only {agreed.semantic:.0%} of the labelled patches see their object"
     if _named_alone(agreed):
-        poor = told < _PATCHES_TELL and not lenient
+        poor = told < _PATCHES_TELL
         return "the labels seen fit many places as badly" if poor else ""
-    mute = np.isnan(agreed.depth) and not agreed.colour > SPEAK / 2.0 and not lenient
-    if mute or TRUST.odds(agreed) < LOST - lenient:
+    mute = np.isnan(agreed.depth) and not agreed.colour > SPEAK / 2.0
+    if mute or TRUST.odds(agreed) < LOST:
         return _weakest(agreed)
     return ""
 
