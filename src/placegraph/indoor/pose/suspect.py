@@ -134,7 +134,7 @@ def divided(window: Window, frames: Floats) -> str:
     silent = ~(colour > SPEAK)
     misses = np.flatnonzero((depth < _MISSES) & silent)
     fit = np.flatnonzero(depth > _FITS)
-    if min(len(misses), len(fit)) < max(2, round(0.3 * len(depth))):
+    if len(misses) < max(2, round(0.3 * len(depth))) or len(fit) < 2:
         return ""
     rows = [window.sightings[i].frame.index for i in misses]
     listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
