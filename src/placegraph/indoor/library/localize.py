@@ -40,9 +40,6 @@ SCENES = 8
 """Scenes localized in at most."""
 TOGETHER = 4
 """Scenes localized in at once, at most."""
-# share of the depth readings that agree, and what a sample of the colours tells [nat], from where
-# on a pose overrules the search
-_DEPTH, _COLOURS = 0.9, 0.12
 _LEAST = 0.02  # share of the particles of a scene that is looked at all
 
 
@@ -62,7 +59,7 @@ def localize(
 
     Each mode names its scene, and its pose is in that scene's own map; so is the trajectory, in the
     best mode's. `stats["retrieval"]` holds what the search said. Maps are only read. Where the
-    search finds that no scene fits, no pose is `OK`.
+    search finds that no scene fits, only depth can make a pose `OK`.
 
     Parameters
     ----------
@@ -102,7 +99,7 @@ def localize(
         candidates = found.modes[looked : looked + TOGETHER]
         looked += len(candidates)
         start = perf_counter()
-        scene = merge_scenes({m.scene: _with(library, m.scene, reader) for m in candidates})
+        scene = _merged(library, [m.scene for m in candidates], reader)
         merging = perf_counter() - start
         estimate = localized(
             scene, chosen, shares=_shares(scene, candidates), encoder=reader,
@@ -134,6 +131,18 @@ def _reader(
     return next((e for e in library.encoders if e.name == given), None) or encoder_named(given)
 
 
+def _merged(library: Scenes, names: Sequence[str], reader: Encoder | None) -> Scene:
+    """These scenes as one map; the library keeps the last ones, and with them their tables.
+
+    They stand in the order of their names, so that the answer does not depend on what was asked before.
+    """
+    ordered = tuple(sorted(names))
+    return library.kept(
+        (reader and reader.key, ordered),
+        lambda: merge_scenes({name: _with(library, name, reader) for name in ordered}),
+    )
+
+
 def _with(library: Scenes, name: str, reader: Encoder | None) -> Scene:
     """Map of a scene with the vectors that the library has of it; without, if it has none."""
     scene = library.scene(name)
@@ -161,10 +170,12 @@ def _shares(scene: Scene, candidates: Sequence[SceneMode]) -> list[float]:
 
 
 def _doubted(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
-    """Estimate with the doubts of the search, where depth and colours together do not overrule them."""
-    trust = estimate.stats.get("trust", {})
-    seen = (trust.get("depth") or 0.0) > _DEPTH and (trust.get("colour") or 0.0) > _COLOURS
-    if estimate.status is not Status.OK or seen:
+    """Estimate with the doubts of the search, where depth did not decide.
+
+    The search saw no depth: a pose that depth makes `OK` was believed by more than it knew.
+    """
+    measured = estimate.stats.get("trust", {}).get("depth") is not None
+    if estimate.status is not Status.OK or measured:
         return estimate
     left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
     if found.status is Status.LOST:

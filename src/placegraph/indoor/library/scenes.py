@@ -20,11 +20,13 @@ from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Sequence
 
     from placegraph.formats.capture.capture import Capture
+    from placegraph.indoor.map.scene import Scene
 
 _OPEN = 8  # maps kept open
+_MERGED = 2  # merged ones kept: two rounds of localizing
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,7 @@ class Scenes:
         self._own: Index | None = None
         self._texts: TextIndex | None = None
         self._open: OrderedDict[str, SceneMap] = OrderedDict()
+        self._merged: OrderedDict[Hashable, Scene] = OrderedDict()
 
     def add(
         self, name: str, scene: SceneMap | str | os.PathLike[str], captures: Sequence[Capture] = ()
@@ -119,6 +122,7 @@ class Scenes:
         self.entry(name)
         del self._entries[name]
         self._open.pop(name, None)
+        self._merged.clear()
         self._index = self._own = self._texts = None
 
     def entry(self, name: str) -> Entry:
@@ -161,6 +165,15 @@ class Scenes:
         while sum(self._entries[n].path is not None for n in self._open) > _OPEN:
             self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
         return opened
+
+    def kept(self, key: Hashable, merge: Callable[[], Scene]) -> Scene:
+        """A map merged of some scenes: one of the last two, else made anew."""
+        if key not in self._merged:
+            self._merged[key] = merge()
+        self._merged.move_to_end(key)
+        while len(self._merged) > _MERGED:
+            self._merged.popitem(last=False)
+        return self._merged[key]
 
     @property
     def names(self) -> tuple[str, ...]:
