@@ -36,9 +36,11 @@ from placegraph.cli.scene.query import (
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
+    from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
+    from placegraph.indoor.refine.options import RefineOptions
 
 
 def localize(
@@ -81,6 +83,14 @@ def localize(
     ] = True,
     depth: UseDepth = True,
     colour: UseColour = True,
+    depth_network: Annotated[
+        Path | None,
+        Option(
+            help="Network (.tflite, with a .json beside it) that tells depth from the images, where "
+            "the capture has none; extra `segment`.",
+            panel=USED,
+        ),
+    ] = None,
     preset: Annotated[
         str,
         Option(
@@ -140,6 +150,8 @@ def localize(
     refining = RefineOptions.preset(preset) if refine else None
     matching = _matching(matcher, weights, device, refine=refining is not None)
     chosen = chosen_frames(open_capture(capture), frames)
+    if depth_network is not None:
+        chosen, options, refining = _measured(chosen, depth_network, options, refining)
     scene = SceneMap.open(map_file)
     title = f"{capture.name} {frames}" if frames else capture.name
     with progress_of(hidden=quiet or as_json) as tell:
@@ -173,6 +185,19 @@ def _options(
     return replace(
         options, semantic=semantic, depth=depth, colour=colour, every=every, record=record
     )
+
+
+def _measured(
+    capture: Capture, weights: Path, options: FilterOptions, refining: RefineOptions | None
+) -> tuple[Capture, FilterOptions, RefineOptions | None]:
+    """A capture with depth by a network, and options that trust it less than a sensor."""
+    from placegraph.indoor.encode.depth_network import SLOPE, depth_network, measured
+
+    if not options.depth:
+        raise OptionError("--depth-network and --no-depth exclude each other; leave out one.")
+    wide = replace(options, likelihood=replace(options.likelihood, depth_slope=SLOPE))
+    blind = refining and replace(refining, depth=False)
+    return measured(capture, depth_network(weights)), wide, blind
 
 
 def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:
