@@ -1,6 +1,7 @@
 """`placegraph scene localize`: frames of a drawn room find their pose on the command line."""
 
 import json
+import shutil
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,6 +19,7 @@ from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Ref
 from placegraph.formats.capture.tum import read_tum
 from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.encode.depth_network import SLOPE
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.refine.matching.sift import SiftMatcher
@@ -154,6 +156,29 @@ def test_presets_reach_the_filter_and_the_refinement(run, world, monkeypatch):
         (FilterOptions.published(), False),
         (FilterOptions(), RefineOptions()),
     ]
+
+
+def test_depth_by_a_network(run, world, tmp_path, monkeypatch):
+    """It is trusted less than a sensor, never in place of one, and not where depth is off."""
+    asked = []
+
+    def localize(_, capture, *, options, refine, **__):
+        asked.append((capture[0].depth().mean(), options.likelihood.depth_slope, refine.depth))
+        raise OptionError("enough")
+
+    network = SimpleNamespace(
+        metric=True, size=lambda *_: (16, 9), depth=lambda _: np.full((9, 16), 2.0)
+    )
+    monkeypatch.setattr(SceneMap, "localize", localize)
+    monkeypatch.setattr("placegraph.indoor.encode.depth_network.depth_network", lambda *_: network)
+    images = tmp_path / "walk"
+    shutil.copytree(world.walk, images, ignore=shutil.ignore_patterns("depth"))
+    asking = ("scene", "localize", world.map)
+    given = ("--depth-network", "net.tflite")
+    assert "enough" in run(*asking, images, *given).err
+    assert asked == [(2.0, SLOPE, False)]
+    fails(run(*asking, world.walk, *given), 7, "depth of their own")
+    fails(run(*asking, images, *given, "--no-depth"), 7, "--no-depth")
 
 
 def test_the_papers_six_views_are_rendered_and_matched(run, world, monkeypatch):
