@@ -82,7 +82,9 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     else:
         fits = polished(window, passes.modes, seeds, rng)
     estimate = verdict(window, fits)
-    if estimate.status is Status.LOST and query.options.tracked and not spoiled(window):
+    here = query.shares is None  # else other scenes of a library may be where it was taken
+    lost = estimate.status is Status.LOST and query.options.tracked and here
+    if lost and not spoiled(window):
         with timed(window.seconds, "faults"):
             fault = suspected(window, estimate.stats["trust"]["ratio"], rng)
         if fault:

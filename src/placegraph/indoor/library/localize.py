@@ -1,8 +1,7 @@
-"""Scene and pose of a capture: retrieval, then one filter in the best few scenes side by side.
+"""Scene and pose of a capture: retrieval, then one filter in the best few scenes, one after another.
 
-The best scenes are merged into one map (App. D) and localized in together: each gets its share of
-the first particles, and their poses are weighed against each other by the very same likelihood.
-Retrieval proposes, poses decide: where none is sure among the best scenes, the next are looked into.
+Retrieval proposes, poses decide: where none is sure in a scene, the next is looked into. Each is asked
+alone: rays that leave a scan with gaps would meet its neighbours in a map of several.
 """
 
 from __future__ import annotations
@@ -38,8 +37,6 @@ if TYPE_CHECKING:
 
 SCENES = 8
 """Scenes localized in at most."""
-TOGETHER = 4
-"""Scenes localized in at once, at most."""
 _LEAST = 0.02  # share of the particles of a scene that is looked at all
 
 
@@ -68,7 +65,7 @@ def localize(
     frames, search
         Which of them, all if not given; how scenes are searched.
     most
-        Scenes localized in at most: the best four at once, and others only if no pose is `OK`.
+        Scenes localized in at most: the next only if no pose is `OK` yet.
     description
         What somebody says of the place: helps to find the scene, and the pose in it.
     encoder
@@ -96,7 +93,7 @@ def localize(
     answers: list[PoseEstimate] = []
     looked = 0
     while looked < len(found.modes) and not (answers and answers[-1].status is Status.OK):
-        candidates = found.modes[looked : looked + TOGETHER]
+        candidates = found.modes[looked : looked + 1]
         looked += len(candidates)
         start = perf_counter()
         scene = _merged(library, [m.scene for m in candidates], reader)
@@ -132,10 +129,7 @@ def _reader(
 
 
 def _merged(library: Scenes, names: Sequence[str], reader: Encoder | None) -> Scene:
-    """These scenes as one map; the library keeps the last ones, and with them their tables.
-
-    They stand in the order of their names, so that the answer does not depend on what was asked before.
-    """
+    """These scenes as one map, by name; the library keeps the last ones, and with them their tables."""
     ordered = tuple(sorted(names))
     return library.kept(
         (reader and reader.key, ordered),

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
 
 _OPEN = 8  # maps kept open
-_MERGED = 2  # merged ones kept: two rounds of localizing
+_MERGED = 8  # of those localized in, with their tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ class Scenes:
         return opened
 
     def kept(self, key: Hashable, merge: Callable[[], Scene]) -> Scene:
-        """A map merged of some scenes: one of the last two, else made anew."""
+        """A map merged of some scenes: one of the last eight, else made anew."""
         if key not in self._merged:
             self._merged[key] = merge()
         self._merged.move_to_end(key)
