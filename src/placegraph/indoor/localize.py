@@ -10,6 +10,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.indoor.likelihood.observe import sight
+from placegraph.indoor.pose.bend import bend
 from placegraph.indoor.pose.passes import run_passes
 from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
@@ -78,9 +79,9 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         seeds = np.concatenate([place(window), seeds])
     passes = run_passes(window, seeds, rng)
     if query.options.answer == "mle":
-        fits = heaviest(passes.particles, query.options.modes)
+        fits = heaviest(window.chain, passes.particles, query.options.modes)
     else:
-        fits = polished(window, passes.modes, seeds, rng)
+        fits = bend(window, polished(window, passes.modes, seeds, rng), rng)
     estimate = verdict(window, fits)
     here = query.shares is None  # else other scenes of a library may be where it was taken
     lost = estimate.status is Status.LOST and query.options.tracked and here

@@ -18,6 +18,7 @@ from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.filter import ParticleFilter
 from placegraph.indoor.pose.motion import propagate
 from placegraph.indoor.pose.particles import Particles, kld_bound, kld_count, resample
@@ -235,7 +236,7 @@ def test_the_mle(rng):
     poses = scattered(rng, 500)
     particles, _ = Particles.even(poses).reweighted(-rng.exponential(1.0, 500))
     expected = theirs.heaviest(poses, particles.weights)
-    (fit,) = heaviest(particles, PAPER.modes)
+    (fit,) = heaviest(Chain.of(np.zeros((1, 4)), PAPER.motion), particles, PAPER.modes)
     np.testing.assert_array_equal(fit.pose, expected)
     filter_ = ParticleFilter(None, PAPER, rng, particles, 500)
     np.testing.assert_array_equal(filter_.modes(), expected[None])

@@ -237,3 +237,14 @@ def spread(count: int, most: int) -> NDArray[np.int64]:
     """At most `most` of `count` rows, evenly spread, the last among them."""
     first = 0 if most > 1 else count - 1
     return np.unique(np.linspace(first, count - 1, min(most, count)).round().astype(np.int64))
+
+
+def recent(count: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of `count` rows, the newer the denser, the first and the last among them.
+
+    The newest, which are asked about, stand near each other however odometry drifts; old ones, which
+    see other parts of a map, tell places apart.
+    """
+    kept = np.arange(min(most, count))
+    back = (count - 1) * (kept / max(1, len(kept) - 1)) ** 2
+    return np.asarray(count - 1 - np.maximum(kept, np.rint(back).astype(np.int64))[::-1])

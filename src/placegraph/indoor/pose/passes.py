@@ -59,7 +59,8 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
             drawn = everywhere(window, rng)
             return drawn[rng.choice(len(drawn), count)]
         view, noise = window.views(COARSE)[t], window.scorer.model.noise
-        return table_seeds(window.table, [view], poses[[t]], noise, 0, count)[0]
+        leaning = window.leaning
+        return table_seeds(window.table, [view], poses[[t]], noise, 0, count, leaning)[0]
 
     with timed(window.seconds, "filter"):
         for number, spec in enumerate(options.passes):

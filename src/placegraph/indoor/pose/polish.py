@@ -1,9 +1,10 @@
 """Modes fitted to the whole window at once: better poses from fewer particles.
 
-Over a few metres odometry hardly bends, so the window is a rig with one unknown pose of four
-degrees of freedom. Samples are drawn around each mode again and again: they are weighed by all
-frames together, and the next are drawn from their mean and spread (the cross-entropy method). Modes
-that fall hopelessly behind are left where they are, as rivals that the best must be told from.
+Over a few metres odometry hardly bends (where it does, `bend` follows), so the window is a rig with one
+unknown pose of four degrees of freedom. Samples are drawn around each mode again and again: they are
+weighed by all frames together, and the next are drawn from their mean and spread (the cross-entropy
+method). Modes that fall hopelessly behind are left where they are, as rivals that the best must be told
+from.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import between, wrap
-from placegraph.indoor.likelihood.observe import COARSE, FINE, spread
+from placegraph.geometry import between, compose, wrap
+from placegraph.indoor.likelihood.observe import COARSE, FINE, recent
 from placegraph.indoor.pose.particles import (
     APART,
     TURNED,
@@ -31,10 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.random import Generator
+    from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.likelihood.view import View
+    from placegraph.indoor.pose.chain import Chain
     from placegraph.indoor.pose.particles import Particles
     from placegraph.indoor.pose.window import Window
 
@@ -43,34 +46,49 @@ SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
 WIDENED = 3.0
 """Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
+GAP = 150.0
+"""Modes further behind the best [nat] are not fitted to the last level."""
+SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
-_SOFT = 6.0  # nats that count as one among the samples of a fit
-_FINEST = np.diag(NARROWEST**2)
-_KNOWN = WIDENED * _FINEST
+FINEST = np.diag(NARROWEST**2)
+KNOWN = WIDENED * FINEST
 """Covariance of a fit before the first round."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A pose of the reference frame, fitted to all frames."""
+    """A pose of the last frame, fitted to all frames, and those of all others."""
 
-    pose: Floats
-    """(4,)"""
+    poses: Floats
+    """(T, 4) of all frames of the window."""
     log_likelihood: float
     """Of the whole window [nat]; of a mode of particles the log of their weight."""
     spread: Floats
     """(4,) standard deviations from which the next samples would be drawn."""
     covariance: Floats
-    """(4, 4)"""
+    """(4, 4) of the last pose."""
+
+    @property
+    def pose(self) -> Floats:
+        """(4,) of the last frame."""
+        return self.poses[-1]
+
+    @classmethod
+    def at(cls, chain: Chain, pose: Floats, value: float = 0.0, spread: Floats = SPREAD) -> Fit:
+        """A rigid one through a pose (4,) of the last frame."""
+        return cls(chain.rigid(pose), value, spread, KNOWN)
 
 
 @dataclass(frozen=True, slots=True)
 class Round:
     """One level of the polish."""
 
+    chain: Chain
+    """Of all frames of the window."""
+    rows: NDArray[np.int64]
+    """(L,) frames that are looked at."""
     views: Sequence[View]
-    steps: Floats
-    """(T, 4) from the reference frame to each view."""
+    """(L,) of them."""
     rounds: int
     """Samples are drawn so often."""
     most: int
@@ -80,14 +98,15 @@ class Round:
 
 
 def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generator) -> list[Fit]:
-    """Fits at the modes `starts` (M, 4) of the reference frame, best first, coarse to fine.
+    """Fits at the modes `starts` (M, 4) of the last frame, best first, coarse to fine.
 
     A mode that falls behind is not polished further but stays in the list, as far behind the best
     as it was when it was left: it is what the best has to be told from.
     """
-    level = levels[0]
-    values = scorer.together(starts, level.views, level.steps)
-    fits = [Fit(pose, value, SPREAD, _KNOWN) for pose, value in zip(starts, values, strict=True)]
+    chain, level = levels[0].chain, levels[0]
+    along = between(chain.poses[-1], chain.poses[level.rows])
+    values = scorer.together(starts, level.views, along)
+    fits = [Fit.at(chain, pose, value) for pose, value in zip(starts, values, strict=True)]
     left: list[tuple[Fit, float]] = []  # and how far behind
     for number, level in enumerate(levels):
         # starts within reach of one peak would climb it together: let others have a turn
@@ -96,8 +115,7 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
         top = fits[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
         fits = [_fit(scorer, fit, level, rng) for fit in fits]
-    fits.sort(key=lambda fit: -fit.log_likelihood)
-    best = fits[0].log_likelihood
+    best = max(fit.log_likelihood for fit in fits)
     fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
     poses = np.array([f.pose for f in fits])
     kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **_NEAR)
@@ -121,17 +139,18 @@ def _survivors(
 
 def refine(scorer: Scorer, pose: Floats, spread: Floats, level: Round, rng: Generator) -> Fit:
     """Fit of one pose (4,), known to about `spread` (4,), to all frames."""
-    return _fit(scorer, Fit(pose, 0.0, spread, _KNOWN), level, rng)
+    return _fit(scorer, Fit.at(level.chain, pose, spread=spread), level, rng)
 
 
 def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
-    """Draw, weigh and draw again around one fit."""
-    mean, spread = fit.pose, fit.spread
+    """Draw poses of the course as a whole, weigh them by all frames, and draw again around these."""
+    mean, spread, steps = fit.pose, fit.spread, between(fit.pose, fit.poses)
+    along = steps[level.rows]
     samples, values = [], []
     for _ in range(level.rounds):
         drawn = mean + rng.normal(size=(_SAMPLES, 4)) * spread
         drawn[0] = mean
-        scores = scorer.together(drawn, level.views, level.steps)
+        scores = scorer.together(drawn, level.views, along)
         samples.append(drawn)
         values.append(scores)
         # tempered so that about a sixth of the samples count, however sharp the likelihood
@@ -139,16 +158,17 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
         weights = np.exp((scores - scores.max()) * (1.5 / heat))
         mean, covariance = moments(drawn, weights)
         spread = np.maximum(1.3 * np.sqrt(np.diag(covariance)), NARROWEST)
-    at_mean = scorer.together(mean[None], level.views, level.steps)
+    at_mean = scorer.together(mean[None], level.views, along)
     drawn, scores = np.concatenate([*samples, mean[None]]), np.concatenate([*values, at_mean])
     best = int(scores.argmax())
     # the mean of many good samples is smoother than the luckiest of them
     pose = mean if scores[best] - at_mean[0] < 1.0 else drawn[best]
-    _, covariance = moments(drawn, np.exp((scores - scores.max()) / _SOFT))
-    return Fit(pose, float(scores[best]), spread, WIDENED * (covariance + _FINEST))
+    _, covariance = moments(drawn, np.exp((scores - scores.max()) / SOFT))
+    covariance = WIDENED * (covariance + FINEST)
+    return Fit(compose(pose, steps), float(scores[best]), spread, covariance)
 
 
-def heaviest(particles: Particles, most: int) -> list[Fit]:
+def heaviest(chain: Chain, particles: Particles, most: int) -> list[Fit]:
     """At most so many modes of particles as they are, heaviest particle first (Sec. 3.5).
 
     The first is the maximum likelihood estimate. A mode weighs what the particles within `APART` and
@@ -163,7 +183,7 @@ def heaviest(particles: Particles, most: int) -> list[Fit]:
         errors[:, 3] = wrap(errors[:, 3])
         covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)
         spread = np.sqrt(np.diag(covariance))
-        fits.append(Fit(mode, float(np.log(mass)), spread, covariance + _FINEST))
+        fits.append(Fit(chain.rigid(mode), float(np.log(mass)), spread, covariance + FINEST))
     return fits
 
 
@@ -174,7 +194,7 @@ def polished(window: Window, modes: Floats, seeds: Floats, rng: Generator) -> li
         levels = [
             round_of(window, COARSE, rounds=2, most=8, frames=5),
             round_of(window, COARSE, rounds=3, most=4, gap=250.0),
-            round_of(window, FINE, rounds=4, most=3, gap=150.0),
+            round_of(window, FINE, rounds=4, most=3, gap=GAP),
         ]
         return polish(window.scorer, np.concatenate([modes, seeds[:8]]), levels, rng)
 
@@ -188,15 +208,15 @@ def round_of(
     gap: float = np.inf,
     frames: int = SCREENED,
 ) -> Round:
-    """A level of the polish of the last frame's pose.
+    """A level of the polish.
 
-    Coarse levels look at frames spread over the window, fine ones at the newest: drift has bent the
-    way to the others.
+    Coarse levels look at frames of the whole window as a rig, the newest above all; fine ones at the
+    newest alone, and bend the way to the others.
     """
-    looked = window.newest if stride == FINE else spread(len(window), frames)
-    views = window.views(stride)
-    steps = between(window.poses[-1], window.poses[looked])
-    return Round([views[i] for i in looked], steps, rounds, most, gap)
+    fine = stride == FINE
+    looked = window.newest if fine else recent(len(window), frames)
+    views = [window.views(stride)[i] for i in looked]
+    return Round(window.chain, looked, views, rounds, most, gap)
 
 
 def probabilities(values: Floats, temperature: float) -> Floats:

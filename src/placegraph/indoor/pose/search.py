@@ -124,7 +124,7 @@ def table_seeds(
 ) -> tuple[Floats, Floats]:
     """Poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
 
-    `poses`: (T, 4) odometry of all views, level. The frames looked up are spread over the sequence.
+    `poses`: (T, 4) odometry of all views, level. The newest are looked up more densely.
     `leaning` adds what is known beforehand of the reference frame.
     """
     looked = spread(len(views), LOOKS)

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import level_from_camera, wrap
+from placegraph.geometry import between, level_from_camera, wrap
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import agreement
-from placegraph.indoor.pose.polish import polished, round_of
+from placegraph.indoor.pose.polish import polished
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.trust import SPEAK
 from placegraph.indoor.pose.window import Window
@@ -157,8 +157,9 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
             continue
         seeds = search(other, rng)
         fit = polished(other, seeds[:_STARTS], seeds[:_STARTS], rng)[0]
-        newest = round_of(other.judging, FINE, rounds=0)
-        agreed = agreement(other.judging.scorer, fit.pose, newest.views, newest.steps)
+        judging, looked = other.judging, other.newest
+        views = [judging.views(FINE)[i] for i in looked]
+        agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[looked]))
         fits = agreed.colour > _COLOURS_FIT if np.isnan(agreed.depth) else agreed.depth > _FITS
         if fits and agreed.ratio > max(_TELLS, _GAIN * ratio):
             return said

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, PoseMode, Status
-from placegraph.geometry import between, compose, pose_matrix
+from placegraph.geometry import between, pose_matrix
 from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
-from placegraph.indoor.pose.polish import covariance_of, probabilities, round_of
+from placegraph.indoor.pose.polish import covariance_of, probabilities
 from placegraph.indoor.pose.suspect import divided, spoiled
 from placegraph.indoor.pose.trust import LOST, SPEAK, SURE, TRUST
 from placegraph.indoor.pose.window import timed
@@ -44,12 +44,12 @@ _HALF, _LENIENT = 0.55, 0.15
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
     """Estimate of the last frame from fits, best first."""
     with timed(window.seconds, "verdict"):
-        steps = between(window.poses[-1], window.poses)
         judging, looked = window.judging, window.newest
         told_apart = [judging.views(FINE)[i] for i in looked]
 
         def agreed_at(fit: Fit) -> Agreement:
-            return agreement(judging.scorer, fit.pose, told_apart, steps[looked])
+            steps = between(fit.pose, fit.poses[looked])
+            return agreement(judging.scorer, fit.pose, told_apart, steps)
 
         depth = not np.isnan(agreed_at(fits[0]).depth)
         fits, shares = _shared(window, fits, window.scorer.model.heat(len(looked), depth=depth))
@@ -58,13 +58,16 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             _mode(window, fit, share, agreed[i] if i < len(agreed) else None)
             for i, (fit, share) in enumerate(zip(fits, shares.tolist(), strict=True))
         )
-        told = judging.scorer.together(fits[0].pose[None], told_apart, steps[looked])[0]
-        status, reason = _status(judging, modes, agreed[0], float(told) / len(looked))
+        steps = between(fits[0].pose, fits[0].poses[looked])
+        told = judging.scorer.together(fits[0].pose[None], told_apart, steps)[0]
+        status, reason = _status(
+            judging, fits[0].poses, modes, agreed[0], float(told) / len(looked)
+        )
         return PoseEstimate(
             status=status,
             modes=modes,
             reason=reason,
-            trajectory=pose_matrix(compose(fits[0].pose, steps), window.levels),
+            trajectory=pose_matrix(fits[0].poses, window.levels),
             frames=np.array([s.frame.index for s in window.sightings]),
             stats={"trust": agreed[0].numbers() | {"probability": modes[0].probability}},
         )
@@ -110,26 +113,28 @@ def _explained(
     return said + explain(scene, agreed)
 
 
-def evidence_at(window: Window, pose: Floats) -> Callable[[], tuple[Evidence, ...]]:
-    """Finds what the newest frames say of a pose (4,) of the last one; the frames are let go."""
-    newest = round_of(window.judging, FINE, rounds=0)
-    agreed = agreement(window.judging.scorer, pose, newest.views, newest.steps)
-    return partial(_explained, window.leaning, window.scene, agreed, pose)
+def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, ...]]:
+    """Finds what the newest frames say of poses (T, 4) of all; the frames are let go."""
+    judging, looked = window.judging, window.newest
+    views = [judging.views(FINE)[i] for i in looked]
+    steps = between(poses[-1], poses[looked])
+    agreed = agreement(judging.scorer, poses[-1], views, steps)
+    return partial(_explained, window.leaning, window.scene, agreed, poses[-1])
 
 
 _EXPLAINED = 3  # modes that can be explained
 
 
 def _status(
-    window: Window, modes: Sequence[PoseMode], agreed: Agreement, told: float
+    window: Window, poses: Floats, modes: Sequence[PoseMode], agreed: Agreement, told: float
 ) -> tuple[Status, str]:
-    """Status and reason by all frames together, by the newest alone, and by what was said."""
+    """Status and reason by all frames at poses (T, 4), by the newest alone, and by what was said."""
     fault = spoiled(window)
     if fault:
         return Status.LOST, fault
     status, reason = judge(agreed, modes, told)
     pose = modes[0].pose
-    fault = divided(window, _frames(window, pose, agreed))
+    fault = divided(window, _frames(window, poses, agreed))
     if fault:
         return Status.LOST if status is Status.LOST else Status.AMBIGUOUS, fault
     if status is Status.OK and len(window) > 1:
@@ -152,13 +157,13 @@ def _status(
     return status, reason
 
 
-def _frames(window: Window, pose: Floats, agreed: Agreement) -> Floats:
-    """(T, 3) how far each frame of the window agrees with a pose of the last."""
+def _frames(window: Window, poses: Floats, agreed: Agreement) -> Floats:
+    """(T, 3) how far each frame of the window agrees with its pose (T, 4)."""
     older = len(window) - len(agreed.frames)
     if not older:
         return agreed.frames
-    steps = between(window.poses[-1], window.poses[:older])
-    before = agreement(window.scorer, pose, window.views(FINE)[:older], steps)
+    steps = between(poses[-1], poses[:older])
+    before = agreement(window.scorer, poses[-1], window.views(FINE)[:older], steps)
     return np.concatenate([before.frames, agreed.frames])
 
 

@@ -18,6 +18,7 @@ from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.visibility import visibility
+from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.prior import Leaning
 from placegraph.indoor.pose.query import leveled
 
@@ -82,6 +83,11 @@ class Window:
     def poses(self) -> Floats:
         """(T, 4) odometry, level."""
         return leveled([s.frame for s in self.sightings])
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Odometry as steps that may be wrong."""
+        return Chain.of(self.poses, self.options.motion)
 
     @cached_property
     def levels(self) -> Floats:

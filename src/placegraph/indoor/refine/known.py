@@ -11,6 +11,7 @@ from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import polish
+from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import observe
 from placegraph.indoor.refine.camera import wrong_camera
@@ -60,10 +61,8 @@ def _refined(query: PoseQuery, given: Floats, refining: Refining) -> tuple[Windo
 def _status(window: Window, told: PoseEstimate) -> tuple[Status, str]:
     """What the filter's verdict says of the pose, were it the only one; not OK where it was given."""
     assert told.best is not None and told.refinement is not None  # noqa: S101, PT018  made so
-    pose = told.best.pose
-    level = polish.round_of(window, FINE, rounds=0)
-    values = window.scorer.together(pose[None], level.views, level.steps)
-    fit = polish.Fit(pose, float(values[0]), polish.NARROWEST, np.diag(polish.NARROWEST**2))
+    chain = Chain.of(split_pose(told.trajectory)[0], window.options.motion)
+    fit = polish.Fit.at(chain, told.best.pose, 0.0)
     alone = verdict(window, [fit])
     if alone.status is Status.OK and not told.refinement.accepted:
         return Status.AMBIGUOUS, told.refinement.reason
@@ -84,8 +83,7 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
     off = fit.pose - pose
     off[3] = wrap(off[3])
     found = pose + np.clip(off, -3.0 * reach, 3.0 * reach)
-    steps = between(window.poses[-1], window.poses)
-    return pose_matrix(compose(found, steps), window.levels)
+    return pose_matrix(compose(found, between(fit.pose, fit.poses)), window.levels)
 
 
 def _reach(options: RefineOptions) -> Floats:

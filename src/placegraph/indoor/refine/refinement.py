@@ -109,7 +109,9 @@ def tried(
     told = _told(estimate, refiner, judgement)
     best = told.best
     if explained and judgement.accepted and best is not None:
-        best = replace(best, explain=evidence_at(window, best.pose))
+        best = replace(
+            best, explain=evidence_at(window, split_pose(told.trajectory[-len(window) :])[0])
+        )
         told = replace(told, modes=(best, *told.modes[1:]))
     return told
 

@@ -16,7 +16,7 @@ from placegraph.indoor.refine.depth import Readings, Surfaces, readings
 from placegraph.indoor.refine.landmarks import firm, kept_out, near, plenty, seen
 from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.solve import Problem, Solution, solve
+from placegraph.indoor.refine.solve import Problem, Solution, drift_of, solve
 from placegraph.indoor.refine.stages import LANDMARKS, Stage, stages_of
 from placegraph.indoor.refine.worth import covariance
 from placegraph.indoor.render import Renderer
@@ -113,6 +113,7 @@ class Refiner:
         self.surfaces, self.seconds = Surfaces.of(self.scene), dict[str, float]()
         self.renderer = Renderer(self.scene, device=self.device)
         self._readings: dict[int, list[Readings | None]] = {}
+        self.drift = (1.0, 1.0)  # `Problem.drift`, of where the frames are thought to be
 
     @cached_property
     def has_depth(self) -> bool:
@@ -141,6 +142,7 @@ class Refiner:
             np.array([f.stamp for f in self.frames], np.float64),
             len(self.scene),
             self.options,
+            self.drift,
             self.known,
         )
 
@@ -149,6 +151,8 @@ class Refiner:
         tell = progress or (lambda *_: None)
         if self.has_depth:
             tell("aligning depth", 0, 1)
+        self.drift = (1.0, 1.0)
+        self.drift = drift_of(self.problem(), start)
         solution = self._aligned(start)
         poses = start if solution is None else solution.poses
         sights: list[Sights] = [Sights.none()] * len(self.frames)

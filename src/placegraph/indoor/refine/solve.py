@@ -59,6 +59,8 @@ class Problem:
     objects: int
     """Number of the map's objects."""
     options: RefineOptions
+    drift: tuple[float, float] = (1.0, 1.0)
+    """Errors of odometry's ways and of its turns, in units of `RefineOptions.motion`."""
     known: tuple[Floats, Floats] | None = None
     """Poses (T, 4, 4) that were known before, and their standard deviations (6,) [m], [rad] in map
     axes, common to all frames; None: `LOOSE` about the start."""
@@ -222,8 +224,18 @@ def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
         ],
         axis=1,
     )
-    deviations = np.maximum(deviations, _LEAST)
+    deviations = np.maximum(deviations, _LEAST) * problem.drift
     return np.concatenate([shift, turn], axis=1), np.repeat(deviations, 3, axis=1)
+
+
+def drift_of(problem: Problem, poses: Floats) -> tuple[float, float]:
+    """How far odometry errs on the way that poses (T, 4, 4) go, as `Problem.drift`; at least 1."""
+    if len(poses) < 2:
+        return 1.0, 1.0
+    errors, deviations = odometry_errors(problem, poses)
+    ratios = np.square(errors / deviations).reshape(-1, 2, 3).mean(axis=(0, 2))
+    way, turn = np.sqrt(np.maximum(ratios, 1.0)).tolist()
+    return way, turn
 
 
 def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
@@ -250,9 +262,9 @@ def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Fl
 
 
 def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
-    """The known tilt is a prior, not a cage."""
+    """The known tilt is a prior, not a cage: as wide as the frames have been seen to lean."""
     up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
-    variance = problem.options.tilt**2
+    variance = problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2))
     for t, j in enumerate(-cross_matrix(up)[:, :2]):
         rows = slice(6 * t + 3, 6 * t + 6)
         h[rows, rows] += j.T @ j / variance
