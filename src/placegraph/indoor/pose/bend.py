@@ -46,27 +46,37 @@ def bend(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
         top = fits[0].log_likelihood
         near = sum(fit.log_likelihood > top - GAP for fit in fits)
         followed = [_followed(window.scorer, fit, level, rng) for fit in fits[:near]]
-        # the others, which were not asked, stay as far behind
-        gained = max(fit.log_likelihood for fit in followed) - top
-        rest = [replace(f, log_likelihood=f.log_likelihood + gained) for f in fits[near:]]
-        return sorted([*followed, *rest], key=lambda fit: -fit.log_likelihood)
+        gains = np.array(
+            [f.log_likelihood - g.log_likelihood for f, g in zip(followed, fits, strict=False)]
+        )
+        clear = GAIN * len(level.rows)
+        if gains.max() < clear:
+            return fits
+        # places that gain about alike stay as far from each other, and so do those not asked
+        gains[gains > gains.max() - clear] = gains.max()
+        gains = np.append(gains, np.full(len(fits) - near, gains.max()))
+        courses = [*followed, *fits[near:]]
+        out = [
+            replace(course, log_likelihood=fit.log_likelihood + gain)
+            for course, fit, gain in zip(courses, fits, gains.tolist(), strict=True)
+        ]
+        return sorted(out, key=lambda fit: -fit.log_likelihood)
 
 
 def _followed(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
-    """The fit bent; as it was where that gains too little.
+    """The fit bent.
 
     Each frame is asked around where it is thought to be, the course is bent, and again, closer.
     """
     chain, rows = level.chain, level.rows
     course, spread = Course.start(chain, fit.pose, fit.spread), fit.spread
     told = Told.nothing(course.poses)
-    best, first = (course, -np.inf), 0.0
-    for number in range(level.rounds):
+    best = course, -np.inf
+    for _ in range(level.rounds):
         sd = np.sqrt(np.einsum("tii->ti", course.covariances[rows]))
         wide = np.clip(sd, spread, _WIDEST * SPREAD)
         said, value = _asked(scorer, course.poses[rows], wide, level.views, rng)
         value -= course.cost(chain)
-        first = first if number else value
         if value > best[1]:
             best = course, value
         told = told.learned(rows, said)
@@ -77,8 +87,6 @@ def _followed(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     value -= course.cost(chain)
     if value < best[1]:
         course, value = best
-    if value - first < GAIN * len(rows):
-        return fit
     covariance = WIDENED * (course.covariances[-1] + FINEST)
     return replace(fit, poses=course.poses, log_likelihood=value, covariance=covariance)
 

@@ -46,7 +46,7 @@ SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
 WIDENED = 3.0
 """Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
-GAP = 150.0
+GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
@@ -115,6 +115,14 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
         top = fits[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
         fits = [_fit(scorer, fit, level, rng) for fit in fits]
+    best = max(fit.log_likelihood for fit in fits)
+    # a rival must not lose by chance what more samples would find
+    fits = [
+        max(fit, _fit(scorer, fit, level, rng), key=lambda f: f.log_likelihood)
+        if 0.0 < best - fit.log_likelihood < level.gap
+        else fit
+        for fit in fits
+    ]
     best = max(fit.log_likelihood for fit in fits)
     fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
     poses = np.array([f.pose for f in fits])
@@ -193,7 +201,7 @@ def polished(window: Window, modes: Floats, seeds: Floats, rng: Generator) -> li
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
             round_of(window, COARSE, rounds=2, most=8, frames=5),
-            round_of(window, COARSE, rounds=3, most=4, gap=250.0),
+            round_of(window, COARSE, rounds=3, most=4, gap=800.0),
             round_of(window, FINE, rounds=4, most=3, gap=GAP),
         ]
         return polish(window.scorer, np.concatenate([modes, seeds[:8]]), levels, rng)

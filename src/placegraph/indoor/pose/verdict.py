@@ -32,9 +32,12 @@ LOOSE = 0.35
 """A pose whose position is not known better than this [m] is not `OK`."""
 _BLIND = 0.2
 """Share of the view that the map has to show."""
-_PATCHES_AGREE, _PATCHES_TELL, _PATCHES_SURE, _WITNESSES = 0.5, 15.0, 0.9, 4
-"""Of labels: the share that agrees, what they tell a frame without depth [nat], the probability of the
-best mode, and the objects that speak for it, where they are alone."""
+ALONE = 0.98
+"""Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
+the same differ by as much as their fits were lucky."""
+_PATCHES_AGREE, _PATCHES_TELL, _PATCHES_ALONE, _WITNESSES = 0.5, 15.0, 0.9, 4
+"""Of labels: the share that agrees, what they tell a frame without depth [nat], and, where they speak
+alone, the probability needed and how many objects are seen."""
 _DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _HALF, _LENIENT = 0.55, 0.15
@@ -197,8 +200,8 @@ def _sure(agreed: Agreement, probability: float) -> bool:
     """Whether a pose can be relied on that is the best with a probability."""
     if _named_alone(agreed):
         seen = int((agreed.weights > 1.0).sum()) >= _WITNESSES or agreed.colour > SPEAK
-        return probability >= _PATCHES_SURE and seen
-    return TRUST.of(agreed, probability) >= SURE
+        return probability >= _PATCHES_ALONE and seen
+    return probability >= ALONE and TRUST.of(agreed, probability) >= SURE
 
 
 def _newest_against(frame: Floats) -> str:
