@@ -58,3 +58,11 @@ def test_the_way_in_map_axes_is_the_derivative(kit, lag):
     np.testing.assert_allclose(moved, told[:, :3], atol=1e-6)
     back = Lags(np.array([lag, 0.0]), np.ones(2), twist, 1.0).of_depth(poses)
     np.testing.assert_allclose(back, at)
+
+
+def test_in_steady_motion_a_lag_is_not_told_from_a_shift_and_stamps_are_believed(kit, hall):
+    way = np.stack([kit.standing(1.2 + 0.1 * i, 2.2, -30) for i in range(6)])
+    late = later(way, twists(way, np.arange(6.0)), 0.1)
+    capture = kit.frames(hall, late, odometry=np.linalg.inv(way[0]) @ way)
+    solution = solve(kit.problem(hall, capture), late, DEPTH_WIDTHS)
+    assert np.abs(solution.lags.values).max() < 1e-3

@@ -57,13 +57,16 @@ class Lags:
 
     def clear(self) -> dict[str, float]:
         """Lags that the data leave no doubt of: `depth`, `images`, in the stamps' unit."""
-        return {
-            name: float(value)
-            for name, value, deviation in zip(
-                ("depth", "images"), self.values, self.deviations, strict=True
-            )
-            if abs(value) > max(CLEAR * deviation, TOLD * self.usual)
-        }
+        rows = np.flatnonzero(clear(self))
+        return {("depth", "images")[row]: float(self.values[row]) for row in rows}
+
+
+def clear(lags: Lags | None) -> NDArray[np.bool_]:
+    """Which of depth and images (2,) are late without doubt."""
+    if lags is None:
+        return np.zeros(2, bool)
+    least = np.maximum(CLEAR * lags.deviations, TOLD * lags.usual)
+    return np.asarray(np.abs(lags.values) > least)
 
 
 def usual_lag(stamps: Floats) -> float:

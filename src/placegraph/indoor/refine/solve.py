@@ -18,7 +18,7 @@ from placegraph.errors import InputError
 from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.depth import Kernel
 from placegraph.indoor.refine.fit_kernels import depth_system, pixel_system
-from placegraph.indoor.refine.lag import MOST, Lags, in_map_axes, later, twists, usual_lag
+from placegraph.indoor.refine.lag import MOST, Lags, clear, in_map_axes, later, twists, usual_lag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,8 +103,11 @@ def solve(
     poses, count = start.copy(), len(start)
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
     twist, usual = twists(problem.odometry, problem.stamps), usual_lag(problem.stamps)
-    lags, held = np.zeros(2), slice(0, 6 * count)
-    for depth_width, pixel_width in widths:
+    lags, held, late = np.zeros(2), slice(0, 6 * count), None
+    for left, (depth_width, pixel_width) in zip(reversed(range(len(widths))), widths, strict=True):
+        # in the last round stamps are believed of which no doubt was found
+        free = np.ones(2, bool) if left else clear(late)
+        lags = np.where(free, lags, 0.0)
         for number in range(steps):
             h, g = np.zeros((6 * count + 2, 6 * count + 2)), np.zeros(6 * count + 2)
             seen = [later(poses, twist, lag) for lag in lags]
@@ -114,8 +117,9 @@ def solve(
             _add_sights(problem, seen[1], pixel_width, two, slopes[1])
             for k, block in enumerate((one, two)):
                 _add_lagged(block, slopes[k], in_map_axes(seen[k], twist), 6 * count + k, h, g)
-            h[-2:, -2:] += np.eye(2) / usual**2
-            g[-2:] += lags / usual**2
+            known = np.where(free, usual, _LEAST * usual) ** -2.0
+            h[-2:, -2:] += np.diag(known)
+            g[-2:] += lags * known
             add_beliefs(problem, poses, start, h[held, held], g[held])
             whole = -np.linalg.solve(h, g)
             step = whole[held].reshape(count, 6)
@@ -132,11 +136,9 @@ def solve(
                 shares = _shares(told)
             if np.abs(step).max() < _STILL:
                 break
-    late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
-    information = h[held, held]
-    if late.clear():  # else stamps are believed, and no pose is less sure for what they might be
-        across = h[held, -2:]
-        information = information - across @ np.linalg.solve(h[-2:, -2:], across.T)
+        late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
+    across = h[held, -2:]
+    information = h[held, held] - across @ np.linalg.solve(h[-2:, -2:], across.T)
     return Solution(poses, information, shares, cost, taken, late)
 
 
