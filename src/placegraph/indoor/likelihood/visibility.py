@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
 
-_ASKED, _ASKED_FLAT = 240, 720  # samples of all views that are looked up; without depth
+_ASKED, _ASKED_BLIND = 240, 720  # samples of all views looked up; where labels are missing
 _USUAL = (1.05, 1.85)  # heights at which cameras are carried and mounted [m] ...
 _RARE = -4.0  # ... and the log prior of others, in units of the views' temperature
 _THINNED = 7  # values of a scan that tell its percentiles: every seventh
@@ -109,7 +109,7 @@ class VisibilityTable:
 
         Heading a is that of the reference frame; view t looks along a * 2 pi / HEADINGS + `turns`[t].
         """
-        asked = _ASKED if any(v.terms[DEPTH] for v in views) else _ASKED_FLAT
+        asked = _ASKED if all(v.terms[SEMANTIC] for v in views) else _ASKED_BLIND
         share = asked / max(1, sum(np.count_nonzero(v.patch >= 0) for v in views))
         lanes = min(LANES, int(np.ceil(share * LANES)))
         blur = _BLURRED * self.spacing
