@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
+from placegraph.estimate import PoseEstimate, Status
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.pose.bend import bend
 from placegraph.indoor.pose.passes import run_passes
 from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.suspect import spoiled, suspected
+from placegraph.indoor.pose.suspect import COVERED, blank, spoiled, suspected
 from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
@@ -25,7 +25,6 @@ from placegraph.indoor.refine.landmarks import place
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.map.scene import Scene
@@ -74,6 +73,13 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         return window, refined(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
+    fault = spoiled(window)
+    if fault:  # no search could help
+        frames = np.array([s.frame.index for s in window.sightings])
+        return window, PoseEstimate(Status.LOST, (), reason=fault, frames=frames)
+    covered = blank(window.sightings)
+    if covered:  # depth and labels are better off without such images
+        window.sightings = [replace(s, rgb=None) for s in window.sightings]
     seeds = search(window, rng)
     if len(seeds):
         seeds = np.concatenate([place(window), seeds])
@@ -85,11 +91,13 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     estimate = verdict(window, fits)
     here = query.shares is None  # else other scenes of a library may be where it was taken
     lost = estimate.status is Status.LOST and query.options.tracked and here
-    if lost and not spoiled(window):
+    if lost:
         with timed(window.seconds, "faults"):
             fault = suspected(window, estimate.stats["trust"]["ratio"], rng)
         if fault:
             estimate = replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}")
+    if covered:
+        estimate = replace(estimate, reason=f"{estimate.reason} {COVERED}")
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
     estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)

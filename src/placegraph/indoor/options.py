@@ -160,7 +160,8 @@ class FilterOptions:
     colour: bool = True
     """Use the colour images, where the map has colours."""
     heights: tuple[float, ...] = (0.15, 2.3)
-    """Heights of the camera above the floor [m]: the table spans them, a uniform start has each."""
+    """Heights of the camera above the floor [m]: the table spans them, a uniform start has
+    each, and those of `STANDING` between them."""
     start: Literal["table", "uniform"] = "table"
     """First particles: where the visibility table says the frames could be, or everywhere."""
     spacing: float = 0.5

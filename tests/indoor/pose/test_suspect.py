@@ -1,6 +1,7 @@
 """Bad input is named, and never `OK`; what is only unusual is not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import pytest
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Status
 from placegraph.formats.capture.capture import open_capture
+from placegraph.indoor import localize
+from placegraph.indoor.likelihood.observe import Sighting
+from placegraph.indoor.pose.suspect import divided
 from placegraph_lab.tables.indoor import perturb_images as bad
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
 
@@ -83,3 +87,38 @@ def test_a_place_elsewhere_is_lost_without_a_fault(room, shot):
     estimate = room.localize(frames, refine=False)
     assert estimate.status is Status.LOST
     assert estimate.reason.startswith("Nowhere on the map fits")
+
+
+def test_a_covered_lens_leaves_depth(room, shot, truth, walk):
+    """Black images without any noise are not frozen, and depth is asked alone."""
+    dark = [bad.seen(f, rgb=np.zeros_like(f.rgb())) for f in shot.frames]
+    estimate = room.localize(dark, refine=False)
+    assert "frozen" not in estimate.reason
+    assert "covered" in estimate.reason
+    off = np.linalg.norm(estimate.best.map_from_camera[:3, 3] - truth(walk)[9][:3, 3])
+    assert off < 0.5
+
+
+def test_hopeless_frames_are_not_searched(room, shot, rng, monkeypatch):
+    monkeypatch.setattr(localize, "search", None)
+    estimate = room.localize(bad.lens_cap(shot, 0, rng).frames)
+    assert estimate.status is Status.LOST
+    assert not estimate.modes
+    assert estimate.to_dict()["status"] == "LOST"
+
+
+@pytest.mark.parametrize(
+    ("colours", "said"),
+    [
+        ([0.0] * 5 + [0.06] * 5, True),
+        ([0.06] * 9 + [0.001], True),
+        ([0.06] * 9 + [0.021], False),
+        ([0.06] * 4 + [0.0] + [0.06] * 5, False),
+        ([0.0] * 10, False),
+    ],
+)
+def test_images_alone_can_contradict_each_other(colours, said, shot):
+    sightings = [Sighting(f, np.eye(3), None, None, f.rgb()) for f in shot.frames]
+    window = SimpleNamespace(sightings=sightings)
+    frames = np.column_stack([np.full((10, 2), np.nan), colours])
+    assert bool(divided(window, frames)) is said

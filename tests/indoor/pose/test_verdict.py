@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from placegraph.estimate import PoseMode, Status
 from placegraph.indoor.pose.evidence import Agreement
+from placegraph.indoor.pose.trust import SURE, TRUST
 from placegraph.indoor.pose.verdict import judge
 
 ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
@@ -140,3 +141,22 @@ def test_every_verdict_is_one_sentence(agreed, weights, told, spread):
     assert reason.endswith(".")
     assert "nan" not in reason
     assert reason.split(".")[0]
+
+
+@pytest.mark.parametrize(
+    ("colour", "status"), [(0.004, "LOST"), (0.018, "AMBIGUOUS"), (0.03, "AMBIGUOUS"), (0.05, "OK")]
+)
+def test_images_alone_must_be_clear(colour, status):
+    agreed = replace(GOOD, semantic=math.nan, depth=math.nan, colour=colour)
+    assert judge(agreed, modes(1.0), TOLD)[0].value == status
+
+
+@pytest.mark.parametrize("weights", [np.zeros(8), np.r_[5.0, np.zeros(7)]])
+def test_a_bare_wall_has_no_cliff(weights):
+    """Log odds grow with what colours tell, in small steps; one label lifts no more than its share."""
+    bare = replace(GOOD, held=0.0, weights=weights)
+    odds = [TRUST.odds(replace(bare, colour=c)) for c in np.linspace(0.0, 0.12, 121)]
+    steps = np.diff(odds)
+    assert steps.min() > 0
+    assert steps.max() < 1.0
+    assert TRUST.of(replace(bare, colour=0.0), 1.0) < SURE

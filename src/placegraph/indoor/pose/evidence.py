@@ -11,6 +11,7 @@ from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, look
+from placegraph.indoor.pose.trust import SPEAK, TELLING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
 
 
 _MOST = 12  # objects named
-
-
-_TELLING = 1.0  # log-likelihood ratio below which an object says nothing [nat]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +55,7 @@ class Agreement:
         """What a verdict is made of, ready for `json.dumps`; None: there is no such sense."""
         names = ("covered", "semantic", "depth", "colour", "ratio", "held")
         values = {name: float(getattr(self, name)) for name in names}
-        values["witnesses"] = float((self.weights > _TELLING).sum())
+        values["witnesses"] = float((self.weights > TELLING).sum())
         return {name: None if np.isnan(value) else value for name, value in values.items()}
 
 
@@ -159,10 +157,10 @@ def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
         out.append(
             Evidence(
                 "colour",
-                "for" if agreed.colour > 0.025 else "silent",
+                "for" if agreed.colour > SPEAK else "silent",
                 float(agreed.colour),
                 note="edges correlate with the map's"
-                if agreed.colour > 0.025
+                if agreed.colour > SPEAK
                 else "edges hardly correlate with the map's",
             )
         )
@@ -178,7 +176,7 @@ def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
 
 def _of_object(scene: Scene, n: int, weight: float) -> Evidence:
     graph = scene.graph
-    verdict = "for" if weight > _TELLING else "against" if weight < -_TELLING else "silent"
+    verdict = "for" if weight > TELLING else "against" if weight < -TELLING else "silent"
     name = graph.names[n] if graph.names else ""
     return Evidence(
         statement=f"{graph.labels[n]} {graph.ids[n]}",

@@ -11,6 +11,7 @@ from placegraph.estimate import PassRecord
 from placegraph.geometry import between, compose
 from placegraph.indoor.likelihood.observe import COARSE
 from placegraph.indoor.likelihood.visibility import floor_under
+from placegraph.indoor.options import STANDING
 from placegraph.indoor.pose.filter import ParticleFilter, run_pass
 from placegraph.indoor.pose.particles import Particles
 from placegraph.indoor.pose.search import around, table_seeds
@@ -106,18 +107,21 @@ def _start(window: Window, spec: Pass, modes: Floats, rng: Generator) -> Floats:
 def everywhere(window: Window, rng: Generator) -> Floats:
     """The paper's start (Sec. 3.1): `per_cell` poses a free cell and height, yaws at random.
 
+    Of a span of heights, its ends and those at which people stand between them.
+
     Which cells are free, the panoramas of the table say; it ranks nothing here. Where a large map
     makes its grid wider than asked, a cell gets as many more poses.
     """
     table, options = window.table, window.options
+    low, high = min(options.heights), max(options.heights)
+    heights = np.union1d(options.heights, [h for h in STANDING if low < h < high])
     cells = np.unique(np.column_stack([table.positions[:, :2], table.ground]), axis=0)
     each = round(options.per_cell * (table.spacing / options.spacing) ** 2)
-    count = len(options.heights) * each
+    count = len(heights) * each
     out = np.empty((len(cells) * count, 4))
     out[:, :2] = np.repeat(cells[:, :2], count, axis=0)
     out[:, :2] += rng.uniform(-0.5, 0.5, (len(out), 2)) * table.spacing
-    heights = np.tile(np.repeat(options.heights, each), len(cells))
-    out[:, 2] = np.repeat(cells[:, 2], count) + heights
+    out[:, 2] = np.repeat(cells[:, 2], count) + np.tile(np.repeat(heights, each), len(cells))
     out[:, 3] = rng.uniform(-np.pi, np.pi, len(out))
     return out
 

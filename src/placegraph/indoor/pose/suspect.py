@@ -36,6 +36,8 @@ _MOVED, _TURNED = 0.1, 0.1
 _BLOCKS = (8, 12)
 _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
+_MUTE = SPEAK / 4.0
+"""What colours tell at most of a frame taken elsewhere [nat a sample]."""
 _STARTS = 4
 _GAIN, _TELLS = 1.2, 25.0
 """A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
@@ -52,6 +54,8 @@ _LEFT_IS_RIGHT = (
     "sees them."
 )
 
+COVERED = "No image shows anything: the lens seems to be covered, and images were left out."
+"""What is said where the other senses answer without them."""
 _OUTSIDE = "They fit a camera {} of the map: check which storey this is, and the map's floor."
 
 
@@ -74,9 +78,12 @@ def spoiled(window: Window) -> str:
 
 def _covered(sightings: list[Sighting]) -> bool:
     """Whether all images are flat, and no frame has depth or labels."""
-    return all(
-        s.depth is None and not s.patches and s.rgb is not None and _flat(s.rgb) for s in sightings
-    )
+    return blank(sightings) and not any(s.depth is not None or s.patches for s in sightings)
+
+
+def blank(sightings: list[Sighting]) -> bool:
+    """Whether no image shows anything."""
+    return all(s.rgb is not None and _flat(s.rgb) for s in sightings)
 
 
 def _flat(rgb: NDArray[np.uint8]) -> bool:
@@ -106,12 +113,16 @@ def _stuck(window: Window) -> tuple[int, int] | None:
 
 
 def _same(one: Sighting, other: Sighting) -> bool:
-    """Whether two frames have an image in common: sensors' noise lets none repeat itself."""
+    """Whether two frames have an image in common: sensors' noise lets none repeat itself.
+
+    Images that show nothing prove nothing: a covered lens may be free of noise.
+    """
     pairs = ((one.rgb, other.rgb), (one.depth, other.depth))
     return any(
         a is not None
         and b is not None
         and a.shape == b.shape
+        and not (a.ndim == 3 and _flat(a))
         and np.array_equal(a[::7, ::5], b[::7, ::5], equal_nan=a.dtype.kind == "f")
         for a, b in pairs
     )
@@ -131,11 +142,14 @@ def divided(window: Window, frames: Floats) -> str:
     A frame that fits and one that does not cannot both have been taken where odometry says.
     """
     depth, colour = frames[:, 1], frames[:, 2]
-    silent = ~(colour > SPEAK)
-    misses = np.flatnonzero((depth < _MISSES) & silent)
-    fit = np.flatnonzero(depth > _FITS)
-    if len(misses) < max(2, round(0.3 * len(depth))) or len(fit) < 2:
+    shows = [s.rgb is not None and not _flat(s.rgb) for s in window.sightings[-len(frames) :]]
+    images = np.isnan(depth) & np.isnan(frames[:, 0]) & shows  # these alone say where a frame is
+    misses = np.where(images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
+    fit = np.where(images, colour > SPEAK, depth > _FITS)
+    few = misses.sum() < max(2, round(0.3 * len(depth)))
+    if fit.sum() < 2 or (few and not (images & misses)[-1]):
         return ""
+    misses = np.flatnonzero(misses)
     rows = [window.sightings[i].frame.index for i in misses]
     listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
     return (

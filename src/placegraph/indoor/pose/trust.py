@@ -20,8 +20,14 @@ LOST = -1.0
 """Log odds below which nothing on the map fits."""
 SPEAK = 0.02
 """What colours tell from which on they speak, so that depth is not alone [nat a sample] ..."""
+CLEAR = 0.035
+"""... from which on they speak clearly enough to be believed alone ..."""
 _MOST = 0.12
 """... and what counts at most."""
+TELLING = 1.0
+"""Log-likelihood ratio below which an object says nothing [nat]."""
+WITNESSES = 4
+"""Objects whose labels speak for a pose as firmly as a surface."""
 _SLIM = 0.01
 """Added to how firmly surfaces hold a pose, before its logarithm is taken."""
 
@@ -36,8 +42,8 @@ class Trust:
 
     level: float
     depth: tuple[float, float, float]
-    """That depth is there; log odds of its share that agrees; where it speaks alone, the log of how
-    firmly surfaces hold the pose."""
+    """That depth is there; log odds of its share that agrees; the log of how firmly surfaces hold the
+    pose, as far as depth speaks alone."""
     colour: tuple[float, float]
     """That colours are there; what they tell [1 / nat]."""
 
@@ -56,13 +62,20 @@ def features(agreed: Agreement) -> list[float]:
     """(6,) what the coefficients of `Trust` stand before."""
     depth = [0.0, 0.0, 0.0]
     if not np.isnan(agreed.depth):
-        alone = np.isnan(agreed.semantic) and not agreed.colour > SPEAK
-        bare = float(np.log(agreed.held + _SLIM)) if alone else 0.0
+        bare = _alone(agreed) * float(np.log(agreed.held + _SLIM))
         depth = [1.0, log_odds(agreed.depth, 0.01), bare]
     colour = [0.0, 0.0]
     if not np.isnan(agreed.colour):
         colour = [1.0, float(np.clip(agreed.colour, 0.0, _MOST))]
     return [1.0, *depth, *colour]
+
+
+def _alone(agreed: Agreement) -> float:
+    """How far depth speaks alone, 0 to 1: clear colours lift it, and several objects that tell."""
+    colour = 0.0 if np.isnan(agreed.colour) else (agreed.colour - SPEAK) / (CLEAR - SPEAK)
+    named = 0.0 if np.isnan(agreed.semantic) else np.clip(agreed.weights / TELLING, 0.0, 1.0).sum()
+    lifted = np.clip([colour, named / WITNESSES], 0.0, 1.0)
+    return float(np.prod(1.0 - lifted))
 
 
 def log_odds(share: float, least: float) -> float:

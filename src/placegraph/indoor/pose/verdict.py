@@ -15,7 +15,7 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import covariance_of, probabilities
 from placegraph.indoor.pose.suspect import divided, spoiled
-from placegraph.indoor.pose.trust import LOST, SPEAK, SURE, TRUST
+from placegraph.indoor.pose.trust import CLEAR, LOST, SPEAK, SURE, TELLING, TRUST, WITNESSES
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -35,13 +35,17 @@ _BLIND = 0.2
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
-_PATCHES_AGREE, _PATCHES_TELL, _PATCHES_ALONE, _WITNESSES = 0.5, 15.0, 0.9, 4
+_PATCHES_AGREE, _PATCHES_TELL, _PATCHES_ALONE = 0.5, 15.0, 0.9
 """Of labels: the share that agrees, what they tell a frame without depth [nat], and, where they speak
-alone, the probability needed and how many objects are seen."""
+alone, the probability needed."""
 _DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _HALF, _LENIENT = 0.55, 0.15
 """Share of the newest frame's readings that has to agree, and how much less where other senses do."""
+
+
+_SLIDES = np.linspace(-1.2, 1.2, 17)
+"""How far the best pose is moved to see whether it stands firm [m]."""
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
@@ -66,6 +70,11 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
         status, reason = _status(
             judging, fits[0].poses, modes, agreed[0], float(told) / len(looked)
         )
+        if status is Status.OK:
+            loose = _slides(judging, fits[0].poses, modes[0])
+            if loose > LOOSE:
+                status = Status.AMBIGUOUS
+                reason = f"One place fits best, but so do those up to {loose:.1f} m from it."
         return PoseEstimate(
             status=status,
             modes=modes,
@@ -160,6 +169,23 @@ def _status(
     return status, reason
 
 
+def _slides(window: Window, poses: Floats, mode: PoseMode) -> float:
+    """How far poses (T, 4) can slide along the direction least known [m, root mean square].
+
+    Where little holds them, as height before a bare wall, a covariance tells of the next hand's
+    breadth only.
+    """
+    axis = np.linalg.eigh(mode.covariance[:3, :3])[1][:, -1]
+    shifted = np.repeat(mode.pose[None], len(_SLIDES), axis=0)
+    shifted[:, :3] += _SLIDES[:, None] * axis
+    views = [window.views(FINE)[i] for i in window.newest]
+    steps = between(mode.pose, poses[window.newest])
+    logs = window.scorer.together(shifted, views, steps)
+    depth = any(window.sightings[i].depth is not None for i in window.newest)
+    shares = probabilities(logs, window.scorer.model.heat(len(views), depth=depth))
+    return float(np.sqrt(shares @ _SLIDES**2))
+
+
 def _frames(window: Window, poses: Floats, agreed: Agreement) -> Floats:
     """(T, 3) how far each frame of the window agrees with its pose (T, 4)."""
     older = len(window) - len(agreed.frames)
@@ -199,8 +225,10 @@ def _named_alone(agreed: Agreement) -> bool:
 def _sure(agreed: Agreement, probability: float) -> bool:
     """Whether a pose can be relied on that is the best with a probability."""
     if _named_alone(agreed):
-        seen = int((agreed.weights > 1.0).sum()) >= _WITNESSES or agreed.colour > SPEAK
+        seen = int((agreed.weights > TELLING).sum()) >= WITNESSES or agreed.colour > SPEAK
         return probability >= _PATCHES_ALONE and seen
+    if np.isnan(agreed.depth) and not agreed.colour > CLEAR:
+        return False
     return probability >= ALONE and TRUST.of(agreed, probability) >= SURE
 
 
@@ -232,7 +260,7 @@ def disagreement(agreed: Agreement, told: float) -> str:
 def _weakest(agreed: Agreement) -> str:
     """What keeps a pose from being trusted."""
     if _named_alone(agreed):
-        return f"only {int((agreed.weights > 1.0).sum())} of its objects were seen"
+        return f"only {int((agreed.weights > TELLING).sum())} of its objects were seen"
     if np.isnan(agreed.depth):
         return "the colours hardly correlate with the map's"
     if agreed.depth < _DEPTH_AGREES:
