@@ -149,8 +149,7 @@ def divided(window: Window, frames: Floats) -> str:
     few = misses.sum() < max(2, round(0.3 * len(depth)))
     if fit.sum() < 2 or (few and not (images & misses)[-1]):
         return ""
-    misses = np.flatnonzero(misses)
-    rows = [window.sightings[i].frame.index for i in misses]
+    rows = [window.sightings[i].frame.index for i in np.flatnonzero(misses)]
     listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
     return (
         f"Frames {listed} contradict the others: they were taken elsewhere, or the odometry "
