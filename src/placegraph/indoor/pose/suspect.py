@@ -86,7 +86,7 @@ def blank(sightings: list[Sighting]) -> bool:
     return all(s.rgb is not None and _flat(s.rgb) for s in sightings)
 
 
-def _flat(rgb: NDArray[np.uint8]) -> bool:
+def _flat(rgb: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
     """Whether an image (H, W, 3) has no contrast but its pixels' noise."""
     rows, columns = (n // k * k for n, k in zip(rgb.shape, _BLOCKS, strict=False))
     some = rgb[:rows:2, :columns:2].astype(np.float32).mean(axis=2)
