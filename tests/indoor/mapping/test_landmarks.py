@@ -6,7 +6,8 @@ from PIL import Image
 
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.indoor.mapping.landmarks import landmarks_of
+from placegraph.indoor.mapping.landmarks import depth_at, landmarks_of
+from placegraph.indoor.refine import landmarks
 from placegraph.indoor.refine.landmarks import FEATURES, agreed, features_of, finder, sights_of
 from placegraph.indoor.refine.options import RefineOptions
 
@@ -71,3 +72,24 @@ def test_an_image_of_another_place_is_not(mapped):
     frame, _ = shown(other, 0.17, 0.12)
     seen = sights_of(mapped, features_of(finder(FEATURES), frame, frame.rgb()), frame)
     assert agreed([seen], np.eye(4)[None], RefineOptions()) is None
+
+
+def test_features_beyond_a_fisheyes_rim_have_no_depth(wall):
+    frame, _ = shown(wall, 0.0, 0.0)
+    rays = np.array([[0.0, 0.0, 1.0], [np.nan] * 3, [0.1, 0.1, 1.0]])
+    np.testing.assert_allclose(depth_at(frame, rays), [AWAY + 0.01, np.nan, AWAY + 0.01], atol=1e-5)
+
+
+def test_landmarks_gone_through_in_blocks_are_the_same(wall, mapped, monkeypatch):
+    frame, _ = shown(wall, 0.17, 0.12)
+    found = features_of(finder(FEATURES), frame, frame.rgb())
+    whole = sights_of(mapped, found, frame)
+    cosine = found.vectors @ mapped.unit_vectors.T
+    best, rows = landmarks._likeliest(found.vectors, mapped.unit_vectors)
+    np.testing.assert_allclose(best, -np.sort(-cosine, axis=1)[:, : best.shape[1]], atol=1e-6)
+    np.testing.assert_array_equal(rows[:, 0], cosine.argmax(axis=1))
+    monkeypatch.setattr(landmarks, "_BLOCK", 37)
+    parts = sights_of(mapped, found, frame)
+    np.testing.assert_array_equal(parts.points, whole.points)
+    assert len(whole) > 50
+    assert mapped.unit_vectors is mapped.unit_vectors

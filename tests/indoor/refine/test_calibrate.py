@@ -93,3 +93,16 @@ def test_what_is_not_asked_for_stays(hall, way, walked, kit):
     assert not found.values[rest].any()
     assert not found.errors[rest].any()
     assert found.errors[SCALE] > 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_of_numbers_that_are_not_finite_nothing_is_found(hall, way, walked, kit, matched, value):
+    sights = matched(1.1)
+    sights[1].rays[0] = value
+    problem = kit.problem(hall, walked, sights=sights, blind=range(len(way)))
+    with np.errstate(invalid="ignore"):
+        found = calibrate(hall, problem, way, [IMAGE])
+    np.testing.assert_array_equal(found.poses, way)
+    assert not found.values.any()
+    assert not found.errors.any()
+    assert found.cost == np.inf

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from placegraph.geometry import Camera
-from placegraph.indoor.refine.judge import BENT, FARTHEST, FARTHEST_BLIND, NOTHING, judged, moved
+from placegraph.indoor.refine.judge import (
+    BENT,
+    FARTHEST,
+    FARTHEST_BLIND,
+    NOTHING,
+    _late,
+    judged,
+    moved,
+)
+from placegraph.indoor.refine.lag import Lags
 from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
@@ -202,3 +211,22 @@ def test_moved(kit, degrees):
     shift, turn = moved(pose, kit.moved(pose, (0.3, 0.0, -0.4), (0, degrees, 0)))
     assert shift == pytest.approx(0.5)
     assert np.degrees(turn) == pytest.approx(degrees, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "lag", "speed", "said"),
+    [
+        ([0.0, 0.1, 0.2], 0.035, 0.3, "depth was taken 0.035 s after its stamp"),
+        ([0.0, 0.1, 0.2], -0.035, 0.3, "depth was taken 0.035 s before its stamp"),
+        ([0.0, 1.0, 2.0], 0.4, 0.3, "depth was taken 0.4 frames after its stamp"),
+        ([0.0, 1.5, 3.0], 0.4, 0.3, "depth was taken 0.4 s after its stamp"),
+        ([0.0, 0.1, 0.2], 0.035, 0.1, ""),  # 3.5 mm
+    ],
+)
+def test_a_lag_is_told_with_its_sign_and_unit_where_it_matters(stamps, lag, speed, said):
+    refiner = SimpleNamespace(frames=[SimpleNamespace(stamp=s) for s in stamps])
+    twist = np.tile([speed, 0, 0, 0, 0, 0.01], (3, 1))
+    lags = Lags(np.array([lag, 0.0]), np.full(2, 1e-4), twist, 0.03)
+    told = _late(refiner, SimpleNamespace(lags=lags))
+    assert said in told
+    assert bool(told) == bool(said)

@@ -42,11 +42,11 @@ def refiner(room, walk):
 def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
     one = refiner(depth=False, frames=slice(0, 4))
     (stage, *_) = stages_of(None, near=False)
-    sights = one._looked(stage, exact.poses[:4])
+    sights = one.matched(stage, exact.poses[:4])
     camera = one.frames[0].camera
     assert sum(map(len, sights)) > 5
     assert not any(held_back(s.pixels, camera).any() for s in sights)
-    all_ = refiner(depth=False, frames=slice(0, 4), check=False)._looked(stage, exact.poses[:4])
+    all_ = refiner(depth=False, frames=slice(0, 4), check=False).matched(stage, exact.poses[:4])
     assert sum(map(len, all_)) > sum(map(len, sights))
     assert any(held_back(s.pixels, camera).any() for s in all_)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +25,7 @@ _UNIT = 127.0
 _CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences compress
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Landmarks:
     """L points with compact descriptors, as `placegraph.indoor.refine.landmarks` makes them."""
 
@@ -50,7 +51,7 @@ class Landmarks:
         rounded = np.rint(np.asarray(vectors, np.float64).reshape(-1, WIDTH) * _UNIT)
         return cls((steps[order] * GRAIN).astype(np.float32), rounded[order].astype(np.int8))
 
-    @property
+    @cached_property
     def unit_vectors(self) -> NDArray[np.float32]:
         """(L, WIDTH) float32."""
         numbers = self.vectors.astype(np.float32)

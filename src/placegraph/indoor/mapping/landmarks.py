@@ -126,7 +126,8 @@ def depth_at(frame: Frame, rays: Floats) -> Floats:
     depth, camera = frame.depth(), frame.depth_camera
     if depth is None or camera is None or not len(rays):
         return np.full(len(rays), np.nan)
-    at = camera.project(rays) - 0.5
+    # beyond a fisheye's rim there is no ray
+    at = np.nan_to_num(camera.project(rays) - 0.5, nan=-9.0, posinf=-9.0, neginf=-9.0)
     h, w = depth.shape
     x = np.clip(np.floor(at[:, 0]), 0, w - 2).astype(np.int64)
     y = np.clip(np.floor(at[:, 1]), 0, h - 2).astype(np.int64)

@@ -71,12 +71,16 @@ def calibrate(
     free: Sequence[int],
     widths: Sequence[float] = WIDTHS,
 ) -> Calibrated:
-    """Poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width."""
+    """Poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width.
+
+    Where no step can be told, as of numbers that are not finite, nothing is found: the start, zeros,
+    and an infinite cost.
+    """
     poses, values, size = start.copy(), np.zeros(COUNT), 6 * len(start)
     chosen = np.array([*free, TIME], int)
     ways, before = twists(problem.odometry, problem.stamps), BEFORE.copy()
     before[TIME] = usual_lag(problem.stamps)
-    system, cost = np.eye(size + len(chosen)), np.nan
+    covariance, cost = np.eye(size + len(chosen)), np.nan
     for width in widths:
         h, g, costs = np.zeros((size + COUNT,) * 2), np.zeros(size + COUNT), []
         for t, pose in enumerate(poses):
@@ -91,15 +95,26 @@ def calibrate(
         g[size:] += values / before**2
         kept = np.r_[0:size, size + chosen]
         system = h[np.ix_(kept, kept)]
-        step = -np.linalg.solve(system, g[kept])
+        covariance = _inverse(system)
+        step = -covariance @ g[kept]
+        if not np.isfinite(step).all():
+            return Calibrated(start.copy(), np.zeros(COUNT), np.zeros(COUNT), np.inf)
         moves = step[:size].reshape(-1, 6)
         poses[:, :3, 3] += moves[:, :3]
         poses[:, :3, :3] = rotation_from_vector(moves[:, 3:]) @ poses[:, :3, :3]
         values[chosen] += step[size:]
         cost = float(np.mean(costs)) if costs else np.nan
     errors = np.zeros(COUNT)
-    errors[chosen] = np.sqrt(np.diag(np.linalg.inv(system))[size:])
+    errors[chosen] = np.sqrt(np.diag(covariance)[size:])
     return Calibrated(poses, values, errors, cost)
+
+
+def _inverse(system: Floats) -> Floats:
+    """Inverse of normal equations; NaN of those that have none."""
+    try:
+        return np.asarray(np.linalg.inv(system))
+    except np.linalg.LinAlgError:
+        return np.full_like(system, np.nan)
 
 
 def depth_from_camera(values: Floats, way: Floats | None = None) -> Floats:

@@ -31,6 +31,9 @@ SURE = 1.0
 SURER = 3.0
 """... and where images alone speak: they are wrong together more easily (benchmark)."""
 
+FELT = (0.005, float(np.radians(0.2)))
+"""Way [m] and turn [rad] from which on it is told that a sensor keeps no stamps."""
+
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
@@ -65,7 +68,7 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     against = doubt or against
     if against:
         return replace(way, accepted=False, reason=f"Not refined: {against}.", doubt=doubt)
-    return replace(way, reason=f"{way.reason}{_late(way.fitted)}")
+    return replace(way, reason=f"{way.reason}{_late(refiner, way.fitted)}")
 
 
 def _looked_at(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
@@ -88,14 +91,26 @@ def _looked_at(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     return Judgement(True, f"Refined by {_by(refiner, inliers)}.", fitted, stats)
 
 
-def _late(fitted: Fitted) -> str:
-    """What is told of stamps that sensors do not keep."""
-    found = {} if fitted.lags is None else fitted.lags.clear()
-    told = (
-        f"{what} {'lag' if what == 'images' else 'lags'} {lag:.2g} behind the stamps"
-        for what, lag in found.items()
-    )
-    return "".join(f" Note that {said}; that was allowed for." for said in told)
+def _late(refiner: Refiner, fitted: Fitted) -> str:
+    """What is told of stamps that sensors do not keep, where it moves a pose enough to matter."""
+    if fitted.lags is None:
+        return ""
+    stamps = np.array([f.stamp for f in refiner.frames], np.float64)
+    steps = np.diff(stamps)
+    counted = bool(((steps >= 1.0) & (steps == np.rint(steps))).all())
+    told = ""
+    for what, lag in fitted.lags.clear().items():
+        way, turn = (
+            abs(lag) * np.linalg.norm(part, axis=1).max()
+            for part in (fitted.lags.twist[:, :3], fitted.lags.twist[:, 3:])
+        )
+        if way > FELT[0] or turn > FELT[1]:
+            taken = "images were" if what == "images" else "depth was"
+            by = f"{abs(lag):.2g} {'frames' if counted else 's'}"
+            side = "after" if lag > 0 else "before"
+            its = "their stamps" if what == "images" else "its stamp"
+            told += f" Note that {taken} taken {by} {side} {its}; that was allowed for."
+    return told
 
 
 def _unfounded(refiner: Refiner, fitted: Fitted, inliers: int) -> str:

@@ -55,6 +55,7 @@ FARTHEST = (1.0, 0.6)
 """Landmarks whose pose lies farther than this [m], [rad] from the one at hand mean another place."""
 _APART = 0.1  # landmarks nearer to each other show the same spot [m]
 _RIVALS = 4  # landmarks of one spot that are passed over in search of a rival
+_BLOCK = 8192  # landmarks that are compared at once
 _SIDES = 4
 _DIRECTIONS = 8
 
@@ -103,34 +104,46 @@ def sights_of(landmarks: Landmarks, found: Features, frame: Frame) -> Sights:
     """Landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
     if not len(found) or not len(landmarks):
         return Sights.none()
-    cosine = found.vectors @ landmarks.unit_vectors.T
-    every = np.arange(len(found))
-    best = cosine.argmax(axis=1)
-    sure = cosine[every, best]
-    mutual = cosine[:, best].argmax(axis=0) == every
-    rival = _rivals(cosine, best, landmarks.points)
+    cosine, ranked = _likeliest(found.vectors, landmarks.unit_vectors)
+    sure, best = cosine[:, 0], ranked[:, 0]
+    back = found.vectors @ landmarks.unit_vectors[best].T
+    mutual = back.argmax(axis=0) == np.arange(len(found))
+    apart = np.linalg.norm(landmarks.points[ranked] - landmarks.points[best][:, None], axis=2)
+    elsewhere = apart[:, 1:] >= _APART
+    # where all of them show one spot, the last stands for a rival
+    rank = np.where(elsewhere.any(axis=1), elsewhere.argmax(axis=1), _RIVALS - 1) + 1
+    rival = np.take_along_axis(cosine, rank[:, None], axis=1)[:, 0]
     clear = mutual & (1.0 - sure < RATIO**2 * (1.0 - rival))
     points = landmarks.points[best[clear]].astype(np.float64)
     return Sights.of(points, found.points[clear], frame.camera, SIGMA)
 
 
-def _rivals(
-    cosine: NDArray[np.float32], best: NDArray[np.int64], points: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Largest cosine (N,) of rows (N, L) at landmarks that lie elsewhere than each row's best.
+def _likeliest(
+    vectors: NDArray[np.float32], known: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Cosines (N, 1 + _RIVALS) and rows of the likeliest of L landmarks, likeliest first.
 
-    `cosine` is overwritten.
+    Landmarks are gone through in blocks, so that memory does not grow with the map; where they are
+    too few, the cosine is -1.
     """
-    every, column = np.arange(len(best)), best
-    for _ in range(_RIVALS):
-        cosine[every, column] = -1.0
-        column = cosine.argmax(axis=1)
-        out = cosine[every, column]
-        same = np.linalg.norm(points[column] - points[best], axis=1) < _APART
-        if not same.any():
-            break
-        column = np.where(same, column, best)  # others stay as they are
-    return out
+    count = 1 + _RIVALS
+    best = np.full((len(vectors), count), -1.0, np.float32)
+    rows, every = np.zeros((len(vectors), count), np.int64), np.arange(len(vectors))
+    for first in range(0, len(known), _BLOCK):
+        cosine = vectors @ known[first : first + _BLOCK].T
+        for _ in range(min(count, cosine.shape[1])):
+            column = cosine.argmax(axis=1)
+            # the last of those kept so far gives way, and moves up to its place
+            better = cosine[every, column] > best[:, -1]
+            if not better.any():
+                break
+            best[:, -1] = np.where(better, cosine[every, column], best[:, -1])
+            rows[:, -1] = np.where(better, first + column, rows[:, -1])
+            cosine[every, column] = -2.0
+            order = np.argsort(-best, axis=1, kind="stable")
+            best = np.take_along_axis(best, order, axis=1)
+            rows = np.take_along_axis(rows, order, axis=1)
+    return best, rows
 
 
 def seen(window: Window) -> list[Sights]:
