@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from math import isnan, nan
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
+
+from placegraph.evidence import Evidence as Evidence  # noqa: PLC0414, TC001 - found here too
+from placegraph.evidence import ObjectRef as ObjectRef  # noqa: PLC0414 - found here too
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,47 +31,6 @@ class Status(StrEnum):
     """Several places fit, or the reason names what stands in the way; ask, or look at all modes."""
     LOST = "LOST"
     """Nothing fits better than being somewhere else, or nothing was understood."""
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectRef:
-    """A map object that served, or spoke against, a statement."""
-
-    id: str
-    """OpenStreetMap's own id, such as ``way/4711``, or the object's id in a scene map."""
-    label: str
-    """Tag, such as ``amenity=cafe``, or label."""
-    name: str
-    """Name, or an empty string."""
-    longitude: float = nan
-    """Degrees, WGS84; not a number indoors."""
-    latitude: float = nan
-    """Degrees, WGS84; not a number indoors."""
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What one statement of the query said about one mode."""
-
-    statement: str
-    """The statement as it was understood."""
-    verdict: str
-    """``for``, ``against`` or ``silent``."""
-    weight: float
-    """Log-likelihood ratio of the statement at this mode against anywhere [nat]."""
-    objects: tuple[ObjectRef, ...] = ()
-    """The map objects that served it best."""
-    note: str = ""
-    """What spoke against it, or why it was not used."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
-        plain = asdict(self)
-        plain["objects"] = [
-            {k: v for k, v in o.items() if not (isinstance(v, float) and isnan(v))}
-            for o in plain["objects"]
-        ]
-        return plain
 
 
 def _no_evidence() -> tuple[Evidence, ...]:

@@ -96,7 +96,7 @@ def localize(
 ) -> None:
     """Find the scene that a capture was taken in, and the pose in its map.
 
-    The likeliest scenes are searched together; the pose is in the map of the scene named.
+    The likeliest scenes are looked into one after another; the pose is in the map of the scene named.
 
     Example: placegraph library localize homes.library walk/ --frames :10
     """

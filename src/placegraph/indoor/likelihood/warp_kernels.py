@@ -15,10 +15,8 @@ SUMS = wp.constant(8)
 """A tile's sums: depth, hits, SSIM times hits, and the moments of `score_kernels._steps`."""
 STEEPEST = wp.constant(wp.vec3(0.1, 0.02, 0.02))
 """`score_kernels.STEEPEST`."""
-FLAT = wp.constant(wp.float64(0.01))
-"""`score_kernels.FLAT`."""
-NO_COLOUR = wp.constant(wp.float32(-1.0))
-"""Lightness of a ray that hits nothing."""
+FLAT = wp.constant(wp.float64(0.01))  # `score_kernels.FLAT`
+NO_COLOUR = wp.constant(wp.float32(-1.0))  # lightness of a ray that hits nothing
 
 
 @wp.struct

@@ -32,6 +32,7 @@ _ENCLOSED = 0.5  # nor in a place where half of what it sees is nearer than this
 _MAPPED = 0.1  # nor where less than this share of its panorama is mapped
 _BACKS = 0.4  # nor beside the floor where so much of what is seen are backs of triangles
 _TARGETS, _SIGHTED = 12, 0.25  # places on the floor looked for from one that has none; share seen
+_PAIRS = 1 << 20  # of places compared at once: they take 32 MB
 _PROBES = DIRECTIONS[5::61]
 
 
@@ -169,9 +170,14 @@ def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]
     """Which of points (K, 3) see their share of places (M, 3): the nearest, and others all over."""
     if not len(points):
         return np.zeros(0, np.bool_)
-    apart = np.linalg.norm(points[:, None] - inside[None], axis=2)
-    nearest = np.argsort(apart, axis=1)[:, : _TARGETS // 2]
-    spread = np.linspace(0, len(inside) - 1, _TARGETS // 2).round().astype(np.int64)
+    half = _TARGETS // 2
+    nearest = np.concatenate(
+        [
+            np.argsort(np.linalg.norm(some[:, None] - inside[None], axis=2), axis=1)[:, :half]
+            for some in np.array_split(points, -(-len(points) * len(inside) // _PAIRS))
+        ]
+    )
+    spread = np.linspace(0, len(inside) - 1, half).round().astype(np.int64)
     rows = np.concatenate([nearest, np.broadcast_to(spread, (len(points), len(spread)))], axis=1)
     ways = (inside[rows] - points[:, None]).reshape(-1, 3)
     hits = scene.caster.cast(np.repeat(points, rows.shape[1], axis=0), ways)

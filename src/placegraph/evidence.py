@@ -1,0 +1,48 @@
+"""What a statement of a query, or a measurement, says of one answer, and by which objects."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import isnan, nan
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectRef:
+    """A map object that served, or spoke against, a statement."""
+
+    id: str
+    """OpenStreetMap's own id, such as ``way/4711``, or the object's id in a scene map."""
+    label: str
+    """Tag, such as ``amenity=cafe``, or label."""
+    name: str
+    """Name, or an empty string."""
+    longitude: float = nan
+    """Degrees, WGS84; not a number indoors."""
+    latitude: float = nan
+    """Degrees, WGS84; not a number indoors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one statement of the query said about one mode."""
+
+    statement: str
+    """The statement as it was understood."""
+    verdict: str
+    """``for``, ``against`` or ``silent``."""
+    weight: float
+    """Log-likelihood ratio of the statement at this mode against anywhere [nat]."""
+    objects: tuple[ObjectRef, ...] = ()
+    """The map objects that served it best."""
+    note: str = ""
+    """What spoke against it, or why it was not used."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        plain = asdict(self)
+        plain["objects"] = [
+            {k: v for k, v in o.items() if not (isinstance(v, float) and isnan(v))}
+            for o in plain["objects"]
+        ]
+        return plain
