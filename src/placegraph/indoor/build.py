@@ -15,6 +15,7 @@ from placegraph.indoor.map.detail import Detail, detail_named
 from placegraph.indoor.map.floor import floor_height, is_floor
 from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
+from placegraph.indoor.map.scene_file import near_box
 from placegraph.indoor.mapping.clean import check, cleaned, in_metres, upright
 from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.reduce import reduced
@@ -174,7 +175,8 @@ def scene_of(
         source=model.path.name,
         encoded=blobs,
     )
-    return replace(scene, landmarks=source.landmarks, viewpoints=source.viewpoints)
+    seen_from = source.viewpoints[near_box(source.viewpoints, scene.bounds)]
+    return replace(scene, landmarks=source.landmarks, viewpoints=seen_from)
 
 
 def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:

@@ -5,15 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.errors import MapError
 from placegraph.geometry import split_pose
 from placegraph.indoor.build import scene_of_model
+from placegraph.indoor.likelihood.visibility import build_table
+from placegraph.indoor.map import free
 from placegraph.indoor.map.floor import storeys
-from placegraph.indoor.map.free import BEYOND
-from placegraph.indoor.map.scene_file import columns, save_scene
+from placegraph.indoor.map.free import BEYOND, nearest_scene
+from placegraph.indoor.map.landmarks import MOST, WIDTH
+from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save_scene
 from placegraph.indoor.mapping import merge
-from placegraph.indoor.mapping.from_capture import VIEWPOINTS, thinned
+from placegraph.indoor.mapping.from_capture import thinned
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.store import write_map
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STAGE = {
@@ -90,6 +95,53 @@ def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
     moved = merge.merge_scenes({"a": room, "b": scene})
     shift = np.linalg.inv(moved.scene_from_map[1])[:3, 3]
     np.testing.assert_allclose(moved.viewpoints, seen + shift)
+
+
+def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
+    seen = np.array([[3.0, 3.0, 0.61 + room.floors[0]]])
+    both = merge.merge_scenes({"mesh": room, "walked": replace(room, viewpoints=seen)})
+    table = both.visibility(FilterOptions())
+    within = nearest_scene(both, table.positions[:, :2])[0]
+    above = table.positions[:, 2] - table.ground
+    assert (table.layer[table.usual & (within == 1)] == 0).all()
+    mesh = within == 0
+    assert (table.usual & mesh).any()
+    assert (table.usual[mesh] == ((above > 1.05) & (above < 1.85))[mesh]).all()
+
+
+@pytest.mark.parametrize(
+    ("forged", "says"),
+    [
+        ({"viewpoints": np.full((1, 3), np.iinfo(np.int32).max, np.int32)}, "outside the mesh"),
+        ({"viewpoints": np.full((VIEWPOINTS + 1, 3), 100, np.int32)}, "at most 300"),
+        ({"landmark_points": np.zeros((1, 3), np.int32)}, "landmark_vectors"),
+        ({"landmark_vectors": np.zeros((1, WIDTH), np.int8)}, "landmark_points"),
+        (
+            {
+                "landmark_points": np.zeros((MOST + 1, 3), np.int32),
+                "landmark_vectors": np.zeros((MOST + 1, WIDTH), np.int8),
+            },
+            "at most 20,000",
+        ),
+    ],
+)
+def test_absurd_viewpoints_and_landmarks_are_refused(forged, says, room, tmp_path):
+    meta, arrays = columns(room)
+    write_map(tmp_path / "it.scene", "scene", 2, meta, arrays | forged)
+    with pytest.raises(MapError, match=says):
+        SceneMap.open(tmp_path / "it.scene")
+
+
+def test_viewpoints_far_from_the_mesh_are_told():
+    points = np.array([[0.5, 0.5, 0.5], [10.9, 0, 0], [11.1, 0, 0], [0, 0, -10.1]])
+    assert near_box(points, np.array([[0.0] * 3, [1.0] * 3])).tolist() == [True, True, False, False]
+
+
+def test_places_that_look_in_are_found_in_blocks(boxes, monkeypatch):
+    scene = scene_of_model(boxes(STAGE))
+    whole = build_table(scene, FilterOptions()).positions
+    monkeypatch.setattr(free, "_PAIRS", 1000)
+    np.testing.assert_array_equal(build_table(scene, FilterOptions()).positions, whole)
 
 
 def test_viewpoints_are_few_and_everywhere(rng):

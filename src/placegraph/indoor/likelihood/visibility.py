@@ -170,15 +170,23 @@ def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
         spacing=grid.spacing,
         index=index.reshape(len(grid.height), *grid.shape),
         layer=layer_of,
-        usual=_usual(scene, layer_of, np.concatenate(positions)[:, 2] - np.concatenate(ground)),
+        usual=_usual(scene, layer_of, np.concatenate(positions), np.concatenate(ground)),
     )
 
 
-def _usual(scene: Scene, layer: NDArray[np.int32], above: Floats) -> NDArray[np.bool_]:
-    """Where (K,) cameras usually are, of places in layers, so high `above` their floors [m]."""
+def _usual(
+    scene: Scene, layer: NDArray[np.int32], positions: Floats, ground: Floats
+) -> NDArray[np.bool_]:
+    """Where (K,) cameras usually are, of `positions` (K, 3) in layers above `ground` (K,) [m].
+
+    In each merged scene where its own were, or where one holds them if it knows of none.
+    """
+    above, within = positions[:, 2] - ground, nearest_scene(scene, positions[:, :2])[0]
+    walked = np.zeros(len(scene.scenes), np.bool_)
     if len(scene.viewpoints):
-        return layer == 0
-    usual = (above > _USUAL[0]) & (above < _USUAL[1])
+        walked[nearest_scene(scene, scene.viewpoints[:, :2])[0]] = True
+    held = (above > _USUAL[0]) & (above < _USUAL[1])
+    usual = np.where(walked[within], layer == 0, held)
     return usual if usual.any() else np.ones(len(above), np.bool_)
 
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from placegraph.store import MapFile
 
+MOST = 20_000
+"""Landmarks of a scene."""
 WIDTH = 32
 """Numbers of a descriptor."""
 GRAIN = 0.0005
@@ -81,7 +83,7 @@ class Landmarks:
     @classmethod
     def read(cls, file: MapFile) -> Landmarks | None:
         """Landmarks of a map file's columns; None of a file that has none."""
-        if "landmark_points" not in file.arrays:
+        if not {"landmark_points", "landmark_vectors"} & set(file.arrays):
             return None
         steps = file.array("landmark_points", "<i4", 2).astype(np.float64)
         return cls((steps * GRAIN).astype(np.float32), file.array("landmark_vectors", "|i1", 2))

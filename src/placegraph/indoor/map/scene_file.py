@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.landmarks import Landmarks
+from placegraph.indoor.map.landmarks import MOST, Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
 from placegraph.indoor.map.scene import S, Scene, from_8_bits, in_8_bits
@@ -28,6 +28,10 @@ KIND = "scene"
 VERSION = 2
 CENTIMETRE = 0.01
 """Step of viewpoints [m]."""
+VIEWPOINTS = 300
+"""Most of a scene: where its cameras were, thinned."""
+FAR = 10.0
+"""Viewpoints farther outside the mesh's box are an error of poses [m]."""
 
 PARTS = {
     "surface": ("vertices", "triangles", "object_of", "texture_of"),
@@ -47,11 +51,29 @@ def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
     """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
     file = read_map(path, KIND, VERSION)
     try:
-        return kind(**_fields(file))
+        return _sound(kind(**_fields(file)))
     except (OptionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise MapError(
             f"{file.header.path}: its columns contradict each other ({error}). Build it again."
         ) from error
+
+
+def near_box(points: NDArray[np.float64], box: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of points (N, 3) lie at most `FAR` outside a box (2, 3) [m]."""
+    return np.asarray(((points > box[0] - FAR) & (points < box[1] + FAR)).all(axis=1))
+
+
+def _sound(scene: S) -> S:
+    """A scene as it is; raises `ValueError` where it has too many viewpoints, landmarks or far ones."""
+    scenes = len(scene.scenes)
+    if len(scene.viewpoints) > VIEWPOINTS * scenes:
+        raise ValueError(f"viewpoints: {len(scene.viewpoints):,}; at most {VIEWPOINTS} a scene")
+    if len(scene.landmarks or ()) > MOST * scenes:
+        raise ValueError(f"landmarks: {len(scene.landmarks or ()):,}; at most {MOST:,} a scene")
+    slack = np.array([[-CENTIMETRE], [CENTIMETRE]])  # both were rounded
+    if not near_box(scene.viewpoints, scene.bounds + slack).all():
+        raise ValueError(f"viewpoints: some lie more than {FAR:.0f} m outside the mesh")
+    return scene
 
 
 def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -13,6 +13,7 @@ from placegraph.formats.capture.capture import format_of
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.map.floor import floor_height
 from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene_file import VIEWPOINTS
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int], None]
 """Is told a stage, how much of it is done, and of how much."""
-VIEWPOINTS = 300
-"""Places of its cameras that a map remembers, at most."""
 UNKNOWN = "unknown"
 """Label of what nobody named."""
 _LOWEST = 0.005

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.map.landmarks import WIDTH, Landmarks
+from placegraph.indoor.map.landmarks import MOST, WIDTH, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
 from placegraph.threads import processors
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
 
-MOST = 20_000
-"""Landmarks kept, 0.8 MB."""
 FRAMES = 300
 """Most frames that are looked at, spread over the capture."""
 FEATURES = 1500

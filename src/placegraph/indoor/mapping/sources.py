@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -130,9 +130,15 @@ def read_source(
     if kind is None:
         return _capture(path, how, left_out, progress)
     if how.capture is not None:
+        plain = FromCapture()
+        given = [
+            f.name
+            for f in fields(how.capture)
+            if getattr(how.capture, f.name) != getattr(plain, f.name)
+        ]
         raise OptionError(
-            f"{path} is no capture: frames, poses, voxel and segmenter belong to captures; leave them "
-            "out."
+            f"{path} is no capture: {' and '.join(given) or 'capture'} can only be used with captures; "
+            "leave it out."
         )
     table = _table(path, how.labels)
     options: dict[str, Any] = {"up": _axis(kind, how.up), "object_property": how.object_property}
