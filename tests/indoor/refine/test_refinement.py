@@ -112,19 +112,21 @@ def test_images_alone(room, walk, exact, kit):
 
 
 @pytest.mark.parametrize(
-    ("before", "accepted", "landmarks", "after"),
+    ("undecided", "accepted", "landmarks", "after"),
     [
-        (Status.AMBIGUOUS, True, {"landmarks": 40}, Status.OK),
-        (Status.AMBIGUOUS, True, {}, Status.AMBIGUOUS),
-        (Status.AMBIGUOUS, False, {"landmarks": 40}, Status.AMBIGUOUS),
-        (Status.OK, False, {"landmarks": 40}, Status.AMBIGUOUS),
+        (True, True, {"landmarks": 40}, Status.OK),
+        (True, True, {}, Status.AMBIGUOUS),
+        (True, False, {"landmarks": 40}, Status.AMBIGUOUS),
+        (False, True, {"landmarks": 40}, Status.AMBIGUOUS),  # something else speaks against it
     ],
 )
-def test_landmarks_make_sure_of_a_pose(coarse, before, accepted, landmarks, after):
+def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, after):
     refiner = SimpleNamespace(matcher=None, seconds={}, stats=landmarks)
-    judgement = Judgement(accepted, "", {}, doubt="" if accepted else "it is elsewhere")
-    told = _told(replace(coarse, status=before), refiner, None, judgement)
-    assert told.status is after
+    poses = coarse.trajectory.copy()
+    fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
+    judgement = Judgement(accepted, "", fitted, {}, doubt="" if accepted else "it is elsewhere")
+    before = replace(coarse, status=Status.AMBIGUOUS, stats={"undecided": undecided})
+    assert _told(before, refiner, judgement).status is after
 
 
 def test_the_same_seed_the_same_answer(refined, room, walk):

@@ -50,6 +50,7 @@ GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
+_PLACES = 8
 FINEST = np.diag(NARROWEST**2)
 KNOWN = WIDENED * FINEST
 """Covariance of a fit before the first round."""
@@ -200,11 +201,13 @@ def polished(window: Window, modes: Floats, seeds: Floats, rng: Generator) -> li
     with timed(window.seconds, "polish"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            round_of(window, COARSE, rounds=2, most=8, frames=5),
+            round_of(window, COARSE, rounds=2, most=10, frames=5),
             round_of(window, COARSE, rounds=3, most=4, gap=800.0),
             round_of(window, FINE, rounds=4, most=3, gap=GAP),
         ]
-        return polish(window.scorer, np.concatenate([modes, seeds[:8]]), levels, rng)
+        # the best seeds of as many places: rivals must not be missed because one place has many
+        others = seeds[distinct(seeds, -np.arange(len(seeds), dtype=np.float64), _PLACES)]
+        return polish(window.scorer, np.concatenate([modes, others]), levels, rng)
 
 
 def round_of(

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from placegraph.indoor.pose.prior import Leaning
     from placegraph.indoor.pose.window import Window
 
-LOOSE = 0.35
+LOOSE = 0.25
 """A pose whose position is not known better than this [m] is not `OK`."""
 _BLIND = 0.2
 """Share of the view that the map has to show."""
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
-_PATCHES_AGREE, _PATCHES_TELL, _PATCHES_ALONE = 0.5, 15.0, 0.9
+_PATCHES_AGREE, _PATCHES_TELL, ALONE = 0.5, 15.0, 0.9
 """Of labels: the share that agrees, what they tell a frame without depth [nat], and, where they speak
 alone, the probability needed."""
 _DEPTH_AGREES = 0.85
@@ -67,7 +67,7 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
         )
         steps = between(fits[0].pose, fits[0].poses[looked])
         told = judging.scorer.together(fits[0].pose[None], told_apart, steps)[0]
-        status, reason = _status(
+        status, reason, undecided = _status(
             judging, fits[0].poses, modes, agreed[0], float(told) / len(looked)
         )
         if status is Status.OK:
@@ -81,7 +81,10 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             reason=reason,
             trajectory=pose_matrix(fits[0].poses, window.levels),
             frames=np.array([s.frame.index for s in window.sightings]),
-            stats={"trust": agreed[0].numbers() | {"probability": modes[0].probability}},
+            stats={
+                "trust": agreed[0].numbers() | {"probability": modes[0].probability},
+                "undecided": undecided,
+            },
         )
 
 
@@ -139,16 +142,20 @@ _EXPLAINED = 3  # modes that can be explained
 
 def _status(
     window: Window, poses: Floats, modes: Sequence[PoseMode], agreed: Agreement, told: float
-) -> tuple[Status, str]:
-    """Status and reason by all frames at poses (T, 4), by the newest alone, and by what was said."""
+) -> tuple[Status, str, bool]:
+    """Status and reason by all frames at poses (T, 4), by the newest alone, and by what was said.
+
+    And whether all that is missing is that one place stands out.
+    """
     fault = spoiled(window)
     if fault:
-        return Status.LOST, fault
+        return Status.LOST, fault, False
     status, reason = judge(agreed, modes, told)
+    undecided = status is Status.AMBIGUOUS
     pose = modes[0].pose
     fault = divided(window, _frames(window, poses, agreed))
     if fault:
-        return Status.LOST if status is Status.LOST else Status.AMBIGUOUS, fault
+        return Status.LOST if status is Status.LOST else Status.AMBIGUOUS, fault, False
     if status is Status.OK and len(window) > 1:
         against = _newest_against(agreed.frames[-1])
         if against:
@@ -166,7 +173,7 @@ def _status(
         frame = window.sightings[-1].frame
         unit = hint(window.views(FINE), window.table.background, frame)
         reason = f"{reason} {unit}".rstrip()
-    return status, reason
+    return status, reason, undecided
 
 
 def _slides(window: Window, poses: Floats, mode: PoseMode) -> float:
@@ -226,7 +233,7 @@ def _sure(agreed: Agreement, probability: float) -> bool:
     """Whether a pose can be relied on that is the best with a probability."""
     if _named_alone(agreed):
         seen = int((agreed.weights > TELLING).sum()) >= WITNESSES or agreed.colour > SPEAK
-        return probability >= _PATCHES_ALONE and seen
+        return probability >= ALONE and seen
     if np.isnan(agreed.depth) and not agreed.colour > CLEAR:
         return False
     return probability >= ALONE and TRUST.of(agreed, probability) >= SURE

@@ -134,7 +134,8 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> Pos
         status, reason = Status.AMBIGUOUS, _BENT
     if status is Status.OK and judgement.doubt:
         status, reason = Status.AMBIGUOUS, f"One place fits, but {judgement.doubt}."
-    if estimate.status is Status.AMBIGUOUS and judgement.accepted and "landmarks" in stats:
+    told = "landmarks" in stats and estimate.stats.get("undecided", False)
+    if told and judgement.accepted and len({mode.scene for mode in estimate.modes}) == 1:
         # they were looked for in the whole map, and led to where the likelihood is largest
         agreed = f"{stats['landmarks']} landmarks of the map agree on it"
         status, reason = Status.OK, f"One place fits: {agreed}."
