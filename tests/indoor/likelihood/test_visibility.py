@@ -16,14 +16,7 @@ from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map import free
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.panoramas import HIGHEST, range_of
-from placegraph.indoor.map.panoramas_kernels import (
-    AZIMUTHS,
-    ELEVATIONS,
-    FLAT,
-    HEADINGS,
-    STEEPEST,
-    STEP,
-)
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, HEADINGS, STEP
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import STANDING, FilterOptions, Likelihood
@@ -331,7 +324,7 @@ def slow_scan(table, view, k, a, turn=0.0):
     used = np.flatnonzero(view.patch >= 0)
     used = [r for r in used if abs(_elevation(view.directions[r])) < HIGHEST]
     shares = np.bincount(view.patch[used], minlength=len(view.weight))
-    total, seen = 0.0, {}
+    total, seen, shown = 0.0, [], []
     ranges = range_of(np.arange(256, dtype=np.uint8))
     for r in used:
         ray = view.directions[r].astype(float)
@@ -350,30 +343,17 @@ def slow_scan(table, view, k, a, turn=0.0):
             cost = NOISE.near_cost if expected > measured else NOISE.far_cost
             fit = good * NOISE.depth_gain - (1 - good) * cost - view.usual_depth[r]
             total += fit * NOISE.depth_weight / len(used)
-        if view.terms[2]:
-            seen.setdefault((e, b), []).append(view.colour[r])
-    return total + NOISE.colour_weight * slow_steps(table.panoramas, k, seen)
-
-
-def slow_steps(panoramas, k, seen):
-    """What steps between the colours seen in bins (band, azimuth) tell at position k [nat a step]."""
-    pairs, image, shown = 0, [], []
-    for (e, b), here in seen.items():
-        for beyond in ((e, (b + 1) % AZIMUTHS), (e + 1, b)):
-            if beyond not in seen:
-                continue
-            pairs += 1
-            if 255 in (panoramas.ranges[k, e, b], panoramas.ranges[(k, *beyond)]):
-                continue
-            image.append(np.mean(seen[beyond], axis=0) - np.mean(here, axis=0))
-            there = panoramas.colours[k, beyond[0], :, beyond[1]].astype(float)
-            shown.append((there - panoramas.colours[k, e, :, b]) / (85, 127, 63))
-    if len(shown) < 16:
-        return 0.0
-    q, r = (np.clip(np.array(x) / STEEPEST, -1, 1) for x in (image, shown))
-    flat = FLAT * q.size
-    rho = (q * r).sum() / math.sqrt(((q * q).sum() + flat) * ((r * r).sum() + flat))
-    return -0.5 * math.log(1 - min(max(rho, 0), 0.99) ** 2) * len(shown) / pairs
+        if view.terms[2] and math.isfinite(expected):
+            seen.append(view.colour[r] * (85, 127, 63) + (0, 127, 127))
+            shown.append(table.panoramas.colours[k, e, :, b].astype(float))
+    if len(seen) >= 16:
+        q, r = np.array(seen), np.array(shown)
+        for c in range(3):
+            if q[:, c].var() > 1 and r[:, c].var() > 1:
+                rho = min(max(np.corrcoef(q[:, c], r[:, c])[0, 1], 0), 0.99)
+                share = len(seen) / len(used)
+                total -= NOISE.colour_weight * share * math.log(1 - rho * rho) / 6
+    return total
 
 
 def _elevation(ray):

@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.compiled import kernel
-from placegraph.indoor.map.panoramas_kernels import FLAT, STEEPEST
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
@@ -18,6 +17,13 @@ SEMANTIC, DEPTH, COLOUR = range(3)
 
 _FEW = 8
 """So few poses are scored sooner than other threads wake."""
+
+
+STEEPEST = np.array([0.1, 0.02, 0.02], np.float32)
+"""Steps of `surface.opponent` between neighbouring samples count no more than this: a bright window
+or a dark gap says no more of a place than the outline of a table."""
+FLAT = np.float32(0.01)
+"""Mean square of steps, as shares of `STEEPEST`, that is taken for noise: bare walls say nothing."""
 
 
 def score_poses(tracer, surface, poses, view, noise):

@@ -10,7 +10,7 @@ table is derived from the mesh in about a second, so it is not stored in the map
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,18 +19,16 @@ from placegraph.indoor.likelihood.calibrated import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
 from placegraph.indoor.likelihood.view import Background
 from placegraph.indoor.map.free import free, grid_of, likely, nearest_scene
-from placegraph.indoor.map.panoramas import DIRECTIONS, HIGHEST, range_of
+from placegraph.indoor.map.panoramas import DIRECTIONS, HIGHEST, as_bytes, range_of
 from placegraph.indoor.map.panoramas_kernels import (
     AZIMUTHS,
     ELEVATIONS,
     FARTHEST,
     HEADINGS,
     NOTHING,
-    STEEPEST,
     STEP,
     Panoramas,
     Samples,
-    Steps,
     add_moved,
     look_around,
     scan_headings,
@@ -73,6 +71,8 @@ class VisibilityTable:
     usual: NDArray[np.bool_]
     """(K,) whether cameras are usually there: where the map's own were, else where one holds them."""
 
+    mapped: NDArray[np.bool_]
+    """(K,) whether all rays of a panorama hit."""
     background: Background
     """What is seen on average."""
 
@@ -119,11 +119,11 @@ class VisibilityTable:
         ]
         first = np.cumsum([0, *[len(p.semantic) for p in parts]])
         shifted = [p._replace(patch=p.patch + n) for p, n in zip(parts, first, strict=False)]
-        samples = Samples._make(_joined(shifted))
-        pairs = zip(views, turns, strict=True)
-        steps = Steps._make(_joined([_steps(view, turn) for view, turn in pairs]))
+        columns = [np.concatenate(column) for column in zip(*shifted, strict=True)]
+        columns[0] = np.cumsum(columns[0])
+        samples = Samples._make(columns)
         weight = np.float32(noise.colour_weight)
-        found: NDArray[np.float32] = scan_headings(self.panoramas, samples, steps, weight)
+        found: NDArray[np.float32] = scan_headings(self.panoramas, self.mapped, samples, weight)
         return found
 
 
@@ -165,6 +165,7 @@ def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
         positions=np.concatenate(positions),
         ground=np.concatenate(ground),
         panoramas=panoramas,
+        mapped=(panoramas.ranges != NOTHING).all(axis=(1, 2)),
         background=_background(panoramas, len(scene)),
         origin=grid.origin,
         spacing=grid.spacing,
@@ -209,24 +210,22 @@ def floor_under(scene: Scene, points: Floats) -> Floats:
     return np.asarray(scene.floors[nearest_scene(scene, points)[0]])
 
 
-def _joined(parts: Sequence[Samples] | Sequence[Steps]) -> list[NDArray[Any]]:
-    """Columns of the parts of several views; the first column is how many rows each has."""
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return [np.cumsum(columns[0]), *columns[1:]]
-
-
 def _samples(
     view: View, turn: float, lanes: int, offset: int, noise: Noise, blur: float
 ) -> Samples:
     """Some samples of a view, turned by `turn` [rad]: `lanes` of each tile, others by `offset`."""
-    reach, elevation, band, azimuth = _bins(view, turn)
+    d = view.directions.astype(np.float64)
+    reach = np.linalg.norm(d, axis=1)
+    elevation = np.arcsin(d[:, 2] / reach)
     # spread over the tile as queens on a chessboard, others in each view
-    lane = (_SPREAD[np.arange(len(reach)) % LANES] + 5 * offset) % LANES
+    lane = (_SPREAD[np.arange(len(d)) % LANES] + 5 * offset) % LANES
     asked = (view.patch >= 0) & (np.abs(elevation) < HIGHEST)
-    use = asked & (lane < lanes) & view.terms[:COLOUR].any()
-    reach, patch = reach[use], view.patch[use]
+    use = asked & (lane < lanes)
+    d, reach, elevation, patch = d[use], reach[use], elevation[use], view.patch[use]
+    band = ((elevation / HIGHEST + 1.0) / 2.0 * ELEVATIONS).astype(np.int32)
+    azimuth = np.round((np.arctan2(d[:, 1], d[:, 0]) + turn) / STEP).astype(np.int32) % AZIMUTHS
     terms = view.terms
-    semantic, depth = _NO_PATCHES, _NO_COSTS
+    semantic, depth, colour = _NO_PATCHES, _NO_COSTS, _NO_COLOURS
     if terms[SEMANTIC]:
         share = np.bincount(patch, minlength=len(view.weight))
         # a sample of a patch that has several speaks for its share of it, and for patches left out
@@ -236,49 +235,18 @@ def _samples(
         semantic = (np.log(np.maximum(view.semantic, 1e-6)) * weight).astype(np.float32)
     if terms[DEPTH]:
         depth = _depth_costs(view.depth[use] * reach, view.usual_depth[use], noise, blur)
+    # where labels and depth are there, colours are left to the rays: they are the dearest here
+    if terms[COLOUR] and not (terms[SEMANTIC] and terms[DEPTH]):
+        colour = as_bytes(view.colour[use])
     ends = np.array([len(patch)])
-    return Samples(ends, band[use], azimuth[use], patch.astype(np.int32), semantic, depth)
-
-
-def _bins(view: View, turn: float) -> tuple[Floats, Floats, NDArray[np.int32], NDArray[np.int32]]:
-    """Length and elevation [rad] of a view's rays (R,), and their bins when turned by `turn` [rad]."""
-    d = view.directions.astype(np.float64)
-    reach = np.linalg.norm(d, axis=1)
-    elevation = np.arcsin(d[:, 2] / reach)
-    band = ((elevation / HIGHEST + 1.0) / 2.0 * ELEVATIONS).astype(np.int32)
-    azimuth = np.round((np.arctan2(d[:, 1], d[:, 0]) + turn) / STEP).astype(np.int32) % AZIMUTHS
-    return reach, elevation, np.clip(band, 0, ELEVATIONS - 1), azimuth
-
-
-def _steps(view: View, turn: float) -> Steps:
-    """Steps of colour of a view, turned by `turn` [rad], between the bins of a panorama.
-
-    Where labels and depth are there, colours are left to the rays: they are the dearest here.
-    """
-    _, elevation, band, azimuth = _bins(view, turn)
-    asked = bool(view.terms[COLOUR]) and not view.terms[:COLOUR].all()
-    use = (view.patch >= 0) & (np.abs(elevation) < HIGHEST) & asked
-    bins = band[use] * AZIMUTHS + azimuth[use]
-    count = np.bincount(bins, minlength=ELEVATIONS * AZIMUTHS)
-    sums = [np.bincount(bins, column, len(count)) for column in view.colour[use].T]
-    colour = np.stack(sums, axis=-1) / np.maximum(count, 1)[:, None]
-    here = np.arange(len(count))
-    right = here // AZIMUTHS * AZIMUTHS + (here + 1) % AZIMUTHS
-    above = (here + AZIMUTHS) % len(count)
-    there = count > 0
-    pairs = [there & there[right], there & there[above] & (above > here)]
-    steps = [
-        (colour[to] - colour[here])[pair] for to, pair in zip((right, above), pairs, strict=True)
-    ]
-    step = np.clip(np.concatenate(steps) / STEEPEST, -1.0, 1.0).astype(np.float32)
-    way, at = np.nonzero(np.array(pairs))
-    rows = [column.astype(np.int32) for column in (at // AZIMUTHS, at % AZIMUTHS, way)]
-    return Steps(np.array([len(at)]), rows[0], rows[1], rows[2], step)
+    band = np.minimum(band, ELEVATIONS - 1)
+    return Samples(ends, band, azimuth, patch.astype(np.int32), semantic, depth, colour)
 
 
 _SPREAD = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
 _NO_PATCHES = np.zeros((0, 1), np.float32)
 _NO_COSTS = np.zeros((0, 256), np.float32)
+_NO_COLOURS = np.zeros((0, 3), np.float32)
 
 
 def _depth_costs(

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.indoor.map.panoramas_kernels import (
+    _SCALE,
+    _SHIFT,
     AZIMUTHS,
     ELEVATIONS,
     FARTHEST,
@@ -41,3 +43,8 @@ def range_of(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
     table = NEAREST * np.exp(np.arange(256) / 254.0 * np.log(FARTHEST / NEAREST))
     table[NOTHING] = np.inf
     return table.astype(np.float32)[steps]
+
+
+def as_bytes(opponents: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Colours on the scale of the table's."""
+    return np.asarray(opponents * _SCALE + _SHIFT, np.float32)

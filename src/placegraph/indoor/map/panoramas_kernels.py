@@ -57,18 +57,6 @@ _SCALE = np.array([85.0, 127.0, 63.0], np.float32)
 _SHIFT = np.array([0.0, 127.0, 127.0], np.float32)
 
 
-STEEPEST = np.array([0.1, 0.02, 0.02], np.float32)
-"""Steps of `surface.opponent` between neighbouring samples count no more than this: a bright window
-or a dark gap says no more of a place than the outline of a table."""
-
-
-FLAT = np.float32(0.01)
-"""Mean square of steps, as shares of `STEEPEST`, that is taken for noise: bare walls say nothing."""
-
-
-_STEEPEST = STEEPEST * _SCALE
-
-
 def look_around(tracer, surface, points, directions, objects):
     """Panoramas from points (K, 3)."""
     shape = (len(points), ELEVATIONS, AZIMUTHS)
@@ -129,32 +117,19 @@ class Samples(NamedTuple):
     """(P, N + 1) log-likelihood of each object, and of none; no row: labels are not asked."""
     depth: NDArray[np.float32]
     """(S, 256) log-likelihood of each stored range; no row: depth is not asked."""
+    colour: NDArray[np.float32]
+    """(S, 3) on the scale of bytes; no row: colours are not asked."""
 
 
-class Steps(NamedTuple):
-    """P steps of colour of T views, from a bin to the next, one view after the other."""
-
-    ends: NDArray[np.int64]
-    """(T,) row behind the last step of each view."""
-    band: NDArray[np.int32]
-    """(P,) band of elevation from which a step leads."""
-    azimuth: NDArray[np.int32]
-    """(P,) bin of azimuth, where the reference frame looks along bin 0."""
-    way: NDArray[np.int32]
-    """(P,) 0: to the next bin of azimuth, 1: to the next band."""
-    step: NDArray[np.float32]
-    """(P, 3) `surface.opponent`, as shares of the steepest that counts, in [-1, 1]."""
-
-
-def scan_headings(panoramas, samples, steps, colour_weight):
+def scan_headings(panoramas, mapped, samples, colour_weight):
     """Log-likelihood (T, K, HEADINGS): for each sample, its column turned through all headings."""
     out = np.empty((len(samples.ends), len(panoramas.objects), HEADINGS), np.float32)
-    share(_scan_headings, out.shape[1], panoramas, samples, steps, colour_weight, out)
+    share(_scan_headings, out.shape[1], panoramas, mapped, samples, colour_weight, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _scan_headings(panoramas, samples, steps, colour_weight, out, first, last):
+def _scan_headings(panoramas, mapped, samples, colour_weight, out, first, last):
     """Fill columns `first` to `last` of out (T, K, HEADINGS).
 
     Panoramas are unrolled first, so that what the headings of one sample meet lies in one run.
@@ -165,22 +140,21 @@ def _scan_headings(panoramas, samples, steps, colour_weight, out, first, last):
     all_objects, all_ranges, all_colours = panoramas.objects, panoramas.ranges, panoramas.colours
     objects = np.empty((ELEVATIONS * FOLD, 2 * HEADINGS), np.uint32)
     ranges = np.empty((ELEVATIONS * FOLD, 2 * HEADINGS), np.uint32)
-    shown = np.zeros((ELEVATIONS * FOLD * 10, 2 * HEADINGS), np.float32)
-    moments = np.empty((4, HEADINGS), np.float32)
+    colours = np.empty((ELEVATIONS * FOLD, 4, 2 * HEADINGS), np.float32)
+    moments = np.empty((3, 5, HEADINGS), np.float32)
     total = np.empty(HEADINGS, np.float32)
-    coloured = len(steps.step) > 0
+    coloured = len(samples.colour) > 0
     used = np.zeros(ELEVATIONS, np.bool_)
     for s in range(len(band)):
         used[band[s]] = True
-    for s in range(len(steps.band)):
-        used[steps.band[s]] = True
     for k in range(first, last):
         for e in range(ELEVATIONS):
             if used[e]:
                 _unroll(all_objects[k, e], objects[e * FOLD : (e + 1) * FOLD])
                 _unroll(all_ranges[k, e], ranges[e * FOLD : (e + 1) * FOLD])
                 if coloured:
-                    _unroll_steps(all_colours[k], all_ranges[k], e, shown)
+                    shown = colours[e * FOLD : (e + 1) * FOLD]
+                    _unroll_colours(all_colours[k, e], all_ranges[k, e], shown)
         begin = 0
         for t in range(len(ends)):
             total[:] = 0.0
@@ -195,8 +169,8 @@ def _scan_headings(panoramas, samples, steps, colour_weight, out, first, last):
                     for a in range(np.uint32(HEADINGS)):
                         total[a] += depth[sample, ranges[row, shift + a]]
             if coloured:
-                part = (steps.ends[t - 1] if t else 0), steps.ends[t]
-                _add_steps(total, shown, steps, part, moments, colour_weight)
+                part = begin, ends[t]
+                _add_colours(total, colours, mapped[k], samples, part, moments, colour_weight)
             for a in range(HEADINGS):
                 out[t, k, a] = total[a]
             begin = ends[t]
@@ -210,66 +184,68 @@ def _unroll(columns, out):
             out[fold, a] = out[fold, a + HEADINGS] = columns[a * FOLD + fold]
 
 
-@kernel(inline="always")
-def _row(band, azimuth, way):
-    """Where `_unroll_steps` has the steps from a bin."""
-    return ((band * FOLD + azimuth % FOLD) * 2 + way) * 5
-
-
 @kernel
-def _unroll_steps(colours, ranges, e, out):
-    """The same of steps of colour from band e of colours (E, 3, A): (E * FOLD * 2 * 5, 2 H).
-
-    To the next bin and to the next band: three channels, their sum of squares, and 1 where both hit.
-    """
-    for way in range(2):
-        up = min(e + way, ELEVATIONS - 1)
-        for here in range(AZIMUTHS):
-            to = (here + 1 - way) % AZIMUTHS
-            row, a = _row(e, here, way), here // FOLD
-            both = ranges[e, here] != NOTHING and ranges[up, to] != NOTHING
-            square = np.float32(0.0)
+def _unroll_colours(colours, ranges, out):
+    """The same of colours (3, A), and whether anything is hit: (FOLD, 4, 2 H)."""
+    for fold in range(FOLD):
+        for a in range(HEADINGS):
+            there = np.float32(ranges[a * FOLD + fold] != NOTHING)
+            out[fold, 3, a] = out[fold, 3, a + HEADINGS] = there
             for c in range(3):
-                r = np.float32(0.0)
-                if both:
-                    r = np.float32(colours[up, c, to]) - np.float32(colours[e, c, here])
-                    r = min(max(r / _STEEPEST[c], np.float32(-1.0)), np.float32(1.0))
-                out[row + c, a] = out[row + c, a + HEADINGS] = r
-                square += r * r
-            out[row + 3, a] = out[row + 3, a + HEADINGS] = square
-            out[row + 4, a] = out[row + 4, a + HEADINGS] = np.float32(both)
+                shown = there * np.float32(colours[c, a * FOLD + fold])
+                out[fold, c, a] = out[fold, c, a + HEADINGS] = shown
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _add_steps(total, shown, steps, part, m, colour_weight):
-    """Add what the steps of colour of one view tell (`score._correlation`) to all headings.
-
-    Moments m (4, HEADINGS): steps that hit, and sums of squares of the image's, of the map's, and
-    of their products.
-    """
+def _add_colours(total, colours, whole, samples, part, m, colour_weight):
+    """Add what the colours of one view tell to all headings of one position; m is room to work."""
+    band, azimuth, colour = samples.band, samples.azimuth, samples.colour
+    hits = np.zeros(HEADINGS, np.float32)
     m[:] = 0.0
-    bands, azimuths, ways, step = steps.band, steps.azimuth, steps.way, steps.step
-    for p in range(part[0], part[1]):
-        row = np.uint32(_row(bands[p], azimuths[p], ways[p]))
-        shift = np.uint32(azimuths[p] // FOLD)
-        q0, q1, q2 = step[p, 0], step[p, 1], step[p, 2]
-        qq = q0 * q0 + q1 * q1 + q2 * q2
-        one, two = row + np.uint32(1), row + np.uint32(2)
-        three, four = row + np.uint32(3), row + np.uint32(4)
+    sums = np.zeros((3, 2), np.float32)
+    for s in range(part[0], part[1]):
+        row = np.uint32(band[s] * FOLD + azimuth[s] % FOLD)
+        shift = np.uint32(azimuth[s] // FOLD)
+        for c in range(np.uint32(3)):
+            q = colour[s, c]
+            for a in range(np.uint32(HEADINGS)):
+                r = colours[row, c, shift + a]
+                m[c, 1, a] += r
+                m[c, 3, a] += r * r
+                m[c, 4, a] += q * r
+            if whole:  # sums of the image alone are the same everywhere
+                sums[c, 0] += q
+                sums[c, 1] += q * q
+            else:
+                for a in range(np.uint32(HEADINGS)):
+                    there = colours[row, 3, shift + a]
+                    m[c, 0, a] += q * there
+                    m[c, 2, a] += q * q * there
         for a in range(np.uint32(HEADINGS)):
-            at = shift + a
-            m[0, a] += shown[four, at]
-            m[1, a] += qq * shown[four, at]
-            m[2, a] += shown[three, at]
-            m[3, a] += q0 * shown[row, at] + q1 * shown[one, at] + q2 * shown[two, at]
+            hits[a] += colours[row, 3, shift + a]
+    if whole:
+        for c in range(3):
+            m[c, 0] = sums[c, 0]
+            m[c, 2] = sums[c, 1]
+    _add_correlation(total, hits, m, colour_weight / np.float32(max(1, part[1] - part[0])))
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _add_correlation(total, hits, m, weight):
+    """Add what the colours tell (`score._correlation`) to all headings of one position."""
     for a in range(HEADINGS):
-        if m[0, a] < LANES:
+        n = hits[a]
+        if n < LANES:
             continue
-        flat = np.float32(3.0) * m[0, a] * FLAT
-        rho = m[3, a] / np.sqrt((m[1, a] + flat) * (m[2, a] + flat))
-        rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
-        told = np.float32(-0.5) * np.log(np.float32(1.0) - rho * rho)
-        total[a] += colour_weight * told * m[0, a] / np.float32(part[1] - part[0])
+        told = np.float32(0.0)
+        for c in range(3):
+            q, r = m[c, 0, a] / n, m[c, 1, a] / n
+            vq, vr = m[c, 2, a] / n - q * q, m[c, 3, a] / n - r * r
+            if vq > 1.0 and vr > 1.0:
+                rho = (m[c, 4, a] / n - q * r) / np.sqrt(vq * vr)
+                rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
+                told -= np.log(np.float32(1.0) - rho * rho)
+        total[a] += weight * n * told / np.float32(6.0)
 
 
 def add_moved(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
