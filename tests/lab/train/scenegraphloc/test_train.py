@@ -176,7 +176,7 @@ def test_a_short_training_tells_patches_of_rooms_never_learned(rng):
     after = judge(trainer.network, drawn[14:], "cpu")
     assert loss[-1] < loss[0] - 0.5
     assert untrained.patch < 0.35  # a sixth by chance
-    assert after.patch > 0.6
+    assert after.patch > 0.55
 
 
 def test_changed_homes_have_targets_by_id(lessons):
