@@ -567,7 +567,7 @@ def test_labels_alone_are_judged_by_ratios(room, walk, truth):
     options = replace(FilterOptions().only(semantic=True), likelihood=Likelihood(kind="gaussian"))
     estimate = room.localize(walk, frames=FIVE, options=options, refine=False)
     assert estimate.status is not Status.LOST, estimate.reason
-    right(estimate, truth(walk)[4], 0.5, 10.0)
+    right(estimate, truth(walk)[4], 0.8, 10.0)  # of any height
 
 
 # ------------------------------------------------------------------------------ many scenes
