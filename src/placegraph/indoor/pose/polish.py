@@ -64,8 +64,9 @@ class Fit:
     """(T, 4) of all frames of the window."""
     log_likelihood: float
     """Of the whole window [nat]; of a mode of particles the log of their weight."""
-    spread: Floats
-    """(4,) standard deviations from which the next samples would be drawn."""
+    sampling: Floats
+    """(4, 4) covariance of the next samples, were there any: before one image a step aside and a turn
+    look nearly alike, so samples lie along such ridges."""
     covariance: Floats
     """(4, 4) of the last pose."""
 
@@ -74,10 +75,15 @@ class Fit:
         """(4,) of the last frame."""
         return self.poses[-1]
 
+    @property
+    def spread(self) -> Floats:
+        """(4,) standard deviations of the next samples."""
+        return np.asarray(np.sqrt(np.diag(self.sampling)))
+
     @classmethod
     def at(cls, chain: Chain, pose: Floats, value: float = 0.0, spread: Floats = SPREAD) -> Fit:
         """A rigid one through a pose (4,) of the last frame."""
-        return cls(chain.rigid(pose), value, spread, KNOWN)
+        return cls(chain.rigid(pose), value, np.diag(spread**2), KNOWN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,11 +159,11 @@ def refine(scorer: Scorer, pose: Floats, spread: Floats, level: Round, rng: Gene
 
 def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     """Draw poses of the course as a whole, weigh them by all frames, and draw again around these."""
-    mean, spread, steps = fit.pose, fit.spread, between(fit.pose, fit.poses)
+    mean, sampling, steps = fit.pose, fit.sampling, between(fit.pose, fit.poses)
     along = steps[level.rows]
     samples, values = [], []
     for _ in range(level.rounds):
-        drawn = mean + rng.normal(size=(_SAMPLES, 4)) * spread
+        drawn = mean + rng.normal(size=(_SAMPLES, 4)) @ np.linalg.cholesky(sampling).T
         drawn[0] = mean
         scores = scorer.together(drawn, level.views, along)
         samples.append(drawn)
@@ -166,7 +172,7 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
         heat = max(1.0, float(scores.max() - np.partition(scores, -_SAMPLES // 6)[-_SAMPLES // 6]))
         weights = np.exp((scores - scores.max()) * (1.5 / heat))
         mean, covariance = moments(drawn, weights)
-        spread = np.maximum(1.3 * np.sqrt(np.diag(covariance)), NARROWEST)
+        sampling = 1.69 * covariance + FINEST
     at_mean = scorer.together(mean[None], level.views, along)
     drawn, scores = np.concatenate([*samples, mean[None]]), np.concatenate([*values, at_mean])
     best = int(scores.argmax())
@@ -174,7 +180,7 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     pose = mean if scores[best] - at_mean[0] < 1.0 else drawn[best]
     _, covariance = moments(drawn, np.exp((scores - scores.max()) / SOFT))
     covariance = WIDENED * (covariance + FINEST)
-    return Fit(compose(pose, steps), float(scores[best]), spread, covariance)
+    return Fit(compose(pose, steps), float(scores[best]), sampling, covariance)
 
 
 def heaviest(chain: Chain, particles: Particles, most: int) -> list[Fit]:
@@ -191,8 +197,8 @@ def heaviest(chain: Chain, particles: Particles, most: int) -> list[Fit]:
         errors = poses[own] - mode
         errors[:, 3] = wrap(errors[:, 3])
         covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)
-        spread = np.sqrt(np.diag(covariance))
-        fits.append(Fit(chain.rigid(mode), float(np.log(mass)), spread, covariance + FINEST))
+        known = covariance + FINEST
+        fits.append(Fit(chain.rigid(mode), float(np.log(mass)), known, known))
     return fits
 
 
