@@ -1,7 +1,8 @@
 """Scene and pose of a capture: retrieval, then one filter in the best few scenes, one after another.
 
-Retrieval proposes, poses decide: where none is sure in a scene, the next is looked into. Each is asked
-alone: rays that leave a scan with gaps would meet its neighbours in a map of several.
+Retrieval proposes, poses decide: unless frames fit in a scene beyond doubt, the next is looked into, and
+that in which they fit best is named. Each is asked alone: rays that leave a scan with gaps would meet
+its neighbours in a map of several.
 """
 
 from __future__ import annotations
@@ -18,15 +19,18 @@ from placegraph.geometry import split_pose
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import unused
+from placegraph.indoor.library.answer import SURE
 from placegraph.indoor.library.answer import search as search_in
 from placegraph.indoor.localize import localized
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.pose.trust import SURE as RIGHT
+from placegraph.indoor.pose.trust import log_odds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode
+    from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder
@@ -37,7 +41,9 @@ if TYPE_CHECKING:
 
 SCENES = 8
 """Scenes localized in at most."""
-_LEAST = 0.02  # share of the particles of a scene that is looked at all
+CERTAIN = 6.0
+"""Log odds from which on a pose that is `OK` ends the search: no other scene is looked into."""
+_ERRS = 0.01  # share of searches that are sure and wrong
 
 
 def localize(
@@ -65,7 +71,7 @@ def localize(
     frames, search
         Which of them, all if not given; how scenes are searched.
     most
-        Scenes localized in at most: the next only if no pose is `OK` yet.
+        Scenes localized in at most: the next only if no pose is certain yet.
     description
         What somebody says of the place: helps to find the scene, and the pose in it.
     encoder
@@ -91,23 +97,57 @@ def localize(
     found = search_in(library, chosen, description=description, options=search, most=most)
     reader = _reader(library, chosen, encoder)
     answers: list[PoseEstimate] = []
-    looked = 0
-    while looked < len(found.modes) and not (answers and answers[-1].status is Status.OK):
-        candidates = found.modes[looked : looked + 1]
-        looked += len(candidates)
+    for mode in found.modes:
         start = perf_counter()
-        scene = _merged(library, [m.scene for m in candidates], reader)
-        merging = perf_counter() - start
+        scene = _opened(library, mode.scene, reader)
+        opening = perf_counter() - start
         estimate = localized(
-            scene, chosen, shares=_shares(scene, candidates), encoder=reader,
+            scene, chosen, shares=[1.0 / len(scene.scenes)] * len(scene.scenes), encoder=reader,
             description=_useful(description, scene), progress=progress, **options,
         )  # fmt: skip
-        answers.append(_in_their_own(estimate, scene, found, merging))
-    best = min(answers, key=lambda answer: _RANK[answer.status])
-    return _doubted(best, found, looked)
+        answers.append(_in_its_own(estimate, scene, found, opening))
+        if _beyond_doubt(estimate):
+            break
+    return _doubted(_decided(answers), found, len(answers))
 
 
-_RANK = {Status.OK: 0, Status.AMBIGUOUS: 1, Status.LOST: 2}
+def _beyond_doubt(estimate: PoseEstimate) -> bool:
+    """Whether no other scene needs to be looked into. Of labels alone the search knew as much."""
+    return estimate.status is Status.OK and (_named(estimate) or _odds(estimate) >= CERTAIN)
+
+
+def _decided(answers: list[PoseEstimate]) -> PoseEstimate:
+    """The answer of the scene where frames fit best, `OK` only if they fit nowhere else as well."""
+    best = min(
+        answers, key=lambda a: (a.status is Status.LOST, -_odds(a), a.status is not Status.OK)
+    )
+    rivals = [a for a in answers if a is not best and a.status is not Status.LOST]
+    probability = 1.0 / (1.0 + sum(float(np.exp(_odds(a) - _odds(best))) for a in rivals))
+    if best.status is not Status.OK or probability >= SURE:
+        return best
+    other = max(rivals, key=_odds).modes[0].scene
+    return _unsure(
+        best, f"another fits nearly as well in {other} ({probability:.0%} for this one)."
+    )
+
+
+def _odds(estimate: PoseEstimate) -> float:
+    """Log odds that frames fit where an estimate has them, by which scenes are told apart.
+
+    Labels alone are judged by rules; what passes them is as good as what just passes by odds.
+    """
+    return log_odds(RIGHT, 0.0) if _named(estimate) else float(estimate.stats["trust"]["odds"])
+
+
+def _named(estimate: PoseEstimate) -> bool:
+    """Whether labels decided, which have no odds."""
+    trust = estimate.stats.get("trust", {})
+    return trust.get("odds") is None or (trust["depth"] is None and trust["semantic"] is not None)
+
+
+def _unsure(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
+    reason = f"{estimate.reason} But {doubt}"
+    return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
 
 
 def _check(most: int, options: dict[str, Any]) -> None:
@@ -128,12 +168,11 @@ def _reader(
     return next((e for e in library.encoders if e.name == given), None) or encoder_named(given)
 
 
-def _merged(library: Scenes, names: Sequence[str], reader: Encoder | None) -> Scene:
-    """These scenes as one map, by name; the library keeps the last ones, and with them their tables."""
-    ordered = tuple(sorted(names))
+def _opened(library: Scenes, name: str, reader: Encoder | None) -> Scene:
+    """Map of a scene that names its poses by it; the library keeps the last ones with their tables."""
     return library.kept(
-        (reader and reader.key, ordered),
-        lambda: merge_scenes({name: _with(library, name, reader) for name in ordered}),
+        (reader and reader.key, name),
+        lambda: merge_scenes({name: _with(library, name, reader)}),
     )
 
 
@@ -155,42 +194,27 @@ def _useful(description: str | None, scene: Scene) -> Sentence | None:
     return sentence if useful else None
 
 
-def _shares(scene: Scene, candidates: Sequence[SceneMode]) -> list[float]:
-    """Share (S,) of the particles of each scene of the merged map: parts of one share evenly."""
-    names = [part.partition("/")[0] for part in scene.scenes]
-    total = sum(m.probability for m in candidates) or 1.0
-    share = {m.scene: max(_LEAST, m.probability / total) for m in candidates}
-    return [share[name] / names.count(name) for name in names]
-
-
 def _doubted(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
-    """Estimate with the doubts of the search, where depth did not decide.
-
-    The search saw no depth: a pose that depth makes `OK` was believed by more than it knew.
-    """
-    measured = estimate.stats.get("trust", {}).get("depth") is not None
-    if estimate.status is not Status.OK or measured:
+    """Estimate with the doubts of the search, which errs: they are believed no further than `_ERRS`."""
+    if estimate.status is not Status.OK or estimate.best is None:
         return estimate
+    name = estimate.best.scene.partition("/")[0]
+    here = next(m.probability for m in found.modes if m.scene == name)
     left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
-    if found.status is Status.LOST:
-        doubt = (
-            f"But it may be in no scene of the library ({found.elsewhere:.0%}): homes that are not in "
-            "it fit the capture as well."
-        )
-    elif left_out > 0.1:
-        doubt = (
-            f"But it may be another scene ({left_out:.0%}) than the {looked} looked into; look into "
-            "more."
-        )
-    else:
+    lean = np.log((here + _ERRS) / (found.elsewhere + left_out + _ERRS))
+    if _odds(estimate) + min(0.0, float(lean)) >= log_odds(RIGHT, 0.0):
         return estimate
-    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} {doubt}")
+    if left_out > found.elsewhere:
+        doubt = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
+    else:
+        doubt = f"it may be in no scene of the library ({found.elsewhere:.0%})."
+    return _unsure(estimate, doubt)
 
 
-def _in_their_own(
-    estimate: PoseEstimate, scene: Scene, found: SceneEstimate, merging: float
+def _in_its_own(
+    estimate: PoseEstimate, scene: Scene, found: SceneEstimate, opening: float
 ) -> PoseEstimate:
-    """Estimate with poses in the maps of their scenes."""
+    """Estimate with poses in the map of its scene."""
     into = {name: scene.scene_from_map[i] for i, name in enumerate(scene.scenes)}
     trajectory = estimate.trajectory
     if estimate.best is not None:
@@ -209,7 +233,7 @@ def _in_their_own(
         trajectory=trajectory,
         refinement=refinement,
         stats=estimate.stats | {"retrieval": retrieval | {"seconds": found.stats["seconds"] | {
-            "merging": round(merging, 4)}}},
+            "opening": round(opening, 4)}}},
     )  # fmt: skip
 
 

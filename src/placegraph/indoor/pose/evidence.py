@@ -11,7 +11,7 @@ from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, look
-from placegraph.indoor.pose.trust import SPEAK, TELLING
+from placegraph.indoor.pose.trust import SPEAK, TELLING, TRUST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +56,8 @@ class Agreement:
         names = ("covered", "semantic", "depth", "colour", "ratio", "held")
         values = {name: float(getattr(self, name)) for name in names}
         values["witnesses"] = float((self.weights > TELLING).sum())
-        return {name: None if np.isnan(value) else value for name, value in values.items()}
+        values["odds"] = TRUST.odds(self)
+        return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
 
 def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats) -> Agreement:
