@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -133,14 +132,13 @@ def _explain_capture(
     index, place = library.index, library.names.index(name)
     own = np.flatnonzero(index.owner == place)
     first, last = int(index.starts[own[0]]), int(index.starts[own[-1] + 1])
-    share = index.share[first:last] / len(own)
+    rows = np.arange(first, last)
+    share = index.share[rows] / len(own)
     gained, seen = np.zeros(last - first), np.zeros(last - first)
     missed = 0.0
     lost = 0.0
     for s in query.said:
-        known = index.vocabularies[s.key]
-        here = replace(known, vectors=known.vectors[known.code[first:last]])
-        r = ratio(s, here, options).T
+        r = ratio(s, index.vocabularies[s.key].of_objects(rows), options)[: last - first].T
         parts = share * r
         mixture = np.log((1.0 - options.wrong) * parts.sum(axis=1) + options.wrong)
         weight = np.bincount(s.word, patch_weights(s, len(query), options), len(s.words))
@@ -152,7 +150,7 @@ def _explain_capture(
         missed += float(patches[~fits].sum())
         lost += float((weight * mixture)[~fits].sum())
     signature = library.entry(name).signature
-    graph, rows = signature.graph, np.argsort(signature.part, kind="stable")
+    graph, order = signature.graph, np.argsort(signature.part, kind="stable")
     out = [
         Evidence(
             statement=f"{graph.labels[row]} seen in {int(seen[i])} patches",
@@ -160,7 +158,7 @@ def _explain_capture(
             weight=float(gained[i]),
             objects=(ObjectRef(graph.ids[row], graph.labels[row], graph.names[row]),),
         )
-        for i, row in ((i, rows[i]) for i in np.argsort(-gained, kind="stable")[:_EXPLAINED])
+        for i, row in ((i, order[i]) for i in np.argsort(-gained, kind="stable")[:_EXPLAINED])
         if gained[i] > 0
     ]
     if missed:

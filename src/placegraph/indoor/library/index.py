@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.library.search_kernels import row_hashes
 from placegraph.vectors import EmbeddedStore
 
 if TYPE_CHECKING:
@@ -28,10 +29,12 @@ class Vocabulary:
 
     vectors: NDArray[np.float32]
     """(U, d) unit, or zero: nothing is known."""
+    unknown: NDArray[np.int64]
+    """Rows of these that are zero."""
     code: NDArray[np.int32]
     """(M,) vector of each object."""
-    usual: NDArray[np.float32]
-    """(B, d) vectors of what is seen anywhere, `SAMPLE` at most."""
+    usual: NDArray[np.int64]
+    """(B,) rows of `vectors` that are seen anywhere, `SAMPLE` at most."""
     common: NDArray[np.float32]
     """(B,) share of what is seen that looks like this, all scenes counting alike; adds up to 1."""
 
@@ -44,7 +47,25 @@ class Vocabulary:
         known = np.flatnonzero(own.any(axis=1))
         rows = known[np.unique(np.linspace(0, max(0, len(known) - 1), SAMPLE).astype(np.int64))]
         common = share[rows] / max(1e-12, share[rows].sum())
-        return cls(own, code.astype(np.int32), own[rows], common.astype(np.float32))
+        unknown = np.flatnonzero(~own.any(axis=1))
+        return cls(own, unknown, code.astype(np.int32), rows, common.astype(np.float32))
+
+    @property
+    def mean(self) -> NDArray[np.float32]:
+        """(d,) of what is seen anywhere."""
+        return np.asarray(self.common @ self.vectors[self.usual])
+
+    def of_objects(self, rows: NDArray[np.int64]) -> Vocabulary:
+        """Vocabulary of some objects, with the same notion of what is usual."""
+        used = np.concatenate([self.code[rows], self.usual])
+        numbers = np.arange(len(used))
+        return replace(
+            self,
+            vectors=self.vectors[used],
+            unknown=np.flatnonzero(np.isin(used, self.unknown)),
+            code=numbers[: len(rows)].astype(np.int32),
+            usual=numbers[len(rows) :],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,13 +139,23 @@ class Index:
         return len(self.starts) - 1
 
     @cached_property
+    def shown(self) -> NDArray[np.bool_]:
+        """(M,) whether any panorama shows an object."""
+        first = np.repeat(self.starts[:-1], np.diff(self.place_starts))[:, None, None]
+        last = np.repeat(self.starts[1:], np.diff(self.place_starts))[:, None, None]
+        seen = first + self.panoramas.astype(np.int64)
+        out = np.zeros(int(self.starts[-1]), np.bool_)
+        out[seen[seen < last]] = True
+        return out
+
+    @cached_property
     def store(self) -> EmbeddedStore:
         """Vectors of whole scenes, for `nearest`; made on first use."""
         rows = np.zeros((len(self), sum(v.vectors.shape[1] for v in self.vocabularies.values())))
         first = 0
         for v in self.vocabularies.values():
             last = first + v.vectors.shape[1]
-            parts = (v.vectors - v.common @ v.usual)[v.code] * self.share[:, None]
+            parts = (v.vectors - v.mean)[v.code] * self.share[:, None]
             rows[:, first:last] = np.add.reduceat(parts, self.starts[:-1], axis=0)
             first = last
         rows += 1e-9  # a scene that is like all others has no direction
@@ -133,7 +164,7 @@ class Index:
     def nearest(self, words: Mapping[str, NDArray[np.floating]], most: int) -> NDArray[np.int64]:
         """Rows of the scenes most like what was said: the mean vector (d,) by encoder's key."""
         parts = [
-            words[key] - v.common @ v.usual if key in words else np.zeros(v.vectors.shape[1])
+            words[key] - v.mean if key in words else np.zeros(v.vectors.shape[1])
             for key, v in self.vocabularies.items()
         ]
         found = self.store.search(np.concatenate(parts)[None].astype(np.float32) + 1e-9, most)
@@ -147,14 +178,7 @@ class Index:
             owner=np.unique(self.owner[rows], return_inverse=True)[1].ravel(),
             starts=starts_of(np.diff(self.starts)[rows]),
             share=self.share[objects],
-            vocabularies={
-                key: replace(
-                    v,
-                    vectors=v.vectors[v.code[objects]],
-                    code=np.arange(len(objects), dtype=np.int32),
-                )
-                for key, v in self.vocabularies.items()
-            },
+            vocabularies={key: v.of_objects(objects) for key, v in self.vocabularies.items()},
             place_starts=starts_of(np.diff(self.place_starts)[rows]),
             places=self.places[places],
             panoramas=self.panoramas[places],
@@ -166,10 +190,7 @@ def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.i
 
     By a 64-bit hash: sorting the rows themselves would take a hundred times as long.
     """
-    bits = np.ascontiguousarray(rows, np.float32).view(np.uint32).astype(np.uint64)
-    factors = np.cumprod(np.full(rows.shape[1], 0x9E3779B97F4A7C15, np.uint64), dtype=np.uint64)
-    mixed = (bits + np.uint64(0x632BE5AB)) * factors
-    hashes = (mixed ^ (mixed >> np.uint64(29))).sum(axis=1, dtype=np.uint64)
+    hashes = row_hashes(np.ascontiguousarray(rows, np.float32).view(np.uint32))
     _, first, code = np.unique(hashes, return_index=True, return_inverse=True)
     return first, code.ravel()
 

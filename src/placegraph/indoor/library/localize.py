@@ -1,7 +1,7 @@
 """Scene and pose of a capture: retrieval, then one filter in the best few scenes, one after another.
 
-Retrieval proposes, poses decide: unless frames fit in a scene beyond doubt, the next is looked into, and
-that in which they fit best is named. Each is asked alone: rays that leave a scan with gaps would meet
+Retrieval proposes, poses decide: unless frames fit beyond doubt, the next scene is looked into, and that
+in which they fit best is named. Each is asked alone: rays that leave a scan with gaps would meet
 its neighbours in a map of several.
 """
 
@@ -42,7 +42,9 @@ if TYPE_CHECKING:
 SCENES = 8
 """Scenes localized in at most."""
 CERTAIN = 6.0
-"""Log odds from which on a pose that is `OK` ends the search: no other scene is looked into."""
+"""Log odds from which on a pose that is `OK` ends the search; a lesser one ..."""
+RIVALS = 2
+"""... has to fit better than what is found in so many scenes after it."""
 _ERRS = 0.01  # share of searches that are sure and wrong
 
 
@@ -62,7 +64,7 @@ def localize(
 
     Each mode names its scene, and its pose is in that scene's own map; so is the trajectory, in the
     best mode's. `stats["retrieval"]` holds what the search said. Maps are only read. Where the
-    search finds that no scene fits, only depth can make a pose `OK`.
+    search finds that no scene fits, only a clear pose is `OK`.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def localize(
     frames, search
         Which of them, all if not given; how scenes are searched.
     most
-        Scenes localized in at most: the next only if no pose is certain yet.
+        Scenes localized in at most: the next only as long as no pose is certain.
     description
         What somebody says of the place: helps to find the scene, and the pose in it.
     encoder
@@ -106,14 +108,18 @@ def localize(
             description=_useful(description, scene), progress=progress, **options,
         )  # fmt: skip
         answers.append(_in_its_own(estimate, scene, found, opening))
-        if _beyond_doubt(estimate):
+        if _settled(answers):
             break
     return _doubted(_decided(answers), found, len(answers))
 
 
-def _beyond_doubt(estimate: PoseEstimate) -> bool:
+def _settled(answers: list[PoseEstimate]) -> bool:
     """Whether no other scene needs to be looked into. Of labels alone the search knew as much."""
-    return estimate.status is Status.OK and (_named(estimate) or _odds(estimate) >= CERTAIN)
+    found = [answer.status is Status.OK for answer in answers]
+    if not any(found):
+        return False
+    certain = found[-1] and (_named(answers[-1]) or _odds(answers[-1]) >= CERTAIN)
+    return certain or len(found) - found.index(True) > RIVALS
 
 
 def _decided(answers: list[PoseEstimate]) -> PoseEstimate:

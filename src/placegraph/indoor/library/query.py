@@ -12,8 +12,10 @@ from placegraph.errors import OptionError
 from placegraph.geometry import between, level_from_camera
 from placegraph.indoor.encode import patches_of
 from placegraph.indoor.library.index import distinct
+from placegraph.indoor.library.search_kernels import beside, sums_of
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS
 from placegraph.indoor.pose.query import leveled
+from placegraph.threads import product
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +30,6 @@ WORDS = 128
 """Vectors that the patches of one query are told apart by, where they are not fewer; of T frames
 48 + 16 T, if these are fewer."""
 _UNIT = 2.0 * np.pi / TURNS
-_AROUND = [(y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,55 +97,35 @@ def encode(frames: Sequence[Frame], encoders: Sequence[Encoder], *, exact: bool 
 
 
 def _said(frames: Sequence[Frame], levels: Floats, encoder: Encoder, exact: bool) -> Said | None:
-    vectors, owners, turns, bands = [], [], [], []
-    grids: list[NDArray[np.bool_]] = []
-    for t, (frame, up) in enumerate(zip(frames, levels, strict=True)):
-        patches = patches_of(encoder, frame)
-        if patches is None:
-            continue
-        flat = patches.reshape(-1, patches.shape[2])
-        telling = flat.any(axis=1)
-        rays = centres(encoder.camera(frame), patches.shape[:2])
-        level = rays[telling] @ up.T
-        elevation = np.arcsin(level[:, 2])
-        turn = np.round(np.arctan2(level[:, 1], level[:, 0]) / _UNIT).astype(np.int32) % TURNS
-        band = ((elevation / REACH + 1.0) / 2.0 * BANDS).astype(np.int32)
-        vectors.append(flat[telling])
-        grids.append(np.reshape(telling, patches.shape[:2]))
-        owners.append(np.full(len(level), t, np.int32))
-        turns.append(turn)
-        bands.append(np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32))
-    count = sum(len(v) for v in vectors)
-    if not count:
+    looked = [(t, patches_of(encoder, frame)) for t, frame in enumerate(frames)]
+    seen = [(t, patches) for t, patches in looked if patches is not None]
+    if not seen:
         return None
-    most = count if exact else min(WORDS, 48 + 16 * len(vectors))
-    words, word = told_apart(np.concatenate(vectors), most)
+    shapes = np.array([patches.shape[:2] for _, patches in seen])
+    flat = np.concatenate([patches.reshape(-1, patches.shape[2]) for _, patches in seen])
+    telling = flat.any(axis=1)
+    if not telling.any():
+        return None
+    level = np.concatenate(
+        [centres(encoder.camera(frames[t]), patches.shape[:2]) @ levels[t].T for t, patches in seen]
+    )[telling]
+    elevation = np.arcsin(level[:, 2])
+    turn = np.round(np.arctan2(level[:, 1], level[:, 0]) / _UNIT).astype(np.int32) % TURNS
+    band = ((elevation / REACH + 1.0) / 2.0 * BANDS).astype(np.int32)
+    most = len(flat) if exact else min(WORDS, 48 + 16 * len(seen))
+    words, word = told_apart(flat[telling], most)
+    said = np.full(len(flat), -1, np.int32)
+    said[telling] = word
     return Said(
-        encoder.key,
-        encoder.temperature,
-        words,
-        word,
-        np.concatenate(owners),
-        np.concatenate(turns),
-        np.concatenate(bands),
-        _beside(word, grids),
+        key=encoder.key,
+        temperature=encoder.temperature,
+        words=words,
+        word=word,
+        frame=np.repeat(np.array([t for t, _ in seen], np.int32), shapes.prod(axis=1))[telling],
+        turn=turn,
+        band=np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32),
+        beside=beside(said, shapes)[telling],
     )
-
-
-def _beside(word: NDArray[np.int32], grids: list[NDArray[np.bool_]]) -> NDArray[np.int32]:
-    """How many of the eight patches around each (P,) say the same; `grids`: which patches speak."""
-    out, first = [], 0
-    for telling in grids:
-        last = first + int(telling.sum())
-        said = np.full((telling.shape[0] + 2, telling.shape[1] + 2), -1)
-        said[1:-1, 1:-1][telling] = word[first:last]
-        rows, columns = telling.shape
-        same = np.zeros(telling.shape, np.int32)
-        for y, x in _AROUND:
-            same += said[1:-1, 1:-1] == said[y : y + rows, x : x + columns]
-        out.append(same[telling])
-        first = last
-    return np.concatenate(out)
 
 
 @lru_cache(maxsize=16)
@@ -169,10 +150,7 @@ def told_apart(
     if len(first) <= most:
         return vectors[first], word.astype(np.int32)
     centre = vectors[np.linspace(0, len(vectors) - 1, most).astype(np.int64)]
-    nearest = (vectors @ centre.T).argmax(axis=1)
-    order = np.argsort(nearest, kind="stable")
-    own, starts = np.unique(nearest[order], return_index=True)
-    sums = np.zeros_like(centre)
-    sums[own] = np.add.reduceat(vectors[order], starts, axis=0)
+    nearest = product(vectors, centre.T).argmax(axis=1)
+    sums = sums_of(vectors, nearest, most)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return sums / np.maximum(lengths, 1e-9), nearest.astype(np.int32)

@@ -23,6 +23,7 @@ from placegraph.indoor.library.search_kernels import (
     mixtures,
 )
 from placegraph.indoor.library.signature import BANDS, TURNS
+from placegraph.threads import product
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -104,14 +105,12 @@ def ratio(said: Said, vocabulary: Vocabulary, options: SearchOptions) -> NDArray
     (U, W): exp(cosine / temperature) over its mean over what is usually seen. Of what nothing is
     known, nothing follows: 1.
     """
-    per_nat = np.float32(1.0 / said.temperature)
-    belief = np.exp((vocabulary.usual @ said.words.T - 1.0) * per_nat)
-    usual = (
-        vocabulary.common @ belief if options.rarity else np.full(belief.shape[1], belief.mean())
-    )
-    usual = np.maximum(usual, ANYTHING).astype(np.float32)
-    out = np.exp((vocabulary.vectors @ said.words.T - 1.0) * per_nat - np.log(usual))
-    out[~vocabulary.vectors.any(axis=1)] = 1.0
+    cosines = product(vocabulary.vectors, said.words.T)
+    belief = np.exp((cosines - np.float32(1.0)) * np.float32(1.0 / said.temperature))
+    seen = belief[vocabulary.usual]
+    usual = vocabulary.common @ seen if options.rarity else seen.mean(axis=0)
+    out = belief / np.maximum(usual, np.float32(ANYTHING))
+    out[vocabulary.unknown] = 1.0
     return np.ascontiguousarray(out, np.float32)
 
 
@@ -178,35 +177,22 @@ def _placed(
     if not count:
         return bound
     chosen = np.sort(able[np.argpartition(-bound[able], count - 1)[:count]])
-    objects = _in_sight(index, chosen)
+    rows = [np.arange(index.starts[s], index.starts[s + 1]) for s in chosen]
+    objects = np.concatenate([own[index.shown[own]] for own in rows])
     code = np.zeros(int(index.starts[-1]), np.int32)
     code[objects] = np.arange(len(objects))
-    told, turns, bands, starts, unknown = _told(
-        index, query, said, ratios, chosen, objects, options
-    )
+    bins, off = _told(index, query, said, ratios, chosen, objects, options)
+    told, turns, bands, starts = bins
     every = np.arange(len(query))
-    rows = [every] if options.odometry else list(every[:, None])
     placed = np.zeros(count)
-    for group in rows:
+    for group in [every] if options.odometry else list(every[:, None]):
         first, last = starts[group[0]], starts[group[-1] + 1]
-        placed += along_ways(
-            told[first:last], turns[first:last], bands[first:last],
-            np.append(starts[group], last) - first, chosen, index.starts, code, index.panoramas,
-            index.place_starts, index.places, query.steps(group), unknown[group],
-        )  # fmt: skip
+        ends = np.append(starts[group], last) - first
+        own = (told[first:last], turns[first:last], bands[first:last], ends)
+        placed += along_ways(own, query.steps(group), off[group], chosen, code, index)
     total = np.minimum(bound, placed.min())
     total[chosen] = placed
     return total
-
-
-def _in_sight(index: Index, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Objects (O,) that any panorama of some units shows, ascending."""
-    rows = []
-    for s in chosen:
-        shown = np.unique(index.panoramas[index.place_starts[s] : index.place_starts[s + 1]])
-        first, last = index.starts[s], index.starts[s + 1]
-        rows.append(first + shown[shown < last - first].astype(np.int64))
-    return np.concatenate(rows)
 
 
 def _told(
@@ -217,38 +203,38 @@ def _told(
     chosen: NDArray[np.int64],
     objects: NDArray[np.int64],
     options: SearchOptions,
-) -> tuple[NDArray[Any], ...]:
-    """What bins of frames tell of some objects (O,), as `along_ways` takes it.
+) -> tuple[tuple[NDArray[Any], ...], NDArray[np.float32]]:
+    """What bins of frames tell of some objects (O,), and each frame (T,) of being off the map.
 
-    told (B, O), turn (B,), band (B,), first bin of each frame (T + 1,), and what each frame is
-    taken to tell of what is not mapped (T,).
+    As `along_ways` takes them.
     """
     uses = [s.band >= 0 for s in said]
     where = [
         (s.frame * BANDS + s.band)[use] * TURNS + s.turn[use]
         for s, use in zip(said, uses, strict=True)
     ]
-    bins, bin_of = np.unique(np.concatenate(where), return_inverse=True)
-    told = np.zeros((len(bins), len(objects)), np.float32)
-    unknown = np.zeros(len(query), np.float32)
+    used = np.zeros(len(query) * BANDS * TURNS, np.bool_)
+    for places in where:
+        used[places] = True
+    bins, number = np.flatnonzero(used), np.cumsum(used) - 1
+    told = np.zeros((len(bins), len(objects) + 1), np.float32)
+    off = np.zeros(len(query), np.float32)
     # of each object its place among the chosen
     unit = np.searchsorted(chosen, np.searchsorted(index.starts, objects, "right") - 1)
-    ends = np.cumsum([len(w) for w in where])
-    for s, r, use, end in zip(said, ratios, uses, ends.tolist(), strict=True):
+    for s, r, use, places in zip(said, ratios, uses, where, strict=True):
         code = index.vocabularies[s.key].code[objects]
         mixture = mixtures(r, index.vocabularies[s.key].code, index.share, index.starts, chosen)
         # a bin of a panorama names the object that fills most of it; others are there too
-        there = options.focus * r[code] + (1.0 - options.focus) * mixture[unit]
-        logs = np.log((1.0 - options.wrong) * there.T + np.float32(options.wrong))
+        there = np.float32(options.focus) * r[code]
+        there += np.float32(1.0 - options.focus) * mixture[unit]
+        right = np.ascontiguousarray(there.T) * np.float32(1.0 - options.wrong)
+        logs = np.log(right + np.float32(options.wrong))
         weight = patch_weights(s, len(query), options)[use]
-        # patches of a bin that say the same speak as one
-        bin_ = bin_of.ravel()[end - int(use.sum()) : end]
-        pairs, pair = np.unique(bin_ * len(s.words) + s.word[use], return_inverse=True)
-        add_told(told, *np.divmod(pairs, len(s.words)), np.bincount(pair.ravel(), weight), logs)
-        unknown += np.bincount(
-            s.frame[use], 0.5 * np.log(options.wrong) * weight, len(query)
-        ).astype(np.float32)
+        add_told(told, number[places], s.word[use], weight, logs)
+        half_wrong = 0.5 * np.log(options.wrong) * weight
+        off += np.bincount(s.frame[use], half_wrong, len(query)).astype(np.float32)
     frame, place = np.divmod(bins, BANDS * TURNS)
     band, turn = np.divmod(place, TURNS)
     starts = np.searchsorted(frame, np.arange(len(query) + 1))
-    return told, turn.astype(np.int32), band.astype(np.int32), starts.astype(np.int64), unknown
+    told[:, -1] = (off / np.maximum(1, np.diff(starts)))[frame]
+    return (told, turn, band, starts), off

@@ -84,51 +84,89 @@ def _mixture(ratio, code, share, first, last):
     return mean
 
 
+@kernel
+def beside(said, shapes):
+    """How many of the eight patches around each (P,) say the same, in grids of these shapes (T, 2)."""
+    out = np.zeros(len(said), np.int32)
+    first = 0
+    for rows, columns in shapes:
+        for y in range(rows):
+            for x in range(columns):
+                at = first + y * columns + x
+                for v in range(max(0, y - 1), min(rows, y + 2)):
+                    for u in range(max(0, x - 1), min(columns, x + 2)):
+                        out[at] += said[first + v * columns + u] == said[at]
+                out[at] -= 1
+        first += rows * columns
+    return out
+
+
+@kernel
+def row_hashes(bits):
+    """A 64-bit number of each row of bits (P, d) uint32; equal rows have the same."""
+    out = np.empty(len(bits), np.uint64)
+    for p in range(len(bits)):
+        factor, total = np.uint64(1), np.uint64(0)
+        for k in range(bits.shape[1]):
+            factor *= np.uint64(0x9E3779B97F4A7C15)
+            mixed = (np.uint64(bits[p, k]) + np.uint64(0x632BE5AB)) * factor
+            total += mixed ^ (mixed >> np.uint64(29))
+        out[p] = total
+    return out
+
+
+@kernel(fastmath=True)
+def sums_of(vectors, group, count):
+    """Sum (count, d) of the vectors (P, d) of each group (P,)."""
+    out = np.zeros((count, vectors.shape[1]), np.float32)
+    for p in range(len(vectors)):
+        row = out[group[p]]
+        for k in range(vectors.shape[1]):
+            row[k] += vectors[p, k]
+    return out
+
+
 @kernel(fastmath=True)
 def add_told(told, bin_of, word, weight, logs):
-    """Add weight (P,) times what the words (P,) of patches tell, rows of logs (W, O), to their bins."""
+    """Add to the rows of bins (B, O + 1) what patches (P,) tell, weight times rows of logs (W, O)."""
+    said = np.zeros((len(told), len(logs)), np.float32)
     for i in range(len(word)):
-        row, said, share = told[bin_of[i]], logs[word[i]], weight[i]
-        for o in range(len(row)):
-            row[o] += share * said[o]
+        said[bin_of[i], word[i]] += weight[i]
+    for b in range(len(told)):
+        row = told[b]
+        for w in range(len(logs)):
+            share, log = said[b, w], logs[w]
+            if share > 0.0:
+                for o in range(len(log)):
+                    row[o] += share * log[o]
 
 
-def along_ways(
-    told, bin_turn, bin_band, frame_starts, chosen, object_starts, code, panoramas, place_starts,
-    places, steps, unknown,
-):  # fmt: skip
-    """Log of the mean likelihood over all starts of a way, for chosen scenes (C,).
+def along_ways(bins, steps, off, chosen, code, index):
+    """Log of the mean likelihood over all starts of a way, for chosen units (C,) of an index.
 
     Parameters
     ----------
-    told
-        (B, U) what the patches of a bin of a frame say of each object's column, summed [nat].
-    bin_turn, bin_band
-        (B,) azimuth relative to the camera, and elevation, of these bins.
-    frame_starts
-        (T + 1,) first bin of each frame.
-    chosen
-        (C,) rows of scenes.
-    object_starts, code
-        (S + 1,), (M,) as of `best_cosines`.
-    panoramas, place_starts, places
-        (K, bands, turns) objects of their scene, (S + 1,), (K, 2) [m].
+    bins
+        told (B, O + 1), what the patches of a bin of a frame say of each object in sight, and of none,
+        summed [nat]; its azimuth relative to the camera (B,), its elevation (B,), first bin of each
+        frame (T + 1,).
     steps
         (T, 3) x, y [m] and bins of yaw from the reference frame to each.
-    unknown
-        (T,) what a frame is taken to say of a direction, and of a place, that is not mapped.
+    off
+        (T,) what a frame is taken to say of a place that is not mapped [nat].
+    code
+        (M,) column of each object.
 
     """
     out = np.empty(len(chosen), np.float64)
-    scenes = chosen, object_starts, code, panoramas, place_starts, places
-    frames = told, bin_turn, bin_band, frame_starts, steps, unknown
-    in_threads(_along_ways, len(out), *frames, *scenes, out)
+    units = chosen, index.starts, code, index.panoramas, index.place_starts, index.places
+    in_threads(_along_ways, len(out), *bins, steps, off, *units, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
 def _along_ways(
-    told, bin_turn, bin_band, frame_starts, steps, unknown,
+    told, bin_turn, bin_band, frame_starts, steps, off,
     chosen, object_starts, code, panoramas, place_starts, places, out, begin, end,
 ):  # fmt: skip
     turns = panoramas.shape[2]
@@ -137,18 +175,17 @@ def _along_ways(
         s = chosen[c]
         first, last = place_starts[s], place_starts[s + 1]
         own = code[object_starts[s] : object_starts[s + 1]]
-        column = _columns(panoramas[first:last], own, told.shape[1])
+        column = _columns(panoramas[first:last], own, told.shape[1] - 1)
         at = places[first:last]
         near, ground = _neighbours(at), _nearest(at)
+        # of each place the cell that it lies in, from the ground's corner
+        cells = (at - at[0]) / np.float32(CELL) + np.float32(len(ground) // 2 + 0.5)
         total = np.zeros((last - first, turns))
         score = np.empty((last - first, turns), np.float32)
-        said = np.empty(told.shape[1] + 1, np.float32)
         for t in range(len(frame_starts) - 1):
             score[:] = 0.0
-            bins = frame_starts[t + 1] - frame_starts[t]
             for b in range(frame_starts[t], frame_starts[t + 1]):
-                said[:-1] = told[b]
-                said[-1] = unknown[t] / bins
+                said = told[b]
                 for p in range(last - first):
                     ring, row = column[p, bin_band[b], bin_turn[b] :], score[p]
                     for h in range(turns):
@@ -156,12 +193,14 @@ def _along_ways(
             score = _blurred(score, near)
             for h in range(turns):
                 yaw = h * unit
-                dx = np.cos(yaw) * steps[t, 0] - np.sin(yaw) * steps[t, 1]
-                dy = np.sin(yaw) * steps[t, 0] + np.cos(yaw) * steps[t, 1]
+                dx = (np.cos(yaw) * steps[t, 0] - np.sin(yaw) * steps[t, 1]) / CELL
+                dy = (np.sin(yaw) * steps[t, 0] + np.cos(yaw) * steps[t, 1]) / CELL
                 turned = (h + int(np.round(steps[t, 2]))) % turns
                 for p in range(last - first):
-                    q = _place(ground, at[p, 0] + dx - at[0, 0], at[p, 1] + dy - at[0, 1])
-                    total[p, h] += score[q, turned] if q >= 0 else unknown[t]
+                    x, y = cells[p, 0] + dx, cells[p, 1] + dy
+                    inside = 0 <= x < len(ground) and 0 <= y < len(ground)
+                    q = ground[int(x), int(y)] if inside else np.int32(-1)
+                    total[p, h] += score[q, turned] if q >= 0 else off[t]
         top = total.max()
         mean = 0.0
         for p in range(last - first):
@@ -174,7 +213,7 @@ def _along_ways(
 def _columns(panoramas, own, unmapped):
     """Column of what each bin of panoramas (P, bands, turns) shows, twice around."""
     count, bands, turns = panoramas.shape
-    out = np.empty((count, bands, 2 * turns), np.int32)
+    out = np.empty((count, bands, 2 * turns), np.uint32)  # unsigned: no index is checked
     for p in range(count):
         for band in range(bands):
             for a in range(turns):
@@ -186,33 +225,23 @@ def _columns(panoramas, own, unmapped):
 
 @kernel
 def _nearest(places):
-    """Nearest place of each cell of the ground (X, Y) around the first of them; -1: off the map."""
+    """Nearest place of each cell of the ground (X, X) around the first of them; -1: off the map."""
     reach = 0.0
     for p in range(len(places)):
         for axis in range(2):
             reach = max(reach, abs(places[p, axis] - places[0, axis]))
-    half = int((reach + OFF) / CELL) + 1
-    out = np.empty((2 * half + 1, 2 * half + 1), np.int32)
-    for i in range(2 * half + 1):
-        x = places[0, 0] + (i - half) * CELL
-        for j in range(2 * half + 1):
-            y = places[0, 1] + (j - half) * CELL
-            nearest, least = -1, OFF * OFF
-            for q in range(len(places)):
-                away = (places[q, 0] - x) ** 2 + (places[q, 1] - y) ** 2
-                if away < least:
-                    nearest, least = q, away
-            out[i, j] = nearest
+    half, around = int((reach + OFF) / CELL) + 1, int(OFF / CELL)
+    out = np.full((2 * half + 1, 2 * half + 1), -1, np.int32)
+    least = np.full(out.shape, OFF * OFF)
+    for q in range(len(places)):
+        x, y = places[q, 0] - places[0, 0], places[q, 1] - places[0, 1]
+        u, v = int(np.round(x / CELL)) + half, int(np.round(y / CELL)) + half
+        for i in range(max(0, u - around - 1), min(2 * half + 1, u + around + 2)):
+            for j in range(max(0, v - around - 1), min(2 * half + 1, v + around + 2)):
+                away = (x - (i - half) * CELL) ** 2 + (y - (j - half) * CELL) ** 2
+                if away < least[i, j]:
+                    out[i, j], least[i, j] = q, away
     return out
-
-
-@kernel
-def _place(ground, x, y):
-    """Place nearest to a point beside the first place [m]; -1: off the map."""
-    half = len(ground) // 2
-    i, j = int(np.round(x / CELL)) + half, int(np.round(y / CELL)) + half
-    inside = 0 <= i < len(ground) and 0 <= j < len(ground)
-    return ground[i, j] if inside else np.int32(-1)
 
 
 @kernel
@@ -239,15 +268,17 @@ def _blurred(score, near):
     count, turns = score.shape
     turned = np.empty_like(score)
     for p in range(count):
-        for h in range(turns):
-            left = score[p, h - 1 if h else turns - 1]
-            right = score[p, h + 1 if h + 1 < turns else 0]
-            turned[p, h] = max(score[p, h], max(left, right) - np.float32(SLIP))
-    out = turned.copy()
+        row, out = score[p], turned[p]
+        for h in range(1, turns - 1):
+            out[h] = max(row[h], max(row[h - 1], row[h + 1]) - np.float32(SLIP))
+        out[0] = max(row[0], max(row[-1], row[1]) - np.float32(SLIP))
+        out[-1] = max(row[-1], max(row[-2], row[0]) - np.float32(SLIP))
+    best = turned.copy()
     for p in range(count):
+        row = best[p]
         for k in range(1, near.shape[1]):
-            q = near[p, k]
-            if q >= 0:
+            if near[p, k] >= 0:
+                beside_it = turned[near[p, k]]
                 for h in range(turns):
-                    out[p, h] = max(out[p, h], turned[q, h] - np.float32(SLIP))
-    return out
+                    row[h] = max(row[h], beside_it[h] - np.float32(SLIP))
+    return best
