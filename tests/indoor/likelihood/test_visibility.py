@@ -377,6 +377,16 @@ def test_scans_are_looked_up_sample_by_sample(place, terms, request, rng):
     assert np.ptp(got) > 0.5
 
 
+def test_what_a_frame_lacks_says_nothing(table, room, rng):
+    """Frames with labels, with depth, with colours and with two of them in one window."""
+    terms = [(False, False, True), (True, False, False), (False, True, False), (True, True, False)]
+    seen = [some_view(rng, len(room), senses) for senses in terms]
+    together = table.scans(seen, np.zeros(4), NOISE)
+    for one, view in zip(together, seen, strict=True):
+        alone = table.scans([view], np.zeros(1), NOISE)[0]
+        np.testing.assert_allclose(one, alone, rtol=1e-4, atol=1e-3)
+
+
 def test_views_that_look_over_the_tables_edge(table, room, rng):
     """Samples steeper than the table reaches are left out, even all of them."""
     steep = some_view(rng, len(room), (True, True, False), gravity=(0, 0.3, 1))

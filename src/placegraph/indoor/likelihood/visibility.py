@@ -117,6 +117,7 @@ class VisibilityTable:
             _samples(view, turn, lanes, t, noise, blur)
             for t, (view, turn) in enumerate(zip(views, turns, strict=True))
         ]
+        parts = _alike(parts)
         first = np.cumsum([0, *[len(p.semantic) for p in parts]])
         shifted = [p._replace(patch=p.patch + n) for p, n in zip(parts, first, strict=False)]
         columns = [np.concatenate(column) for column in zip(*shifted, strict=True)]
@@ -241,6 +242,23 @@ def _samples(
     ends = np.array([len(patch)])
     band = np.minimum(band, ELEVATIONS - 1)
     return Samples(ends, band, azimuth, patch.astype(np.int32), semantic, depth, colour)
+
+
+def _alike(parts: list[Samples]) -> list[Samples]:
+    """The same views; where one lacks a sense that others have, it says nothing by it."""
+    semantic, depth, colour = (
+        max((rows for rows in kind), key=len)[:1] * np.float32(0)
+        for kind in zip(*((p.semantic, p.depth, p.colour) for p in parts), strict=True)
+    )
+    return [
+        p._replace(
+            patch=p.patch if len(p.semantic) else np.zeros_like(p.patch),
+            semantic=p.semantic if len(p.semantic) else semantic,
+            depth=p.depth if len(p.depth) else depth.repeat(len(p.patch), axis=0),
+            colour=p.colour if len(p.colour) else colour.repeat(len(p.patch), axis=0),
+        )
+        for p in parts
+    ]
 
 
 _SPREAD = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
