@@ -15,6 +15,7 @@ from placegraph.indoor.pose.passes import run_passes
 from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.suspect import COVERED, blank, spoiled, suspected
 from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
@@ -88,6 +89,7 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         fits = heaviest(window.chain, passes.particles, query.options.modes)
     else:
         fits = bend(window, polished(window, passes.modes, seeds, rng), rng)
+        fits = freed(window, fits, rng)
     estimate = verdict(window, fits)
     here = query.shares is None  # else other scenes of a library may be where it was taken
     lost = estimate.status is Status.LOST and query.options.tracked and here

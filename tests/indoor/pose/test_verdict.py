@@ -95,7 +95,12 @@ def test_rivals_make_it_ambiguous():
 def test_a_place_known_to_a_metre_only_is_not_ok():
     answer, reason = judge(GOOD, modes(1.0, spread=1.0), TOLD)
     assert answer is Status.AMBIGUOUS
-    assert "1.4 m" in reason
+    assert reason == "One place fits best, but it is known only to 1.0 m."
+    (best,) = modes(1.0)
+    best.covariance[2, 2] = 0.3**2
+    answer, reason = judge(GOOD, [best], TOLD)
+    assert answer is Status.AMBIGUOUS
+    assert "its height is known only to 0.3 m" in reason
 
 
 shares = st.floats(0, 1)

@@ -117,7 +117,7 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
     left: list[tuple[Fit, float]] = []  # and how far behind
     for number, level in enumerate(levels):
         # starts within reach of one peak would climb it together: let others have a turn
-        reach = _NEAR if number or len(levels) == 1 else {"apart": APART, "turned": TURNED}
+        reach = MERGED if number or len(levels) == 1 else {"apart": APART, "turned": TURNED}
         fits, fallen = _survivors(fits, level, reach)
         top = fits[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
@@ -133,11 +133,11 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
     best = max(fit.log_likelihood for fit in fits)
     fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
     poses = np.array([f.pose for f in fits])
-    kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **_NEAR)
+    kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **MERGED)
     return [fits[i] for i in kept]
 
 
-_NEAR = {"apart": 0.3, "turned": 0.2}
+MERGED = {"apart": 0.3, "turned": 0.2}
 """Fits nearer than this are one."""
 
 

@@ -18,6 +18,7 @@ from placegraph.indoor.pose.particles import Particles, moments
 from placegraph.indoor.pose.polish import NARROWEST, Fit, polished, refine, round_of
 from placegraph.indoor.pose.query import leveled
 from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
@@ -191,7 +192,7 @@ class Tracker:
         known = [s for s in self.keyframes if s is not newest]
         window = Window(self.query, self.scorer, [*known[-KEPT + 1 :], newest])
         seeds = search(window, self.rng)
-        fits = polished(window, seeds[:4], seeds, self.rng)
+        fits = freed(window, polished(window, seeds[:4], seeds, self.rng), self.rng)
         estimate = verdict(window, fits)
         if estimate.status is Status.OK:
             self._doubts = 0

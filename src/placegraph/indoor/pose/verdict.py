@@ -14,6 +14,7 @@ from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import covariance_of, probabilities
+from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.suspect import divided, spoiled
 from placegraph.indoor.pose.trust import CLEAR, LOST, SPEAK, SURE, TELLING, TRUST, WITNESSES
 from placegraph.indoor.pose.window import timed
@@ -28,24 +29,22 @@ if TYPE_CHECKING:
     from placegraph.indoor.pose.prior import Leaning
     from placegraph.indoor.pose.window import Window
 
-LOOSE = 0.25
-"""A pose whose position is not known better than this [m] is not `OK`."""
+LOOSE = 0.2
+"""A pose known no better than this [m] in any direction is not `OK`: one in a hundred would err by more
+than the 0.5 m that `OK` promises."""
+_UPRIGHT = 0.8
+"""Cosine from which on a direction is called height."""
 _BLIND = 0.2
 """Share of the view that the map has to show."""
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
-_PATCHES_AGREE, _PATCHES_TELL, ALONE = 0.5, 15.0, 0.9
-"""Of labels: the share that agrees, what they tell a frame without depth [nat], and, where they speak
-alone, the probability needed."""
+_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
+"""Of labels: the share that agrees, and what they tell a frame without depth [nat]."""
 _DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _HALF, _LENIENT = 0.55, 0.15
 """Share of the newest frame's readings that has to agree, and how much less where other senses do."""
-
-
-_SLIDES = np.linspace(-1.2, 1.2, 17)
-"""How far the best pose is moved to see whether it stands firm [m]."""
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
@@ -70,11 +69,6 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
         status, reason, undecided = _status(
             judging, fits[0].poses, modes, agreed[0], float(told) / len(looked)
         )
-        if status is Status.OK:
-            loose = _slides(judging, fits[0].poses, modes[0])
-            if loose > LOOSE:
-                status = Status.AMBIGUOUS
-                reason = f"One place fits best, but so do those up to {loose:.1f} m from it."
         return PoseEstimate(
             status=status,
             modes=modes,
@@ -176,23 +170,6 @@ def _status(
     return status, reason, undecided
 
 
-def _slides(window: Window, poses: Floats, mode: PoseMode) -> float:
-    """How far poses (T, 4) can slide along the direction least known [m, root mean square].
-
-    Where little holds them, as height before a bare wall, a covariance tells of the next hand's
-    breadth only.
-    """
-    axis = np.linalg.eigh(mode.covariance[:3, :3])[1][:, -1]
-    shifted = np.repeat(mode.pose[None], len(_SLIDES), axis=0)
-    shifted[:, :3] += _SLIDES[:, None] * axis
-    views = [window.views(FINE)[i] for i in window.newest]
-    steps = between(mode.pose, poses[window.newest])
-    logs = window.scorer.together(shifted, views, steps)
-    depth = any(window.sightings[i].depth is not None for i in window.newest)
-    shares = probabilities(logs, window.scorer.model.heat(len(views), depth=depth))
-    return float(np.sqrt(shares @ _SLIDES**2))
-
-
 def _frames(window: Window, poses: Floats, agreed: Agreement) -> Floats:
     """(T, 3) how far each frame of the window agrees with its pose (T, 4)."""
     older = len(window) - len(agreed.frames)
@@ -212,15 +189,16 @@ def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[St
     if against:
         return Status.LOST, f"Nowhere on the map fits: {against}."
     best = modes[0]
+    loose, axis = least_known(best.covariance)
+    if loose > LOOSE:
+        what = "its height is" if abs(axis[2]) > _UPRIGHT else "it is"
+        return Status.AMBIGUOUS, f"One place fits best, but {what} known only to {loose:.1f} m."
     if _sure(agreed, 1.0) and not _sure(agreed, best.probability):
         rivals = sum(m.probability > 0.01 for m in modes[1:])
         others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
         return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
     if not _sure(agreed, best.probability):
         return Status.AMBIGUOUS, f"One place fits best, but {_weakest(agreed)}."
-    loose = float(np.sqrt(np.trace(best.covariance[:2, :2])))
-    if loose > LOOSE:
-        return Status.AMBIGUOUS, f"One place fits best, but only to within {loose:.1f} m."
     return Status.OK, f"One place fits: {_praise(agreed)}."
 
 
