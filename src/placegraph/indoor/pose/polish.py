@@ -132,6 +132,11 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
     ]
     best = max(fit.log_likelihood for fit in fits)
     fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
+    return told_apart(fits)
+
+
+def told_apart(fits: list[Fit]) -> list[Fit]:
+    """Of fits near each other the best; best first."""
     poses = np.array([f.pose for f in fits])
     kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **MERGED)
     return [fits[i] for i in kept]
@@ -249,8 +254,9 @@ TILT = 0.006
 def covariance_of(fit: Fit) -> Floats:
     """Covariance (6, 6) of a fit: x, y, z, and a turn about the map's axes."""
     whole = np.diag([0.0, 0.0, 0.0, WIDENED * TILT**2, WIDENED * TILT**2, 0.0])
-    whole[np.ix_(_FITTED, _FITTED)] = fit.covariance
+    whole[np.ix_(FITTED, FITTED)] = fit.covariance
     return whole
 
 
-_FITTED = [0, 1, 2, 5]
+FITTED = [0, 1, 2, 5]
+"""What is fitted of x, y, z, and a turn about the map's axes."""

@@ -14,7 +14,14 @@ import numpy as np
 from placegraph.geometry import between, compose
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.chain import Chain
-from placegraph.indoor.pose.polish import MERGED, SPREAD, probabilities, refine, round_of
+from placegraph.indoor.pose.polish import (
+    MERGED,
+    SPREAD,
+    probabilities,
+    refine,
+    round_of,
+    told_apart,
+)
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -66,6 +73,7 @@ def freed(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
     if window.options.answer == "mle":
         return fits
     with timed(window.seconds, "polish"):
+        fits = told_apart(fits)  # bending may have brought some together
         best, others = slid(window, fits[0])
         fits = [best, *fits[1:]]
         if not others:
@@ -79,4 +87,4 @@ def freed(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
         rival = replace(rival, log_likelihood=best.log_likelihood + gain)
         if gain > 0.0:
             rival, _ = slid(window, rival)
-        return sorted([*fits, rival], key=lambda fit: -fit.log_likelihood)
+        return told_apart([*fits, rival])

@@ -62,7 +62,8 @@ def _status(window: Window, told: PoseEstimate) -> tuple[Status, str]:
     """What the filter's verdict says of the pose, were it the only one; not OK where it was given."""
     assert told.best is not None and told.refinement is not None  # noqa: S101, PT018  made so
     chain = Chain.of(split_pose(told.trajectory)[0], window.options.motion)
-    fit = polish.Fit.at(chain, told.best.pose, 0.0)
+    covariance = told.best.covariance[np.ix_(polish.FITTED, polish.FITTED)]
+    fit = replace(polish.Fit.at(chain, told.best.pose), covariance=covariance)
     alone = verdict(window, [fit])
     if alone.status is Status.OK and not told.refinement.accepted:
         return Status.AMBIGUOUS, told.refinement.reason
