@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import between, compose
-from placegraph.indoor.likelihood.observe import FINE
+from placegraph.geometry import between
+from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.polish import (
     MERGED,
@@ -31,10 +31,12 @@ if TYPE_CHECKING:
     from placegraph.indoor.pose.polish import Fit
     from placegraph.indoor.pose.window import Window
 
-FIRM = 0.05
+FIRM = 0.03
 """A pose known to this [m] in all directions is not slid."""
 _SLIDES = np.linspace(-1.2, 1.2, 49)
 """How far the best pose is moved [m]."""
+_AROUND, _DRAWS = np.array([0.02, 0.02, 0.02, 0.01]), 12
+"""Deviations [m, rad] about each step, and draws there: the best pose was the luckiest of many, too."""
 _RIVAL = 0.003
 """Share from which on a place along the way is fitted."""
 
@@ -45,27 +47,32 @@ def least_known(covariance: Floats) -> tuple[float, Floats]:
     return float(np.sqrt(variances[-1])), axes[:, -1]
 
 
-def slid(window: Window, fit: Fit) -> tuple[Fit, list[Fit]]:
-    """The fit, as uncertain as sliding it shows, and where else it could stand, likeliest first."""
+def slid(window: Window, fit: Fit, rng: Generator) -> tuple[Fit, Floats | None]:
+    """The fit, as uncertain as sliding it shows, and where else (4,) it is likeliest to stand."""
     sd, axis = least_known(fit.covariance)
     if sd < FIRM:
-        return fit, []
-    judging, looked = window.judging, window.newest
-    poses = fit.pose + _SLIDES[:, None] * np.append(axis, 0.0)
-    views = [judging.views(FINE)[i] for i in looked]
-    logs = judging.scorer.together(poses, views, between(fit.pose, fit.poses[looked]))
-    depth = any(window.sightings[i].depth is not None for i in looked)
-    shares = probabilities(logs, judging.scorer.model.heat(len(looked), depth=depth))
+        return fit, None
+    poses, shares = _along(window, fit, axis, rng)
     more = max(0.0, float(shares @ _SLIDES**2) - sd**2)
     covariance = fit.covariance.copy()
     covariance[:3, :3] += more * np.outer(axis, axis)
-    fit = replace(fit, covariance=covariance)
-    around = np.pad(shares, 1)
-    peaks = (shares >= np.maximum(around[:-2], around[2:])) & (shares > _RIVAL)
-    away = np.flatnonzero(peaks & (np.abs(_SLIDES) > MERGED["apart"]))
-    away = away[np.argsort(-shares[away], kind="stable")]
-    steps = between(fit.pose, fit.poses)
-    return fit, [replace(fit, poses=compose(pose, steps)) for pose in poses[away]]
+    away = np.where(np.abs(_SLIDES) > MERGED["apart"], shares, 0.0)
+    rival = poses[away.argmax()] if away.max() > _RIVAL else None
+    return replace(fit, covariance=covariance), rival
+
+
+def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floats, Floats]:
+    """Best poses (S, 4) about each step along an axis (3,), and the share (S,) of each."""
+    judging, looked = window.judging, window.newest
+    views, steps = [judging.views(COARSE)[i] for i in looked], between(fit.pose, fit.poses[looked])
+    drawn = rng.normal(size=(len(_SLIDES), _DRAWS, 4)) * _AROUND
+    drawn[:, 0] = 0.0
+    drawn += (fit.pose + _SLIDES[:, None] * np.append(axis, 0.0))[:, None]
+    logs = judging.scorer.together(drawn.reshape(-1, 4), views, steps).reshape(drawn.shape[:2])
+    best = np.arange(len(_SLIDES)), logs.argmax(axis=1)
+    depth = any(window.sightings[i].depth is not None for i in looked)
+    heat = judging.scorer.model.heat(len(looked), depth=depth)
+    return drawn[best], probabilities(logs[best], heat)
 
 
 def freed(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
@@ -74,17 +81,17 @@ def freed(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
         return fits
     with timed(window.seconds, "polish"):
         fits = told_apart(fits)  # bending may have brought some together
-        best, others = slid(window, fits[0])
+        best, other = slid(window, fits[0], rng)
         fits = [best, *fits[1:]]
-        if not others:
+        if other is None:
             return fits
-        chain = Chain.of(others[0].poses, window.options.motion)
+        chain = Chain.of(best.poses, window.options.motion)
         level = replace(round_of(window, FINE, rounds=4), chain=chain)
         along = between(best.pose, best.poses[level.rows])
         value = float(window.scorer.together(best.pose[None], level.views, along)[0])
-        rival = refine(window.scorer, others[0].pose, SPREAD, level, rng)
+        rival = refine(window.scorer, other, SPREAD, level, rng)
         gain = rival.log_likelihood - value
         rival = replace(rival, log_likelihood=best.log_likelihood + gain)
         if gain > 0.0:
-            rival, _ = slid(window, rival)
+            rival, _ = slid(window, rival, rng)
         return told_apart([*fits, rival])
