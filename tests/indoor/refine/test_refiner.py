@@ -5,9 +5,10 @@ import pytest
 
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.check import held_back
+from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.refiner import FEW, MANY, Refiner, stages_of
+from placegraph.indoor.refine.refiner import FEW, MANY, Fitted, Refiner, stages_of
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -49,6 +50,23 @@ def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
     all_ = refiner(depth=False, frames=slice(0, 4), check=False).matched(stage, exact.poses[:4])
     assert sum(map(len, all_)) > sum(map(len, sights))
     assert any(held_back(s.pixels, camera).any() for s in all_)
+
+
+def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
+    one, pose = refiner(depth=False, frames=slice(0, 1)), exact.poses[0]
+    camera = one.frames[0].camera
+    pixels = rng.uniform(0, (camera.width, camera.height), (120, 2))
+    points = camera.directions(pixels) * rng.uniform(1, 4, (120, 1)) @ pose[:3, :3].T + pose[:3, 3]
+    sights = Sights.of(points, pixels, camera, 0.7)
+    one.landmarks = [sights]
+    few, shifted = sights[:20], pose.copy()
+    shifted[:3, 3] += 0.01
+    fitted = Fitted(shifted[None], None, [few], np.eye(6))
+    assert one.completed(fitted) is fitted  # no landmarks had led there
+    one.stats["landmarks"] = len(few)
+    whole = one.completed(fitted)
+    assert len(whole.sights[0]) > 110
+    assert np.linalg.norm(whole.poses[0, :3, 3] - pose[:3, 3]) < 1e-3
 
 
 def test_readings_of_fit_and_check_are_other_pixels(refiner):

@@ -68,7 +68,8 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
     against = doubt or against
     if against:
         return replace(way, accepted=False, reason=f"Not refined: {against}.", doubt=doubt)
-    return replace(way, reason=f"{way.reason}{_late(refiner, way.fitted)}")
+    reason = f"{way.reason}{_late(refiner, way.fitted)}"
+    return replace(way, reason=reason, fitted=refiner.completed(way.fitted))
 
 
 def _looked_at(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:

@@ -41,7 +41,7 @@ LARGEST = 640
 """Longer side [px] to which larger images are brought."""
 RATIO = 0.9
 """Largest ratio of the distances to the nearest landmark and to the nearest one elsewhere."""
-SIGMA = 1.0
+SIGMA = 0.7
 """Standard deviation of a feature [px of an image `REFERENCE` wide]."""
 LOOKS = 5
 """Frames of a window that are compared with the landmarks."""

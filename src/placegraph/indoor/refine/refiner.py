@@ -176,6 +176,15 @@ class Refiner:
         tell("checking", 0, 1)
         return replace(self._finished(poses, solution, sights), by_depth=by_depth)
 
+    def completed(self, fitted: Fitted) -> Fitted:
+        """An accepted fit, with those landmarks too that were kept for its check."""
+        if "landmarks" not in self.stats or not any(map(len, fitted.sights)):
+            return fitted
+        with timed(self.seconds, "solving"):
+            sights = self._inliers(list(self.landmarks), fitted.poses)
+            solution = solve(self.problem(sights), fitted.poses, FINE_WIDTHS[-1:])
+        return self._finished(solution.poses, solution, sights)
+
     # ------------------------------------------------------------------------------- stages
 
     def _aligned(self, start: Floats) -> Solution | None:
