@@ -30,7 +30,7 @@ class SearchOptions:
     """Patches of a frame that speak independently of each other."""
     thing: float = 6.0
     """Patches that say the same, in all frames together, that speak independently of each other."""
-    heat: float = 2.8
+    heat: float = 3.3
     """Nats of log-likelihood that count as one, for a single frame; T frames of one way see much
     the same, and T^0.45 times as many count as one; of two encoders, sqrt(2) times."""
     looks: int = 12
