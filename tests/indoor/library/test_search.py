@@ -36,7 +36,7 @@ def test_more_frames_make_sure(by_labels, rooms):
     film = rooms["bedroom"].film(3, frames=16)
     told = [by_labels.search(film, frames=slice(n)).best.probability for n in (1, 4, 16)]
     assert told[2] > told[0]
-    assert told[2] > 0.8
+    assert told[2] > 0.7
 
 
 def test_a_room_is_found_when_things_have_moved(by_labels, rooms):
