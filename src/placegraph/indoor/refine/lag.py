@@ -100,7 +100,7 @@ def later(poses: Floats, twist: Floats, lag: float) -> Floats:
 
 
 def in_map_axes(poses: Floats, twist: Floats) -> NDArray[np.float64]:
-    """Ways and turns (T * 6,) of poses (T, 4, 4) in map axes."""
+    """Ways and turns (T, 6) of poses (T, 4, 4) in map axes."""
     rotation = poses[:, :3, :3]
     parts = [np.einsum("tij,tj->ti", rotation, part) for part in (twist[:, :3], twist[:, 3:])]
-    return np.concatenate(parts, axis=1).ravel()
+    return np.concatenate(parts, axis=1)

@@ -10,7 +10,7 @@ Depth and images may lag behind the odometry's clock, each by one unknown (`lag`
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,8 @@ POINTS = 40.0
 LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
 stays where it is."""
+ASTRAY = (0.003, 0.002)
+WITNESSES = 4.0
 _LEAST = 1e-4  # no odometry is truer [m, rad]
 _STILL = 2e-4  # a step so small [m, rad] is the last
 _TELLING = 20  # readings of an object from which on it may be found to have moved
@@ -82,6 +84,8 @@ class Solution:
     """Gauss-Newton steps taken."""
     lags: Lags | None = None
     """By what depth and images are late; None: not asked."""
+    astray: Floats | None = None
+    """(2, 2) of depth and images: deviations by which frames as a whole are astray [m], [rad]."""
 
     def covariance(self, frame: int = -1) -> Floats:
         """(6, 6) of one frame, the others being unknown too."""
@@ -104,6 +108,7 @@ def solve(
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
     twist, usual = twists(problem.odometry, problem.stamps), usual_lag(problem.stamps)
     lags, held, late = np.zeros(2), slice(0, 6 * count), None
+    astray = np.tile(np.square(ASTRAY), (2, 1))
     for left, (depth_width, pixel_width) in zip(reversed(range(len(widths))), widths, strict=True):
         # in the last round stamps are believed of which no doubt was found
         free = np.ones(2, bool) if left else clear(late)
@@ -111,12 +116,11 @@ def solve(
         for number in range(steps):
             h, g = np.zeros((6 * count + 2, 6 * count + 2)), np.zeros(6 * count + 2)
             seen = [later(poses, twist, lag) for lag in lags]
-            one, two = (np.zeros((6 * count, 6 * count)) for _ in lags)
-            slopes = np.zeros((2, 6 * count))
-            told, cost = _add_depth(problem, seen[0], shares, depth_width, one, slopes[0])
-            _add_sights(problem, seen[1], pixel_width, two, slopes[1])
-            for k, block in enumerate((one, two)):
-                _add_lagged(block, slopes[k], in_map_axes(seen[k], twist), 6 * count + k, h, g)
+            *by_depth, told, cost = _depth_says(problem, seen[0], shares, depth_width)
+            says = [Says(*by_depth), _matches_say(problem, seen[1], pixel_width)]
+            ways = [in_map_axes(at, twist) for at in seen]
+            for k, (one, variances) in enumerate(zip(says, astray, strict=True)):
+                _add(one.allowed(variances), ways[k], 6 * count + k, h, g)
             known = np.where(free, usual, _LEAST * usual) ** -2.0
             h[-2:, -2:] += np.diag(known)
             g[-2:] += lags * known
@@ -128,6 +132,12 @@ def solve(
                     "The poses of the frames cannot be fitted: their odometry, gravity, depth or "
                     "matches hold numbers that are not finite or absurdly large."
                 )
+            astray = np.array(
+                [
+                    one.astray(variances, step + late * way)
+                    for one, variances, late, way in zip(says, astray, whole[-2:], ways, strict=True)
+                ]
+            )
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
             lags = np.clip(lags + whole[-2:], -MOST * usual, MOST * usual)
@@ -139,21 +149,50 @@ def solve(
         late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
     across = h[held, -2:]
     information = h[held, held] - across @ np.linalg.solve(h[-2:, -2:], across.T)
-    return Solution(poses, information, shares, cost, taken, late)
+    return Solution(poses, information, shares, cost, taken, late, np.sqrt(astray))
 
 
-def _add_lagged(block: Floats, slope: Floats, way: Floats, row: int, h: Floats, g: Floats) -> None:
-    """Add what one sense tells of T poses, block (6 T, 6 T) and slope (6 T,), and of its lag.
+class Says(NamedTuple):
+    """What one sense says of T poses: normal equations of each frame."""
 
-    `way`: (6 T,) that the poses go in a unit of the lag, whose place in h and g is `row`.
+    information: Floats
+    """(T, 6, 6)"""
+    gradient: Floats
+    """(T, 6)"""
+
+    def allowed(self, variances: Floats) -> Says:
+        """The same, where each frame as a whole may be astray by variances (2,) [m^2], [rad^2]."""
+        believed = np.repeat(1.0 / variances, 3)
+        kept = np.linalg.inv(self.information + np.diag(believed))
+        kept = believed[:, None] * kept
+        return Says(kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient))
+
+    def astray(self, variances: Floats, step: Floats) -> Floats:
+        """Variances (2,) by which frames seem astray once the poses have gone a step (T, 6)."""
+        told = np.trace(self.information, axis1=1, axis2=2) > 0
+        if not told.any():
+            return variances
+        loose = np.linalg.inv(self.information + np.diag(np.repeat(1.0 / variances, 3)))[told]
+        left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
+        off = np.einsum("tij,tj->ti", loose, left[told])
+        squares = (off**2 + np.einsum("tii->ti", loose)).reshape(-1, 2, 3).mean(axis=2)
+        return np.asarray((WITNESSES * np.square(ASTRAY) + squares.sum(axis=0)) / (WITNESSES + len(squares)))
+
+
+def _add(says: Says, way: Floats, row: int, h: Floats, g: Floats) -> None:
+    """Add what one sense tells of T poses and of its lag.
+
+    `way`: (T, 6) that the poses go in a unit of the lag, whose place in h and g is `row`.
     """
-    held, moved = slice(0, len(slope)), block @ way
-    h[held, held] += block
-    h[held, row] += moved
-    h[row, held] += moved
-    h[row, row] += way @ moved
-    g[held] += slope
-    g[row] += way @ slope
+    moved = np.einsum("tij,tj->ti", says.information, way)
+    for t, block in enumerate(says.information):
+        h[6 * t : 6 * t + 6, 6 * t : 6 * t + 6] += block
+    held = slice(0, moved.size)
+    h[held, row] += moved.ravel()
+    h[row, held] += moved.ravel()
+    h[row, row] += np.sum(way * moved)
+    g[held] += says.gradient.ravel()
+    g[row] += np.sum(way * says.gradient)
 
 
 def _shares(told: Floats) -> Floats:
@@ -162,12 +201,14 @@ def _shares(told: Floats) -> Floats:
     return np.where(told[:, 1] > _TELLING, np.clip(2.0 * fits, _MOVED, 1.0), 1.0)
 
 
-def _add_depth(
-    problem: Problem, poses: Floats, shares: Floats, width: float, h: Floats, g: Floats
-) -> tuple[Floats, float]:
+def _depth_says(
+    problem: Problem, poses: Floats, shares: Floats, width: float
+) -> tuple[Floats, Floats, Floats, float]:
+    """As `Says`; sums of weights and numbers of readings of objects (N, 2); mean robust cost."""
     noise = problem.options.noise
     kernel = Kernel(noise.floor, noise.slope, noise.surface, noise.facing, width)
     told, total = np.zeros((problem.objects, 2)), np.zeros(3)
+    h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
     for t, seen in enumerate(problem.readings):
         if seen is None:
             continue
@@ -183,15 +224,14 @@ def _add_depth(
         )
         # few readings are not worth more than they are
         worth = READINGS / max(float(sums[0]), 0.25 * len(seen.depth), 1.0)
-        rows = slice(6 * t, 6 * t + 6)
-        h[rows, rows] += worth * block
-        g[rows] += worth * slope
+        h[t], g[t] = worth * block, worth * slope
         told += of_objects
         total += sums
-    return told, float(total[1] / total[0]) if total[0] else np.nan
+    return h, g, told, float(total[1] / total[0]) if total[0] else np.nan
 
 
-def _add_sights(problem: Problem, poses: Floats, width: float, h: Floats, g: Floats) -> None:
+def _matches_say(problem: Problem, poses: Floats, width: float) -> Says:
+    h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
     for t, seen in enumerate(problem.sights):
         if not len(seen):
             continue
@@ -205,9 +245,8 @@ def _add_sights(problem: Problem, poses: Floats, width: float, h: Floats, g: Flo
             width,
         )
         worth = min(1.0, POINTS / max(total, 1.0))
-        rows = slice(6 * t, 6 * t + 6)
-        h[rows, rows] += worth * block
-        g[rows] += worth * slope
+        h[t], g[t] = worth * block, worth * slope
+    return Says(h, g)
 
 
 def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
