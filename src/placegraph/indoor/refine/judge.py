@@ -24,7 +24,7 @@ FARTHEST = (1.0, 0.6)
 """A refinement that moves the pose farther than this [m], [rad] has found another place ..."""
 FARTHEST_BLIND = (0.6, 0.4)
 """... and so has one without depth."""
-BENT = 3.0
+BENT = 6.0
 """Root mean square of odometry's normalised errors beyond which the motion was not like that."""
 SURE = 1.0
 """Standard errors by which held-back samples must be more likely on the refined trajectory ..."""

@@ -75,7 +75,7 @@ class RefineOptions:
     least: int = 12
     """Fewest inliers of a frame, or of a sequence, that count as a pose."""
     noise: DepthNoise = field(default_factory=DepthNoise)
-    motion: MotionNoise = field(default_factory=lambda: MotionNoise(0.004, 0.02, 0.002, 0.02))
+    motion: MotionNoise = field(default_factory=lambda: MotionNoise(0.0025, 0.01, 0.00125, 0.005))
     """Standard deviations of odometry from frame to frame."""
     tilt: float = 0.005
     """Standard deviation of the direction of gravity [rad]."""

@@ -288,7 +288,6 @@ class Refiner:
         lags = solution.lags
         agreed = self._inliers(sights, poses if lags is None else lags.of_images(poses))
         self.stats["lag"] = {} if lags is None else lags.clear()
-        self.stats["astray"] = np.asarray(solution.astray).round(4).tolist()
         return Fitted(poses, solution, agreed, covariance(self.problem(sights), solution))
 
 

@@ -35,8 +35,14 @@ POINTS = 40.0
 LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
 stays where it is."""
-ASTRAY = (0.003, 0.002)
-WITNESSES = 4.0
+ASTRAY = (0.006, 0.004)
+"""What a frame sees errs together, as by the map where it looks or by the moment when it looked: usual
+deviations [m], [rad] of a frame as a whole ..."""
+WITNESSES = 4
+"""... which are believed as if so many errors had shown them."""
+STEADY = 10
+"""Likewise of odometry, whose errors are usually as large as `RefineOptions.motion` says, and of
+gravity: so many degrees of freedom has Student's distribution of how far frames lean."""
 _LEAST = 1e-4  # no odometry is truer [m, rad]
 _STILL = 2e-4  # a step so small [m, rad] is the last
 _TELLING = 20  # readings of an object from which on it may be found to have moved
@@ -84,8 +90,6 @@ class Solution:
     """Gauss-Newton steps taken."""
     lags: Lags | None = None
     """By what depth and images are late; None: not asked."""
-    astray: Floats | None = None
-    """(2, 2) of depth and images: deviations by which frames as a whole are astray [m], [rad]."""
 
     def covariance(self, frame: int = -1) -> Floats:
         """(6, 6) of one frame, the others being unknown too."""
@@ -108,7 +112,7 @@ def solve(
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
     twist, usual = twists(problem.odometry, problem.stamps), usual_lag(problem.stamps)
     lags, held, late = np.zeros(2), slice(0, 6 * count), None
-    astray = np.tile(np.square(ASTRAY), (2, 1))
+    astray = np.tile(ASTRAY, (2, 1))
     for left, (depth_width, pixel_width) in zip(reversed(range(len(widths))), widths, strict=True):
         # in the last round stamps are believed of which no doubt was found
         free = np.ones(2, bool) if left else clear(late)
@@ -119,8 +123,8 @@ def solve(
             *by_depth, told, cost = _depth_says(problem, seen[0], shares, depth_width)
             says = [Says(*by_depth), _matches_say(problem, seen[1], pixel_width)]
             ways = [in_map_axes(at, twist) for at in seen]
-            for k, (one, variances) in enumerate(zip(says, astray, strict=True)):
-                _add(one.allowed(variances), ways[k], 6 * count + k, h, g)
+            for k, one in enumerate(says):
+                _add(one.allowed(astray[k]), ways[k], 6 * count + k, h, g)
             known = np.where(free, usual, _LEAST * usual) ** -2.0
             h[-2:, -2:] += np.diag(known)
             g[-2:] += lags * known
@@ -132,12 +136,8 @@ def solve(
                     "The poses of the frames cannot be fitted: their odometry, gravity, depth or "
                     "matches hold numbers that are not finite or absurdly large."
                 )
-            astray = np.array(
-                [
-                    one.astray(variances, step + late * way)
-                    for one, variances, late, way in zip(says, astray, whole[-2:], ways, strict=True)
-                ]
-            )
+            moves = [step + late * way for late, way in zip(whole[-2:], ways, strict=True)]
+            astray = [one.astray(*at) for one, *at in zip(says, astray, moves, strict=True)]
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
             lags = np.clip(lags + whole[-2:], -MOST * usual, MOST * usual)
@@ -149,7 +149,7 @@ def solve(
         late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
     across = h[held, -2:]
     information = h[held, held] - across @ np.linalg.solve(h[-2:, -2:], across.T)
-    return Solution(poses, information, shares, cost, taken, late, np.sqrt(astray))
+    return Solution(poses, information, shares, cost, taken, late)
 
 
 class Says(NamedTuple):
@@ -160,23 +160,19 @@ class Says(NamedTuple):
     gradient: Floats
     """(T, 6)"""
 
-    def allowed(self, variances: Floats) -> Says:
-        """The same, where each frame as a whole may be astray by variances (2,) [m^2], [rad^2]."""
-        believed = np.repeat(1.0 / variances, 3)
-        kept = np.linalg.inv(self.information + np.diag(believed))
-        kept = believed[:, None] * kept
+    def allowed(self, astray: Floats) -> Says:
+        """The same, where each frame as a whole may be astray by deviations (2,) [m], [rad]."""
+        sure = np.repeat(1.0 / np.square(astray), 3)
+        kept = sure[:, None] * np.linalg.inv(self.information + np.diag(sure))
         return Says(kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient))
 
-    def astray(self, variances: Floats, step: Floats) -> Floats:
-        """Variances (2,) by which frames seem astray once the poses have gone a step (T, 6)."""
-        told = np.trace(self.information, axis1=1, axis2=2) > 0
-        if not told.any():
-            return variances
-        loose = np.linalg.inv(self.information + np.diag(np.repeat(1.0 / variances, 3)))[told]
+    def astray(self, before: Floats, step: Floats) -> Floats:
+        """Deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
+        told = self.information.any(axis=(1, 2))
         left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
-        off = np.einsum("tij,tj->ti", loose, left[told])
-        squares = (off**2 + np.einsum("tii->ti", loose)).reshape(-1, 2, 3).mean(axis=2)
-        return np.asarray((WITNESSES * np.square(ASTRAY) + squares.sum(axis=0)) / (WITNESSES + len(squares)))
+        sure = np.diag(np.repeat(1.0 / np.square(before), 3))
+        off = np.linalg.solve(self.information + sure, left[..., None])[told, :, 0]
+        return usual_errors(off, ASTRAY, WITNESSES)
 
 
 def _add(says: Says, way: Floats, row: int, h: Floats, g: Floats) -> None:
@@ -270,13 +266,17 @@ def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
 
 
 def drift_of(problem: Problem, poses: Floats) -> tuple[float, float]:
-    """How far odometry errs on the way that poses (T, 4, 4) go, as `Problem.drift`; at least 1."""
-    if len(poses) < 2:
-        return 1.0, 1.0
+    """How far odometry errs on the way that poses (T, 4, 4) go, as `Problem.drift`."""
     errors, deviations = odometry_errors(problem, poses)
-    ratios = np.square(errors / deviations).reshape(-1, 2, 3).mean(axis=(0, 2))
-    way, turn = np.sqrt(np.maximum(ratios, 1.0)).tolist()
+    way, turn = usual_errors(errors / deviations, (1.0, 1.0), STEADY).tolist()
     return way, turn
+
+
+def usual_errors(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
+    """Root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
+    squares = np.square(errors).reshape(-1, 2, 3).sum(axis=(0, 2))
+    count = witnesses + 3 * len(errors)
+    return np.asarray(np.sqrt((witnesses * np.square(before) + squares) / count))
 
 
 def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
@@ -303,9 +303,9 @@ def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Fl
 
 
 def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
-    """The known tilt is a prior, not a cage: as wide as the frames have been seen to lean."""
+    """The known tilt is a prior, not a cage: it gives way where frames are seen to lean far."""
     up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
-    variance = problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2))
+    variance = problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
     for t, j in enumerate(-cross_matrix(up)[:, :2]):
         rows = slice(6 * t + 3, 6 * t + 6)
         h[rows, rows] += j.T @ j / variance
