@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.geometry import level_from_camera
+from placegraph.geometry import level_from_camera, rotation_from_vector
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
@@ -99,6 +99,19 @@ def test_drifting_odometry_bends(kit, hall, walked, way):
     solution = solve(bent, kit.moved(drift, (0.02, 0.03, 0)), DEPTH_WIDTHS, 6)
     for pose, truth in zip(solution.poses, way, strict=True):
         assert kit.off(pose, truth)[0] < 0.012
+
+
+def test_frames_that_are_astray_do_not_bend_the_way(kit, hall, walked, way):
+    """Depth of moments before and after the stamps: odometry knows better how frames lie."""
+    turns = np.radians([1.5, -1.5, 0.0, 1.5, -1.5])
+    elsewhere = way.copy()
+    elsewhere[:, :3, :3] = rotation_from_vector(np.outer(turns, (0, 0, 1))) @ way[:, :3, :3]
+    seen = kit.frames(hall, elsewhere, odometry=np.linalg.inv(way[0]) @ way)
+    solution = solve(
+        kit.problem(hall, seen, gravity=np.stack([f.gravity for f in walked])), way, DEPTH_WIDTHS, 6
+    )
+    for pose, truth in zip(solution.poses, way, strict=True):
+        assert kit.off(pose, truth)[1] < 0.5
 
 
 @pytest.mark.parametrize("tilt_deg", [0.4, 1.5])

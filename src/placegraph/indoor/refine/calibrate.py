@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.geometry import rotation_from_vector
+from placegraph.indoor.refine.equations import POINTS, READINGS
 from placegraph.indoor.refine.lag import twists, usual_lag
-from placegraph.indoor.refine.solve import POINTS, READINGS, add_beliefs
+from placegraph.indoor.refine.solve import add_beliefs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

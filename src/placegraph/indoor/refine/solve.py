@@ -10,14 +10,13 @@ Depth and images may lag behind the odometry's clock, each by one unknown (`lag`
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
-from placegraph.indoor.refine.depth import Kernel
-from placegraph.indoor.refine.fit_kernels import depth_system, pixel_system
+from placegraph.indoor.refine.equations import ASTRAY, depth_says, matches_say, usual_errors
 from placegraph.indoor.refine.lag import MOST, Lags, clear, in_map_axes, later, twists, usual_lag
 
 if TYPE_CHECKING:
@@ -25,21 +24,13 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.refine.depth import Readings, Surfaces
+    from placegraph.indoor.refine.equations import Says
     from placegraph.indoor.refine.match import Sights
     from placegraph.indoor.refine.options import RefineOptions
 
-READINGS = 200.0
-"""Independent readings that the depth of one frame is worth: neighbours err together."""
-POINTS = 40.0
-"""Independent points that the matches of one frame are worth at most."""
 LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
 stays where it is."""
-ASTRAY = (0.006, 0.004)
-"""What a frame sees errs together, as by the map where it looks or by the moment when it looked: usual
-deviations [m], [rad] of a frame as a whole ..."""
-WITNESSES = 4
-"""... which are believed as if so many errors had shown them."""
 STEADY = 10
 """Likewise of odometry, whose errors are usually as large as `RefineOptions.motion` says, and of
 gravity: so many degrees of freedom has Student's distribution of how far frames lean."""
@@ -112,7 +103,7 @@ def solve(
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
     twist, usual = twists(problem.odometry, problem.stamps), usual_lag(problem.stamps)
     lags, held, late = np.zeros(2), slice(0, 6 * count), None
-    astray = np.tile(ASTRAY, (2, 1))
+    astray = [np.array(ASTRAY)] * 2
     for left, (depth_width, pixel_width) in zip(reversed(range(len(widths))), widths, strict=True):
         # in the last round stamps are believed of which no doubt was found
         free = np.ones(2, bool) if left else clear(late)
@@ -120,8 +111,8 @@ def solve(
         for number in range(steps):
             h, g = np.zeros((6 * count + 2, 6 * count + 2)), np.zeros(6 * count + 2)
             seen = [later(poses, twist, lag) for lag in lags]
-            *by_depth, told, cost = _depth_says(problem, seen[0], shares, depth_width)
-            says = [Says(*by_depth), _matches_say(problem, seen[1], pixel_width)]
+            by_depth, told, cost = depth_says(problem, seen[0], shares, depth_width)
+            says = [by_depth, matches_say(problem, seen[1], pixel_width)]
             ways = [in_map_axes(at, twist) for at in seen]
             for k, one in enumerate(says):
                 _add(one.allowed(astray[k]), ways[k], 6 * count + k, h, g)
@@ -152,29 +143,6 @@ def solve(
     return Solution(poses, information, shares, cost, taken, late)
 
 
-class Says(NamedTuple):
-    """What one sense says of T poses: normal equations of each frame."""
-
-    information: Floats
-    """(T, 6, 6)"""
-    gradient: Floats
-    """(T, 6)"""
-
-    def allowed(self, astray: Floats) -> Says:
-        """The same, where each frame as a whole may be astray by deviations (2,) [m], [rad]."""
-        sure = np.repeat(1.0 / np.square(astray), 3)
-        kept = sure[:, None] * np.linalg.inv(self.information + np.diag(sure))
-        return Says(kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient))
-
-    def astray(self, before: Floats, step: Floats) -> Floats:
-        """Deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
-        told = self.information.any(axis=(1, 2))
-        left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
-        sure = np.diag(np.repeat(1.0 / np.square(before), 3))
-        off = np.linalg.solve(self.information + sure, left[..., None])[told, :, 0]
-        return usual_errors(off, ASTRAY, WITNESSES)
-
-
 def _add(says: Says, way: Floats, row: int, h: Floats, g: Floats) -> None:
     """Add what one sense tells of T poses and of its lag.
 
@@ -195,54 +163,6 @@ def _shares(told: Floats) -> Floats:
     """Weight (N,) of each object: what less than half fits is likely to have moved."""
     fits = told[:, 0] / np.maximum(told[:, 1], 1.0)
     return np.where(told[:, 1] > _TELLING, np.clip(2.0 * fits, _MOVED, 1.0), 1.0)
-
-
-def _depth_says(
-    problem: Problem, poses: Floats, shares: Floats, width: float
-) -> tuple[Floats, Floats, Floats, float]:
-    """As `Says`; sums of weights and numbers of readings of objects (N, 2); mean robust cost."""
-    noise = problem.options.noise
-    kernel = Kernel(noise.floor, noise.slope, noise.surface, noise.facing, width)
-    told, total = np.zeros((problem.objects, 2)), np.zeros(3)
-    h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
-    for t, seen in enumerate(problem.readings):
-        if seen is None:
-            continue
-        block, slope, of_objects, sums = depth_system(
-            problem.surfaces,
-            shares,
-            np.ascontiguousarray(poses[t, :3, :3]),
-            np.ascontiguousarray(poses[t, :3, 3]),
-            seen.directions,
-            seen.depth,
-            seen.normals,
-            kernel,
-        )
-        # few readings are not worth more than they are
-        worth = READINGS / max(float(sums[0]), 0.25 * len(seen.depth), 1.0)
-        h[t], g[t] = worth * block, worth * slope
-        told += of_objects
-        total += sums
-    return h, g, told, float(total[1] / total[0]) if total[0] else np.nan
-
-
-def _matches_say(problem: Problem, poses: Floats, width: float) -> Says:
-    h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
-    for t, seen in enumerate(problem.sights):
-        if not len(seen):
-            continue
-        block, slope, total = pixel_system(
-            np.ascontiguousarray(poses[t, :3, :3]),
-            np.ascontiguousarray(poses[t, :3, 3]),
-            seen.points,
-            seen.rays,
-            seen.sigma,
-            seen.focal,
-            width,
-        )
-        worth = min(1.0, POINTS / max(total, 1.0))
-        h[t], g[t] = worth * block, worth * slope
-    return Says(h, g)
 
 
 def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
@@ -270,13 +190,6 @@ def drift_of(problem: Problem, poses: Floats) -> tuple[float, float]:
     errors, deviations = odometry_errors(problem, poses)
     way, turn = usual_errors(errors / deviations, (1.0, 1.0), STEADY).tolist()
     return way, turn
-
-
-def usual_errors(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
-    """Root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
-    squares = np.square(errors).reshape(-1, 2, 3).sum(axis=(0, 2))
-    count = witnesses + 3 * len(errors)
-    return np.asarray(np.sqrt((witnesses * np.square(before) + squares) / count))
 
 
 def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine.match import Sights
     from placegraph.indoor.refine.solve import Problem, Solution
 
-PULL = 5.0
+PULL = 7.0
 """Error common to all frames, in units of how far they part from their way (benchmark)."""
 MISS = 0.65
 """Error common to all frames, in units of what matches miss by (benchmark)."""
