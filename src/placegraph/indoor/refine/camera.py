@@ -69,7 +69,7 @@ SETTLED = 0.003
 """Rounds end where nothing changes by more."""
 
 
-def suspected(refiner: Refiner, fitted: Fitted) -> float:
+def scale_off(refiner: Refiner, fitted: Fitted) -> float:
     """Logarithm by which a scale or focal length looks off at fitted poses; 0: none does.
 
     Of depth one linear step, which tells that something is wrong better than by how much; matches

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.geometry import vector_from_rotation
 from placegraph.indoor.pose.window import timed
-from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, suspected
+from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, scale_off
 from placegraph.indoor.refine.check import Evidence, depth_evidence, image_evidence, surely
 from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
@@ -185,7 +185,7 @@ def _evidence(refiner: Refiner, coarse: Floats, fits: Sequence[Fitted]) -> dict[
 
 def _suspect_camera(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
     """What seems wrong with the camera; noted, too, where `wrong_camera` should look closer."""
-    factor = suspected(refiner, fitted)
+    factor = scale_off(refiner, fitted)
     images = stats.get("held_back", {}).get("images", {}).get("alike")
     if abs(factor) > SUSPECT:
         stats["camera"] = f"a scale looks {factor:+.1%} off"

@@ -32,8 +32,8 @@ LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
 stays where it is."""
 STEADY = 10
-"""Likewise of odometry, whose errors are usually as large as `RefineOptions.motion` says, and of
-gravity: so many degrees of freedom has Student's distribution of how far frames lean."""
+"""Odometry is believed to err as `RefineOptions.motion` says as if so many errors had shown it; and how
+far frames lean from gravity has Student's distribution of so many degrees of freedom."""
 _LEAST = 1e-4  # no odometry is truer [m, rad]
 _STILL = 2e-4  # a step so small [m, rad] is the last
 _TELLING = 20  # readings of an object from which on it may be found to have moved
