@@ -26,6 +26,12 @@ MOST = 30
 _BENT = (
     "One place fits, but there the frames contradict the odometry, or the camera's intrinsics do."
 )
+_PARTED = (0.25, 5.0)
+"""Way [m] and turn [deg] by which images alone may move a pose that is `OK`: half of what that promises."""
+_CONTRADICTED = (
+    "One place fits, but images matched with the map move it by {:.1f} m and {:.0f} degrees: check the "
+    "camera's intrinsics."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +140,11 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> Pos
         status, reason = Status.AMBIGUOUS, _BENT
     if status is Status.OK and judgement.doubt:
         status, reason = Status.AMBIGUOUS, f"One place fits, but {judgement.doubt}."
+    images = judgement.accepted and not refiner.has_depth and "landmarks" not in stats
+    if status is Status.OK and images:
+        parted = stats["shift_m"], stats["turn_deg"]
+        if any(np.greater(parted, _PARTED)):
+            status, reason = Status.AMBIGUOUS, _CONTRADICTED.format(*parted)
     told = "landmarks" in stats and estimate.stats.get("undecided", False)
     if told and judgement.accepted and len({mode.scene for mode in estimate.modes}) == 1:
         # they were looked for in the whole map, and led to where the likelihood is largest
