@@ -16,7 +16,7 @@ from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed
-from placegraph.indoor.pose.suspect import COVERED, blank, spoiled, suspected
+from placegraph.indoor.pose.suspect import COVERED, blank, divided_all, spoiled, suspected
 from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
@@ -70,6 +70,11 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
         estimate = tracker.follow(query.frames)
+        fault = estimate.status is Status.OK and divided_all(
+            query, tracker.scorer, estimate.trajectory
+        )
+        if fault:
+            estimate = replace(estimate, status=Status.AMBIGUOUS, reason=fault)
         window = _tail(query, tracker)
         return window, refined(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
@@ -92,8 +97,8 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         fits = freed(window, fits, rng)
     estimate = verdict(window, fits)
     here = query.shares is None  # else other scenes of a library may be where it was taken
-    lost = estimate.status is Status.LOST and query.options.tracked and here
-    if lost:
+    wrong = estimate.status is not Status.OK and not estimate.stats["undecided"]
+    if wrong and query.options.tracked and here:
         with timed(window.seconds, "faults"):
             fault = suspected(window, estimate.stats["trust"]["ratio"], rng)
         if fault:

@@ -11,6 +11,7 @@ from placegraph.estimate import Status
 from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor import localize
 from placegraph.indoor.likelihood.observe import Sighting
+from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.suspect import divided
 from placegraph_lab.tables.indoor import perturb_images as bad
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
@@ -47,6 +48,33 @@ def test_what_is_wrong_is_named(room, shot, rng, spoil, strength, said):
     assert estimate.status is not Status.OK
     assert said in estimate.reason
     assert estimate.reason.endswith(".")
+
+
+def test_a_mirror_without_depth_is_named(room, shot):
+    """Images alone fit here and there: frames contradict each other, until they are turned round."""
+    estimate = room.localize(bad.mirrored(bad.only(shot, ("colour",)), 0, None).frames)
+    assert estimate.status is not Status.OK
+    assert "left and right" in estimate.reason
+
+
+def test_a_prior_below_the_floor_is_named(room, shot, truth, walk):
+    x, y = truth(walk)[0][:2, 3]
+    estimate = room.localize(shot.frames, prior=Prior(x, y, z=-0.6, spread=0.3), refine=False)
+    assert estimate.status is Status.LOST
+    assert "Without the prior they fit" in estimate.reason
+
+
+def test_frames_from_elsewhere_in_a_long_capture_are_named(room, room_world, render):
+    """It is tracked: the newest frames are right, and yet the first were taken in another room."""
+    walk = render(room_world, "long", 5, through="123", frames=34)
+    recording = Recording("long", walk.frames, np.stack([f.odometry for f in walk]), 0.2)
+    whole = bad.only(Shot.of(recording, range(34)), ("depth", "colour"))
+    assert room.localize(whole.frames, refine=False).status is Status.OK
+    torn = bad.mirrored(whole, 0, None).frames[:14] + whole.frames[14:]
+    estimate = room.localize(torn, refine=False)
+    assert estimate.status is Status.AMBIGUOUS
+    assert "Frames 0," in estimate.reason
+    assert "contradict the others" in estimate.reason
 
 
 def test_time_that_runs_backwards_is_refused(room, walk, shot, tmp_path):

@@ -63,7 +63,7 @@ def check_unit(diagonal: float, sightings: Sequence[Sighting]) -> None:
     factor = _nearest(middle / _USUAL)
     frame = next(s.frame for s in sightings if s.depth is not None)
     error = InputError if isinstance(frame.images, LazyImages) else OptionError
-    raise error(f"The median of the depth is {middle:.3g} m. {_mend(frame, factor)}")
+    raise error(f"The median of the depth is {middle:.3g} m. {mended(frame, factor)}")
 
 
 def _some(depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -79,10 +79,12 @@ def _nearest(ratio: float) -> float:
     return float(known[np.abs(np.log(known / ratio)).argmin()])
 
 
-def suspected_factor(views: Sequence[View], background: Background) -> float | None:
+def suspected_factor(
+    views: Sequence[View], background: Background, telling: float = TELLING
+) -> float | None:
     """By how much depth readings look too long (over 1) or too short; None: they do not.
 
-    Compares the likelihood of all readings under what the map shows at their elevation, divided by
+    A factor must gain `telling` a reading [nat]. Compares the likelihood of all readings under what the map shows at their elevation, divided by
     each of `FACTORS` or its inverse, with that of the readings as they are.
     """
     aims = np.concatenate([v.directions[v.depth > 0] for v in views]).astype(np.float64)
@@ -104,7 +106,7 @@ def suspected_factor(views: Sequence[View], background: Background) -> float | N
     likelihood = np.log(shown + _FLOOR).mean(axis=1)
     best = int(likelihood.argmax())
     # what fits nowhere in this map with any factor says nothing of the unit
-    if likelihood[best] < 0.0 or likelihood[best] - likelihood[0] < TELLING:
+    if likelihood[best] < 0.0 or likelihood[best] - likelihood[0] < telling:
         return None
     return float(known[best])
 
@@ -122,10 +124,10 @@ def _density(background: Background) -> Floats:
 def hint(views: Sequence[View], background: Background, frame: Frame) -> str:
     """A sentence on the unit of the depth readings of frames like this one; empty: all is well."""
     factor = suspected_factor(views, background)
-    return "" if factor is None else _mend(frame, factor)
+    return "" if factor is None else mended(frame, factor)
 
 
-def _mend(frame: Frame, factor: float) -> str:
+def mended(frame: Frame, factor: float) -> str:
     """What is wrong, where, and what would fit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
     said = f"The depth readings look about {times:.{0 if times > 9 else 1}f} times too {direction}"

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import between, level_from_camera, wrap
-from placegraph.indoor.likelihood.observe import FINE
+from placegraph.geometry import between, level_from_camera, split_pose, wrap
+from placegraph.indoor.likelihood.depth_unit import mended, suspected_factor
+from placegraph.indoor.likelihood.observe import FINE, sight, spread
 from placegraph.indoor.pose.evidence import agreement
 from placegraph.indoor.pose.polish import polished
 from placegraph.indoor.pose.search import search
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.pose.query import PoseQuery
 
 _FLAT = 2.0
@@ -39,12 +41,20 @@ _FITS, _MISSES = 0.75, 0.5
 _MUTE = SPEAK / 4.0
 """What colours tell at most of a frame taken elsewhere [nat a sample]."""
 _STARTS = 4
+_SOME = 12
+"""Frames of a long capture that are looked at."""
 _GAIN, _TELLS = 1.2, 25.0
 """A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
+_PERHAPS = 0.2
+"""What a factor of depth must gain to be tried, though others may be as usual [nat a reading]."""
 _COLOURS_FIT = 0.05
 """What colours tell of frames that fit, where there is no depth [nat a sample]."""
 
 
+_NOT_THERE = (
+    "Without the prior they fit: the first frame was not taken there. Check its x, y and z, which are in "
+    "the map's frame, or leave it out."
+)
 _UPSIDE_DOWN = (
     "With gravity turned round they fit: it seems to point up. Give the direction in which things "
     "fall; an accelerometer at rest measures the opposite."
@@ -157,6 +167,16 @@ def divided(window: Window, frames: Floats) -> str:
     )
 
 
+def divided_all(query: PoseQuery, scorer: Scorer, trajectory: Floats) -> str:
+    """`divided` of a long capture by its trajectory (T, 4, 4) and some of its frames."""
+    rows = spread(len(trajectory), _SOME)
+    seen = [sight(query.frames[i], None, query.options) for i in rows.tolist()]
+    window, (poses, _) = Window(query, scorer, seen), split_pose(trajectory[rows])
+    steps = between(poses[-1], poses)
+    judging = window.judging
+    return divided(window, agreement(judging.scorer, poses[-1], judging.views(FINE), steps).frames)
+
+
 # ------------------------------------------------------------------------------------ hypotheses
 
 
@@ -186,9 +206,15 @@ def _faults(window: Window) -> Iterator[tuple[Window, str]]:
     def changed(asked: PoseQuery = query, frames: list[Sighting] = sightings) -> Window:
         return Window(asked, window.scorer, frames)
 
+    if window.query.prior is not None:
+        yield changed(), _NOT_THERE
     if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or held upside down
         yield changed(frames=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN
     yield changed(frames=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT
+    factor = suspected_factor(window.views(FINE), window.table.background, _PERHAPS)
+    if factor is not None:
+        said = mended(sightings[-1].frame, factor)
+        yield changed(frames=[_divided(s, factor) for s in sightings]), f"Scaled they fit. {said}"
     top = float(scene.bounds[1, 2] - scene.floors.max())
     outside = {"below the floor": (-1.0, -0.3), "above the ceiling": (top + 0.2, top + 0.9)}
     for where, heights in outside.items():
@@ -199,6 +225,11 @@ def _faults(window: Window) -> Iterator[tuple[Window, str]]:
 def _turned_round(sighting: Sighting) -> Sighting:
     frame = replace(sighting.frame, gravity=-sighting.frame.gravity)
     return replace(sighting, frame=frame, level=level_from_camera(frame.gravity))
+
+
+def _divided(sighting: Sighting, factor: float) -> Sighting:
+    depth = sighting.depth
+    return replace(sighting, depth=None if depth is None else depth / np.float32(factor))
 
 
 def _mirrored(sighting: Sighting) -> Sighting:
