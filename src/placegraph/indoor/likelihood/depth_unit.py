@@ -84,8 +84,9 @@ def suspected_factor(
 ) -> float | None:
     """By how much depth readings look too long (over 1) or too short; None: they do not.
 
-    A factor must gain `telling` a reading [nat]. Compares the likelihood of all readings under what the map shows at their elevation, divided by
-    each of `FACTORS` or its inverse, with that of the readings as they are.
+    A factor must gain `telling` a reading [nat]. Compares the likelihood of all readings under what the
+    map shows at their elevation, divided by each of `FACTORS` or its inverse, with that of the readings
+    as they are.
     """
     aims = np.concatenate([v.directions[v.depth > 0] for v in views]).astype(np.float64)
     depth = np.concatenate([v.depth[v.depth > 0] for v in views]).astype(np.float64)
