@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import zlib
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -158,8 +159,8 @@ class Places:
             found[name] = [Recording(f"rpy, {half}", tuple(told), truth, 7 / 30)]
         return found
 
-    def windows(self, name: str, frames: int, count: int) -> list[Asked]:
-        """At most `count` windows of a set, spread over all of it, as many even as odd ones."""
+    def windows(self, name: str, frames: int) -> list[Asked]:
+        """All windows of a set."""
         stride = OFFICE_STRIDE if name == "office" else 1
         span = (frames - 1) * stride + 1
         whole = [
@@ -168,17 +169,27 @@ class Places:
             for of in parts
             for start in range(0, len(of.frames) - span + 1, EVERY[name])
         ]
-        asked = [Asked(where, shot, i) for i, (where, shot) in enumerate(whole)]
-        return [a for half in (asked[::2], asked[1::2]) for a in _spread(half, -(-count // 2))]
+        return [Asked(where, shot, i) for i, (where, shot) in enumerate(whole)]
 
 
 _PLAIN = str.maketrans({" ": "_", ":": "_"})
 
 
-def _spread(asked: list[Asked], most: int) -> list[Asked]:
+def thinned(asked: list[Asked], count: int, family: str) -> list[Asked]:
+    """At most `count` windows, spread over all, as many even as odd ones.
+
+    Families begin at windows of their own, so that few windows a row are many of a table; what a row
+    is compared with, other strengths of its family, asks the same.
+    """
+    turn = zlib.crc32(family.encode())
+    return [a for half in (asked[::2], asked[1::2]) for a in _spread(half, -(-count // 2), turn)]
+
+
+def _spread(asked: list[Asked], most: int, turn: int) -> list[Asked]:
     if len(asked) <= most:
         return asked
-    return [asked[i] for i in np.linspace(0, len(asked) - 1, most).round().astype(int)]
+    rows = np.linspace(0, len(asked), most, endpoint=False).astype(int) + turn % len(asked)
+    return [asked[i] for i in rows % len(asked)]
 
 
 def spoiled(asked: Asked, case: Case, other: Recording | None, seed: int) -> Shot:

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from placegraph_lab.tables.indoor.cases import Case, all_cases
 from placegraph_lab.tables.indoor.cases import quick as few
 from placegraph_lab.tables.indoor.jobs import ANSWERING, chosen
-from placegraph_lab.tables.indoor.robustness import Asked, Places, Told, ask, spoiled
+from placegraph_lab.tables.indoor.robustness import Asked, Places, Told, ask, spoiled, thinned
 from placegraph_lab.tables.indoor.robustness_report import Row, report
 from placegraph_lab.tables.indoor.trust import fitted, honest, samples
 from placegraph_lab.tables.journal import fingerprint
@@ -79,14 +79,14 @@ class _Asking:
 
     def __init__(self, places: Places, seed: int, device: str) -> None:
         self._places, self._seed, self._device = places, seed, device
-        self._windows: dict[tuple[str, int, int], list[Asked]] = {}
+        self._windows: dict[tuple[str, int], list[Asked]] = {}
 
     def windows(self, case: Case, count: int) -> list[Asked]:
         """Windows that a case asks about."""
-        key = (case.set, case.frames, count)
+        key = (case.set, case.frames)
         if key not in self._windows:
             self._windows = {key: self._places.windows(*key)}
-        return self._windows[key]
+        return thinned(self._windows[key], count, case.family)
 
     def once(self, case: Case, windows: list[Asked], row: int) -> dict[str, Any]:
         """What becomes of one window."""
