@@ -174,12 +174,17 @@ class Calibration:
     """On depth readings."""
     camera_from_depth: NDArray[np.float64]
     """(4, 4) pose of the depth camera in the axes of the colour camera [m]."""
+    gravity_turn: NDArray[np.float64]
+    """(3,) rotation vector in the axes of the camera that mends gravity [rad]."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers."""
         pairs = ("focal_factor", "depth_focal_factor", "depth_scale")
         plain = {name: list(getattr(self, name)) for name in pairs}
-        return plain | {"camera_from_depth": self.camera_from_depth.tolist()}
+        arrays = {
+            name: getattr(self, name).tolist() for name in ("camera_from_depth", "gravity_turn")
+        }
+        return plain | arrays
 
 
 @dataclass(frozen=True, slots=True, eq=False)

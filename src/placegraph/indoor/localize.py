@@ -59,10 +59,32 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
     """
     window, estimate = _found(query, refining)
     mend = refining and wrong_camera(window, estimate, refining)
-    if not mend:
+    if mend:
+        mended = replace(query, frames=mend.frames(query.frames))
+        chosen = mend.chosen(query, estimate, _found(mended, refining)[1])
+        if Status.OK in (estimate.status, chosen.status):
+            return chosen
+        estimate = chosen
+    return _suspected(window, estimate)
+
+
+def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
+    """An answer that no mended camera makes `OK`, with the fault of the input that explains it, if any."""
+    query = window.query
+    wrong = estimate.status is not Status.OK and not estimate.stats.get("undecided", False)
+    here = query.shares is None  # else other scenes of a library may be where it was taken
+    searched = query.options.tracked and len(query.frames) <= WINDOW
+    if not (wrong and here and searched and estimate.modes):
         return estimate
-    mended = replace(query, frames=mend.frames(query.frames))
-    return mend.chosen(query, estimate, _found(mended, refining)[1])
+    ratio = estimate.stats["trust"]["ratio"]
+    with timed(window.seconds, "faults"):
+        fault = suspected(window, ratio, np.random.default_rng(query.seed))
+    seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
+    estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
+    if not fault:
+        return estimate
+    covered = f" {COVERED}" if estimate.reason.endswith(COVERED) else ""
+    return replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}{covered}")
 
 
 def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEstimate]:
@@ -96,13 +118,6 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         fits = bend(window, polished(window, passes.modes, seeds, rng), rng)
         fits = freed(window, fits, rng)
     estimate = verdict(window, fits)
-    here = query.shares is None  # else other scenes of a library may be where it was taken
-    wrong = estimate.status is not Status.OK and not estimate.stats["undecided"]
-    if wrong and query.options.tracked and here:
-        with timed(window.seconds, "faults"):
-            fault = suspected(window, estimate.stats["trust"]["ratio"], rng)
-        if fault:
-            estimate = replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}")
     if covered:
         estimate = replace(estimate, reason=f"{estimate.reason} {COVERED}")
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}

@@ -1,4 +1,4 @@
-"""What is unknown of the camera beside the poses: focal lengths, and scale, time and place of depth.
+"""What is unknown of the camera beside the poses: focal lengths, gravity, and scale, time and place of depth.
 
 Gauss-Newton as in `solve`, whose normal equations of all poses are bordered by what the frames have in
 common. Depth tells its scale (it grows along the rays) from its focal length (it grows across them);
@@ -7,15 +7,15 @@ matches of images tell theirs; and both together tell where, and when, depth was
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.geometry import rotation_from_vector
+from placegraph.geometry import cross_matrix, rotation_from_vector
 from placegraph.indoor.refine.equations import POINTS, READINGS
 from placegraph.indoor.refine.lag import twists, usual_lag
-from placegraph.indoor.refine.solve import add_beliefs
+from placegraph.indoor.refine.solve import add_beliefs, leaning
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,8 +31,10 @@ SCALE, FOCAL, IMAGE, TIME = range(4)
 that of the images; what depth lags by (`lag`), which is always free."""
 PLACE = (4, 5, 6, 7, 8, 9)
 """Shift [m] and turn [rad] of the depth camera, in the axes of the camera."""
-COUNT = 10
-BEFORE = np.array([0.15, 0.15, 0.15, np.nan, *(0.1,) * 6])
+TILT = (10, 11, 12)
+"""Turn [rad] of gravity, in the axes of the camera: an accelerometer that is mounted aslant."""
+COUNT = 13
+BEFORE = np.array([0.15, 0.15, 0.15, np.nan, *(0.1,) * 9])
 """Standard deviations of the unknowns before anything is seen; of lags `lag.usual_lag`."""
 WIDTHS = (10.0, 10.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0)
 """Of the robust kernel in each step [standard deviations]: what is off has to have a say at first."""
@@ -91,7 +93,9 @@ def calibrate(
                 h[np.ix_(at, at)] += weighted @ rows.derivatives
                 g[at] += weighted @ rows.residuals
                 costs.append(rows.cost)
-        add_beliefs(problem, poses, start, h[:size, :size], g[:size])
+        upright = replace(problem, gravity=turned_gravity(problem.gravity, values))
+        add_beliefs(upright, poses, start, h[:size, :size], g[:size])
+        _add_tilt(upright, poses, h, g)
         h[size:, size:] += np.diag(1.0 / before**2)
         g[size:] += values / before**2
         kept = np.r_[0:size, size + chosen]
@@ -116,6 +120,25 @@ def _inverse(system: Floats) -> Floats:
         return np.asarray(np.linalg.inv(system))
     except np.linalg.LinAlgError:
         return np.full_like(system, np.nan)
+
+
+def _add_tilt(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
+    """Add how gravity (`solve._add_gravity`) depends on its own turn."""
+    up, variance = leaning(problem, poses)
+    turns = poses[:, :3, :3] @ cross_matrix(problem.gravity)
+    own = 6 * len(poses) + np.array(TILT)
+    for t, (j, by_pose) in enumerate(zip(turns[:, :2], -cross_matrix(up)[:, :2], strict=True)):
+        rows = np.arange(6 * t + 3, 6 * t + 6)
+        across = by_pose.T @ j / variance
+        h[np.ix_(rows, own)] += across
+        h[np.ix_(own, rows)] += across.T
+        h[np.ix_(own, own)] += j.T @ j / variance
+        g[own] += j.T @ up[t, :2] / variance
+
+
+def turned_gravity(gravity: Floats, values: Floats) -> Floats:
+    """Directions of gravity (..., 3) in camera axes, mended."""
+    return np.asarray(gravity @ rotation_from_vector(values[list(TILT)]).T)
 
 
 def depth_from_camera(values: Floats, way: Floats | None = None) -> Floats:
@@ -177,7 +200,7 @@ def _depth_rows(
     own = np.concatenate([j[:, :3] @ pose[:3, :3], j[:, 3:6] @ pose[:3, :3]], axis=1)
     wider = (inside * (1.0, 1.0, 0.0) * z[:, None]) @ rotation.T
     j[:, 6 + SCALE], j[:, 6 + FOCAL] = slant * z, -np.sum(normals * wider, axis=1)
-    j[:, 6 + TIME], j[:, 6 + PLACE[0] :] = own @ way, own
+    j[:, 6 + TIME], j[:, 6 + np.array(PLACE)] = own @ way, own
     missed = 1.0 - float(np.sum(share / (1.0 + ratio))) / count
     return Rows(j, e, worth * share / (1.0 + ratio) ** 2 / variance, missed)
 

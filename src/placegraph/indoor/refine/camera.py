@@ -18,11 +18,12 @@ from placegraph.geometry import between, compose, pose_matrix
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import Window
 from placegraph.indoor.refine.calibrate import (
+    COUNT,
     FOCAL,
     IMAGE,
     PLACE,
     SCALE,
-    TIME,
+    TILT,
     WIDTHS,
     calibrate,
 )
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 OFF = 0.04
 """Logarithm of a factor from which on a camera is wrong: depth of real sensors is off by 1 to 3 %."""
+TILTED = 0.0175
+"""Turn [rad] about an axis from which on gravity is off."""
 CLEAR = 4.0
 """Standard errors that it must be off by, too."""
 SUSPECT = 0.02
@@ -169,7 +172,7 @@ class _Case:
             refiner, sights = self._refiner(self.window), None
             if coloured and (number or not self.depth):
                 sights = _matched(refiner, poses, near=self.depth or number > 0)
-            free = [SCALE, FOCAL] if self.depth else []
+            free = [SCALE, FOCAL, *TILT] if self.depth else []
             if sights is not None and sum(map(len, sights)) >= ENOUGH:
                 free.append(IMAGE)
             if not free:
@@ -177,25 +180,27 @@ class _Case:
             poses, moved = self._settled(refiner, refiner.problem(sights), poses, free)
             if number and moved < SETTLED:
                 break
-        values = np.abs(self.mend.values)
-        return self.mend if values.any() and values[:TIME].max() < PLAUSIBLE else None
+        values = np.abs(self.mend.values[[SCALE, FOCAL, IMAGE, *TILT]])
+        return self.mend if self.mend.values.any() and values.max() < PLAUSIBLE else None
 
     def _settled(
         self, refiner: Refiner, problem: Problem, poses: Floats, free: list[int]
     ) -> tuple[Floats, float]:
         """Poses fitted with what is clearly off, which is taken over; and how much that changed."""
-        before, kept = self.mend.values, list(free)
+        before, kept, least = self.mend.values, list(free), np.full(COUNT, OFF)
+        least[list(TILT)] = TILTED
         while True:
             fit = calibrate(refiner.scene, problem, poses, kept)
-            sure = np.abs(before + fit.values) / np.maximum(OFF, CLEAR * fit.errors)
+            sure = np.abs(before + fit.values) / np.maximum(least, CLEAR * fit.errors)
             weak = min(kept, key=lambda k: sure[k], default=None)
             if weak is None or sure[weak] >= 1.0:
                 break
             kept.remove(weak)
-        if any(not before[k] for k in kept):
-            plain = calibrate(refiner.scene, problem, poses, [k for k in kept if before[k]])
+        usual = [k for k in kept if before[k] or k in TILT]  # poses lean without a cost, too
+        if usual != kept:
+            plain = calibrate(refiner.scene, problem, poses, usual)
             if fit.cost > (1.0 - GAIN) * plain.cost:
-                fit, kept = plain, [k for k in kept if before[k]]
+                fit, kept = plain, usual
         if IMAGE in free and self.depth and not before[list(PLACE)].any():
             fit, kept = self._offset(refiner, problem, fit, kept)
         values, errors = before.copy(), self.mend.errors.copy()

@@ -15,7 +15,9 @@ from placegraph.indoor.refine.calibrate import (
     IMAGE,
     PLACE,
     SCALE,
+    TILT,
     depth_from_camera,
+    turned_gravity,
 )
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ class Mend:
             if labels
             else None,
             images=images,
+            gravity=turned_gravity(frame.gravity, self.values),
         )
 
     def calibration(self) -> Calibration:
@@ -75,6 +78,7 @@ class Mend:
             depth_focal_factor=(float(factors[FOCAL]), float(errors[FOCAL])),
             depth_scale=(float(factors[SCALE]), float(errors[SCALE])),
             camera_from_depth=depth_from_camera(self.values),
+            gravity_turn=self.values[list(TILT)],
         )
 
     def chosen(self, asked: PoseQuery, before: PoseEstimate, after: PoseEstimate) -> PoseEstimate:
@@ -93,7 +97,7 @@ class Mend:
 
     def sentence(self, frame: Frame) -> str:
         """What is wrong, and what should stand in `camera.json` instead."""
-        return " ".join([*self._focal(frame), *self._scale(frame), *self._offset()])
+        return " ".join([*self._focal(frame), *self._scale(frame), *self._offset(), *self._tilt()])
 
     def _focal(self, frame: Frame) -> list[str]:
         image, depth = self.values[[IMAGE, FOCAL]]
@@ -129,6 +133,14 @@ class Mend:
         way, turn = np.linalg.norm(place[:3]), np.degrees(np.linalg.norm(place[3:]))
         apart = f"{100 * way:.0f} cm and {turn:.1f} degrees"
         return [f"Depth and images are not of one view: {apart} lie between their cameras."]
+
+    def _tilt(self) -> list[str]:
+        turn = np.degrees(self.values[list(TILT)])
+        if not turn.any():
+            return []
+        x, y, z = turn + 0.0
+        off = f"Gravity is {np.linalg.norm(turn):.1f} degrees off"
+        return [f"{off}: turned by {x:.1f}, {y:.1f}, {z:.1f} degrees in camera axes it would fit."]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -215,10 +215,15 @@ def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Fl
     _add_known(problem, poses, start, h, g)
 
 
+def leaning(problem: Problem, poses: Floats) -> tuple[Floats, float]:
+    """Up (T, 3) in map axes as gravity has it at poses (T, 4, 4), and the variance of its x and y."""
+    up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
+    return up, problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
+
+
 def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
     """The known tilt is a prior, not a cage: it gives way where frames are seen to lean far."""
-    up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
-    variance = problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
+    up, variance = leaning(problem, poses)
     for t, j in enumerate(-cross_matrix(up)[:, :2]):
         rows = slice(6 * t + 3, 6 * t + 6)
         h[rows, rows] += j.T @ j / variance
