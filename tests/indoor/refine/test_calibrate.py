@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.geometry import Camera
+from placegraph.geometry import Camera, rotation_from_vector
 from placegraph.indoor.refine.calibrate import (
     COUNT,
     FOCAL,
     IMAGE,
     PLACE,
     SCALE,
+    TILT,
     TIME,
     calibrate,
     depth_from_camera,
+    turned_gravity,
 )
 from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
@@ -67,6 +69,21 @@ def test_depth_tells_its_scale_from_its_focal_length(
     found = calibrate(hall, problem, kit.moved(way, (0.1, 0.1, 0.0), (0, 0, 2.0)), [SCALE, FOCAL])
     factors = np.exp(found.values[[SCALE, FOCAL]])
     np.testing.assert_allclose(factors, [1 / scale, 1 / focal], atol=4e-3)
+    assert kit.off(found.poses[-1], way[-1])[0] < 0.01
+
+
+def test_gravity_that_is_off_is_told_by_depth(hall, way, walked, kit):
+    """From poses that believe it; of a turn about gravity itself nothing is known."""
+    off = np.radians([3.0, 0.0, -2.5])
+    problem = kit.problem(hall, walked)
+    wrong = replace(problem, gravity=problem.gravity @ rotation_from_vector(off))
+    start = way.copy()
+    start[:, :3, :3] = way[:, :3, :3] @ rotation_from_vector(off)
+    found = calibrate(hall, wrong, start, [SCALE, FOCAL, *TILT])
+    np.testing.assert_allclose(
+        turned_gravity(wrong.gravity, found.values), problem.gravity, atol=4e-3
+    )
+    assert np.linalg.norm(found.values[list(TILT)]) > 8 * found.errors[list(TILT)].max()
     assert kit.off(found.poses[-1], way[-1])[0] < 0.01
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.estimate import Status
 from placegraph.formats.capture.capture import Capture
-from placegraph.geometry import Camera
+from placegraph.geometry import Camera, rotation_from_vector
 from placegraph.indoor.refine.calibrate import COUNT, FOCAL, IMAGE, SCALE
 from placegraph.indoor.refine.mend import Mend, longer, moved_depth, share_view
 
@@ -41,6 +41,20 @@ def test_a_wrong_focal_length_is_found_said_and_mended(room, exact, kit, factor)
     assert (
         estimate.to_dict()["calibration"]["focal_factor"][0] == estimate.calibration.focal_factor[0]
     )
+
+
+def test_gravity_that_is_off_is_found_said_and_mended(room, exact, kit):
+    off = np.radians([0.0, 0.0, 4.0])
+    aslant = [replace(f, gravity=rotation_from_vector(off) @ f.gravity) for f in exact.capture]
+    estimate = room.localize(Capture.from_frames(aslant))
+    assert estimate.status is Status.OK
+    way, turn = kit.off(estimate.best.map_from_camera, exact.poses[-1])
+    assert way < 0.1
+    assert turn < 1.0
+    assert "Gravity is 4" in estimate.reason
+    mended = rotation_from_vector(estimate.calibration.gravity_turn) @ aslant[-1].gravity
+    np.testing.assert_allclose(mended, exact.capture[-1].gravity, atol=0.01)
+    assert len(estimate.to_dict()["calibration"]["gravity_turn"]) == 3
 
 
 def test_a_right_camera_is_left_alone(room, walk):

@@ -95,7 +95,7 @@ def calibrate(
                 costs.append(rows.cost)
         upright = replace(problem, gravity=turned_gravity(problem.gravity, values))
         add_beliefs(upright, poses, start, h[:size, :size], g[:size])
-        _add_tilt(upright, poses, h, g)
+        _add_tilt(upright, poses, values, h, g)
         h[size:, size:] += np.diag(1.0 / before**2)
         g[size:] += values / before**2
         kept = np.r_[0:size, size + chosen]
@@ -122,8 +122,8 @@ def _inverse(system: Floats) -> Floats:
         return np.full_like(system, np.nan)
 
 
-def _add_tilt(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
-    """Add how gravity (`solve._add_gravity`) depends on its own turn."""
+def _add_tilt(problem: Problem, poses: Floats, values: Floats, h: Floats, g: Floats) -> None:
+    """Add how gravity (`solve._add_gravity`) depends on its own turn, which is none about gravity itself."""
     up, variance = leaning(problem, poses)
     turns = poses[:, :3, :3] @ cross_matrix(problem.gravity)
     own = 6 * len(poses) + np.array(TILT)
@@ -134,6 +134,9 @@ def _add_tilt(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
         h[np.ix_(own, rows)] += across.T
         h[np.ix_(own, own)] += j.T @ j / variance
         g[own] += j.T @ up[t, :2] / variance
+    down = problem.gravity.mean(axis=0) / problem.options.tilt
+    h[np.ix_(own, own)] += np.outer(down, down)
+    g[own] += down * (down @ values[list(TILT)])
 
 
 def turned_gravity(gravity: Floats, values: Floats) -> Floats:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 OFF = 0.04
 """Logarithm of a factor from which on a camera is wrong: depth of real sensors is off by 1 to 3 %."""
 TILTED = 0.0175
-"""Turn [rad] about an axis from which on gravity is off."""
+"""Turn [rad] from which on gravity is off."""
 CLEAR = 4.0
 """Standard errors that it must be off by, too."""
 SUSPECT = 0.02
@@ -188,14 +188,17 @@ class _Case:
     ) -> tuple[Floats, float]:
         """Poses fitted with what is clearly off, which is taken over; and how much that changed."""
         before, kept, least = self.mend.values, list(free), np.full(COUNT, OFF)
-        least[list(TILT)] = TILTED
+        tilt = list(TILT)
+        least[tilt] = TILTED
         while True:
             fit = calibrate(refiner.scene, problem, poses, kept)
-            sure = np.abs(before + fit.values) / np.maximum(least, CLEAR * fit.errors)
-            weak = min(kept, key=lambda k: sure[k], default=None)
-            if weak is None or sure[weak] >= 1.0:
+            off, errors = np.abs(before + fit.values), fit.errors.copy()
+            off[tilt], errors[tilt] = np.linalg.norm(off[tilt]), errors[tilt].max()
+            sure = off / np.maximum(least, CLEAR * errors)
+            weak = min((sure[k] for k in kept), default=1.0)
+            if weak >= 1.0:
                 break
-            kept.remove(weak)
+            kept = [k for k in kept if sure[k] > weak]  # the three of a tilt go together
         usual = [k for k in kept if before[k] or k in TILT]  # poses lean without a cost, too
         if usual != kept:
             plain = calibrate(refiner.scene, problem, poses, usual)
