@@ -85,13 +85,18 @@ class Mend:
         """Of the answers before and after mending the better one, which says what was found.
 
         The mended answer is taken where it is `OK` and its refinement confirmed; else the camera is
-        a doubt about the other, if there is anything to doubt.
+        a doubt about the other, if there is anything to doubt. Gravity is none, since poses may lean:
+        if it alone is mended, an answer that is `OK` gives way only to one that fits better.
         """
+        ratios = [answer.stats.get("trust", {}).get("ratio") or 0.0 for answer in (before, after)]
+        leans = not self.values[: TILT[0]].any()
+        if leans and before.status is Status.OK and ratios[1] <= ratios[0]:
+            return before
         said = self.sentence(asked.frames[-1])
         told = after.refinement
         if after.status is Status.OK and told is not None and told.accepted:
             return replace(after, reason=f"{after.reason} {said}", calibration=self.calibration())
-        if before.status is Status.LOST:
+        if leans or before.status is Status.LOST:
             return before
         return replace(before, status=Status.AMBIGUOUS, reason=f"{before.reason} Perhaps: {said}")
 
