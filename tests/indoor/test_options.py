@@ -17,7 +17,6 @@ from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise, Pa
         (lambda: FilterOptions(start="random"), "start"),
         (lambda: FilterOptions(heights=()), "heights"),
         (lambda: FilterOptions(heights=(1.5, math.nan)), "heights"),
-        (lambda: FilterOptions(passes=()), "passes"),
         (lambda: FilterOptions(spacing=0.0), "spacing"),
         (lambda: FilterOptions(spacing=math.inf), "spacing"),
         (lambda: FilterOptions(per_cell=0), "per_cell"),

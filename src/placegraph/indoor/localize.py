@@ -115,7 +115,8 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     if query.options.answer == "mle":
         fits = heaviest(window.chain, passes.particles, query.options.modes)
     else:
-        fits = bend(window, polished(window, passes.modes, seeds, rng), rng)
+        starts = np.concatenate([passes.modes, seeds])
+        fits = bend(window, polished(window, starts, rng), rng)
         fits = freed(window, fits, rng)
     estimate = verdict(window, fits)
     if covered:

@@ -126,7 +126,7 @@ class Pass:
 
 
 ONE_PASS = (Pass(stride=20.0, box=0.0, turn=np.pi, particles=300),)
-"""What the benchmark left of the passes: the table starts so near that the polish does the rest."""
+"""What the benchmark left of the passes."""
 COARSE_TO_FINE = (
     Pass(stride=20.0, box=0.0, turn=np.pi, particles=600),
     Pass(stride=8.0, box=0.8, turn=0.3, particles=160),
@@ -168,7 +168,9 @@ class FilterOptions:
     """Grid of the visibility table; of uniform particles the paper's 0.2 [m]."""
     per_cell: int = 3
     """Particles a cell and height of a uniform start."""
-    passes: tuple[Pass, ...] = ONE_PASS
+    passes: tuple[Pass, ...] = ()
+    """Of the filter, between the search and the fit. None unless particles are asked for (`record`, a
+    uniform `start`, an `mle`), and then one: fits do as well from the search's seeds."""
     motion: MotionNoise = field(default_factory=MotionNoise)
     likelihood: Likelihood = field(default_factory=Likelihood)
     kld: bool = True
@@ -209,8 +211,8 @@ class FilterOptions:
         object.__setattr__(self, "heights", tuple(float(h) for h in self.heights))
         if not self.heights or not all(np.isfinite(self.heights)):
             raise OptionError("heights: give at least one height of the camera above the floor.")
-        if not self.passes:
-            raise OptionError("passes: the filter needs at least one.")
+        if not self.passes and (self.record or self.start == "uniform" or self.answer == "mle"):
+            object.__setattr__(self, "passes", ONE_PASS)
         check_numbers(self)
         check_whole(self, "per_cell", "modes", "fewest")
         check_positive(self, "spacing", "kld_error")

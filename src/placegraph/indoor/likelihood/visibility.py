@@ -45,7 +45,11 @@ if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
 
-_ASKED, _ASKED_BLIND = 240, 720  # samples of all views looked up; where labels are missing
+_ASKED = {
+    SEMANTIC: 240,
+    DEPTH: 360,
+    COLOUR: 720,
+}  # samples of all views, by the sense that tells most
 _USUAL = (1.05, 1.85)  # heights at which cameras are carried and mounted [m] ...
 _RARE = -4.0  # ... and the log prior of others, in units of the views' temperature
 _THINNED = 7  # values of a scan that tell its percentiles: every seventh
@@ -109,7 +113,8 @@ class VisibilityTable:
 
         Heading a is that of the reference frame; view t looks along a * 2 pi / HEADINGS + `turns`[t].
         """
-        asked = _ASKED if all(v.terms[SEMANTIC] for v in views) else _ASKED_BLIND
+        senses = [term for term in _ASKED if all(v.terms[term] for v in views)]
+        asked = _ASKED[senses[0] if senses else COLOUR]
         share = asked / max(1, sum(np.count_nonzero(v.patch >= 0) for v in views))
         lanes = min(LANES, int(np.ceil(share * LANES)))
         blur = _BLURRED * self.spacing

@@ -14,9 +14,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import between
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.chain import Course, Told, bent
-from placegraph.indoor.pose.polish import FINEST, GAP, NARROWEST, SOFT, SPREAD, WIDENED, round_of
+from placegraph.indoor.pose.polish import (
+    FINEST,
+    GAP,
+    NARROWEST,
+    SOFT,
+    SPREAD,
+    WIDENED,
+    round_of,
+)
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -35,6 +44,7 @@ GAIN = 10.0
 _ROUNDS = 5
 _SHRINK = 0.6
 _WIDEST = 2.5
+_HOPE = 3.0  # times what paraboloids foresee, which fall too steeply, may be gained
 
 
 def bend(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
@@ -45,7 +55,14 @@ def bend(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
         level = round_of(window, FINE, rounds=_ROUNDS)
         top = fits[0].log_likelihood
         near = sum(fit.log_likelihood > top - GAP for fit in fits)
-        followed = [_followed(window.scorer, fit, level, rng) for fit in fits[:near]]
+        # fits that fell behind early look nearer than they are
+        values = [_value(window.scorer, fit, level) for fit in fits[:near]]
+        followed = [
+            _followed(window.scorer, fit, level, rng)
+            if value > max(values) - GAP
+            else replace(fit, log_likelihood=value)
+            for fit, value in zip(fits, values, strict=False)
+        ]
         gains = np.array(
             [f.log_likelihood - g.log_likelihood for f, g in zip(followed, fits, strict=False)]
         )
@@ -63,10 +80,17 @@ def bend(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
         return sorted(out, key=lambda fit: -fit.log_likelihood)
 
 
+def _value(scorer: Scorer, fit: Fit, level: Round) -> float:
+    """Log-likelihood of a fit as it is [nat]."""
+    steps = between(fit.pose, fit.poses[level.rows])
+    return float(scorer.together(fit.pose[None], level.views, steps)[0])
+
+
 def _followed(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     """The fit bent.
 
-    Each frame is asked around where it is thought to be, the course is bent, and again, closer.
+    Each frame is asked around where it is thought to be, the course is bent, and again, closer; no
+    longer than a clear gain is in sight.
     """
     chain, rows = level.chain, level.rows
     course, spread = Course.start(chain, fit.pose, fit.spread), fit.spread
@@ -81,6 +105,9 @@ def _followed(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
             best = course, value
         told = told.learned(rows, said)
         course = bent(chain, course, told)
+        hoped = best[1] + _HOPE * SOFT * told.gain(course.poses)
+        if hoped - fit.log_likelihood < 0.5 * GAIN * len(rows):
+            return replace(fit, log_likelihood=best[1])
         spread = np.maximum(_SHRINK * spread, NARROWEST)
     told_apart = zip(course.poses[rows], level.views, strict=True)
     value = sum(float(scorer(pose[None], view)[0]) for pose, view in told_apart)

@@ -74,6 +74,13 @@ class Told:
         """Before any frame has been asked."""
         return cls(poses, np.zeros_like(poses), np.zeros((*poses.shape, 4)))
 
+    def gain(self, poses: Floats) -> float:
+        """What poses (T, 4) gain by it."""
+        off = poses - self.at
+        off[:, 3] = wrap(off[:, 3])
+        pulled = self.gradient - 0.5 * np.einsum("tij,tj->ti", self.information, off)
+        return float(np.sum(off * pulled))
+
     def learned(self, rows: NDArray[np.int64], other: Told) -> Told:
         """With what some frames (rows) say now instead of what they said before."""
         at, gradient, information = self.at.copy(), self.gradient.copy(), self.information.copy()

@@ -10,19 +10,17 @@ import numpy as np
 from placegraph.estimate import PassRecord
 from placegraph.geometry import between, compose
 from placegraph.indoor.likelihood.observe import COARSE
-from placegraph.indoor.likelihood.visibility import floor_under
 from placegraph.indoor.options import STANDING
 from placegraph.indoor.pose.filter import ParticleFilter, run_pass
 from placegraph.indoor.pose.particles import Particles
-from placegraph.indoor.pose.search import around, table_seeds
+from placegraph.indoor.pose.search import around, near_prior, table_seeds
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.options import FilterOptions, Pass
-    from placegraph.indoor.pose.prior import Prior
+    from placegraph.indoor.options import Pass
     from placegraph.indoor.pose.window import Window
 
 
@@ -43,6 +41,8 @@ class Passes:
 def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
     """Filter the window, from seeds (K, 4) of the last frame, in passes coarse to fine (Sec. 3.5)."""
     options, query, poses = window.options, window.query, window.poses
+    if not options.passes:
+        return Passes(seeds[:0], Particles.even(seeds), (), [])
     modes, masses, history, counts = seeds, np.ones(len(seeds)), [], []
     steps = np.zeros((len(window), 4))
     steps[1:] = between(poses[:-1], poses[1:])
@@ -97,8 +97,7 @@ def _start(window: Window, spec: Pass, modes: Floats, rng: Generator) -> Floats:
     """First particles of the first pass, as poses (N, 4) of the first frame."""
     options, prior = window.options, window.query.prior
     if prior is not None:
-        floor = float(floor_under(window.scene, np.array([[prior.x, prior.y]]))[0])
-        return near_prior(prior, floor, spec.particles, options, rng)
+        return near_prior(prior, window, spec.particles, rng)
     if options.start == "uniform":
         return everywhere(window, rng)
     return around(modes, max(1, spec.particles // len(modes)), 0.3, 0.1, rng)
@@ -123,19 +122,4 @@ def everywhere(window: Window, rng: Generator) -> Floats:
     out[:, :2] += rng.uniform(-0.5, 0.5, (len(out), 2)) * table.spacing
     out[:, 2] = np.repeat(cells[:, 2], count) + np.tile(np.repeat(heights, each), len(cells))
     out[:, 3] = rng.uniform(-np.pi, np.pi, len(out))
-    return out
-
-
-def near_prior(
-    prior: Prior, floor: float, count: int, options: FilterOptions, rng: Generator
-) -> Floats:
-    """`count` poses (count, 4) drawn around a prior."""
-    out = rng.normal(size=(count, 4)) * np.array([prior.spread, prior.spread, 0.05, prior.turn])
-    out[:, :2] += (prior.x, prior.y)
-    low, high = min(options.heights), max(options.heights)
-    out[:, 2] += floor + rng.uniform(low, high, count) if prior.z is None else prior.z
-    if prior.yaw is None:
-        out[:, 3] = rng.uniform(-np.pi, np.pi, count)
-    else:
-        out[:, 3] += prior.yaw
     return out

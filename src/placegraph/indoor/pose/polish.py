@@ -16,6 +16,7 @@ import numpy as np
 
 from placegraph.geometry import between, compose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE, recent
+from placegraph.indoor.likelihood.score_kernels import DEPTH
 from placegraph.indoor.pose.particles import (
     APART,
     TURNED,
@@ -25,7 +26,7 @@ from placegraph.indoor.pose.particles import (
     moments,
     near,
 )
-from placegraph.indoor.pose.search import SCREENED
+from placegraph.indoor.pose.search import SCREENED, thinned
 from placegraph.indoor.pose.window import timed
 
 if TYPE_CHECKING:
@@ -50,7 +51,6 @@ GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
-_PLACES = 8
 FINEST = np.diag(NARROWEST**2)
 KNOWN = WIDENED * FINEST
 """Covariance of a fit before the first round."""
@@ -97,7 +97,9 @@ class Round:
     views: Sequence[View]
     """(L,) of them."""
     rounds: int
-    """Samples are drawn so often."""
+    """Samples are drawn so often ..."""
+    samples: int
+    """... and so many."""
     most: int
     """Modes that take part."""
     gap: float
@@ -168,13 +170,14 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     along = steps[level.rows]
     samples, values = [], []
     for _ in range(level.rounds):
-        drawn = mean + rng.normal(size=(_SAMPLES, 4)) @ np.linalg.cholesky(sampling).T
+        drawn = mean + rng.normal(size=(level.samples, 4)) @ np.linalg.cholesky(sampling).T
         drawn[0] = mean
         scores = scorer.together(drawn, level.views, along)
         samples.append(drawn)
         values.append(scores)
         # tempered so that about a sixth of the samples count, however sharp the likelihood
-        heat = max(1.0, float(scores.max() - np.partition(scores, -_SAMPLES // 6)[-_SAMPLES // 6]))
+        sixth = -level.samples // 6
+        heat = max(1.0, float(scores.max() - np.partition(scores, sixth)[sixth]))
         weights = np.exp((scores - scores.max()) * (1.5 / heat))
         mean, covariance = moments(drawn, weights)
         sampling = 1.69 * covariance + FINEST
@@ -207,18 +210,16 @@ def heaviest(chain: Chain, particles: Particles, most: int) -> list[Fit]:
     return fits
 
 
-def polished(window: Window, modes: Floats, seeds: Floats, rng: Generator) -> list[Fit]:
-    """Fits of the last frame's pose to all frames of a window, best first."""
+def polished(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
+    """Fits of the last frame's pose, first at `starts` (M, 4), to all frames of a window, best first."""
     with timed(window.seconds, "polish"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            round_of(window, COARSE, rounds=2, most=10, frames=5),
-            round_of(window, COARSE, rounds=3, most=4, gap=800.0),
-            round_of(window, FINE, rounds=4, most=3, gap=GAP),
+            round_of(window, COARSE, rounds=2, samples=24, most=10, frames=5),
+            round_of(window, COARSE, rounds=3, samples=24, most=4, gap=800.0),
+            round_of(window, FINE, rounds=4, samples=40, most=3, gap=GAP),
         ]
-        # the best seeds of as many places: rivals must not be missed because one place has many
-        others = seeds[distinct(seeds, -np.arange(len(seeds), dtype=np.float64), _PLACES)]
-        return polish(window.scorer, np.concatenate([modes, others]), levels, rng)
+        return polish(window.scorer, starts, levels, rng)
 
 
 def round_of(
@@ -226,6 +227,7 @@ def round_of(
     stride: float,
     *,
     rounds: int,
+    samples: int = _SAMPLES,
     most: int = 1,
     gap: float = np.inf,
     frames: int = SCREENED,
@@ -233,12 +235,17 @@ def round_of(
     """A level of the polish.
 
     Coarse levels look at frames of the whole window as a rig, the newest above all; fine ones at the
-    newest alone, and bend the way to the others.
+    newest alone, and bend the way to the others. With depth in all of them fewer samples and half of
+    the rays do; steps of colour need them all.
     """
     fine = stride == FINE
     looked = window.newest if fine else recent(len(window), frames)
     views = [window.views(stride)[i] for i in looked]
-    return Round(window.chain, looked, views, rounds, most, gap)
+    if all(view.terms[DEPTH] for view in views):
+        views = [thinned(view, 2, i) for view, i in zip(views, looked, strict=True)]
+    else:
+        samples = _SAMPLES
+    return Round(window.chain, looked, views, rounds, samples, most, gap)
 
 
 def probabilities(values: Floats, temperature: float) -> Floats:

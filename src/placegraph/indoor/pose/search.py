@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.geometry import between
+from placegraph.geometry import between, compose
 from placegraph.indoor.likelihood.observe import COARSE, spread
+from placegraph.indoor.likelihood.visibility import floor_under
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.particles import distinct
 from placegraph.indoor.pose.window import timed
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.pose.prior import Leaning
+    from placegraph.indoor.pose.prior import Leaning, Prior
     from placegraph.indoor.pose.window import Window
 
 LOOKS = 5
@@ -53,8 +54,8 @@ class _Try(NamedTuple):
 
 
 _TRIES = (
-    _Try(12, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
-    _Try(8, 0.3, 0.05, SCREENED, 2, SEEDS // 2),
+    _Try(8, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
+    _Try(5, 0.3, 0.05, SCREENED, 3, SEEDS // 2),
 )
 """From a cell of the table to a hand's breadth: many tries by few rays, then few by many."""
 
@@ -62,7 +63,8 @@ _TRIES = (
 def search(window: Window, rng: Generator) -> Floats:
     """Seeds (K, 4): poses of the last frame that explain several frames at once, best first.
 
-    None where a prior says where to look, or the start is the paper's.
+    Drawn around a prior, if there is one, else looked up in the table; none where the start is the
+    paper's.
 
     Raises
     ------
@@ -77,13 +79,19 @@ def search(window: Window, rng: Generator) -> Floats:
                 f"{window.options.heights} m above its floor; give the camera's height."
             )
         views = window.views(COARSE)
-    if window.options.start == "uniform" or window.query.prior is not None:
+    if window.options.start == "uniform":
         return np.zeros((0, 4))
     with timed(window.seconds, "search"):
         last, noise = len(window) - 1, window.scorer.model.noise
-        table, leaning = window.table, window.leaning
-        seeds, _ = table_seeds(table, views, window.poses, noise, last, leaning=leaning)
-        for round_ in _TRIES:
+        table, leaning, prior = window.table, window.leaning, window.query.prior
+        first, *rounds = _TRIES
+        if prior is None:
+            seeds, _ = table_seeds(table, views, window.poses, noise, last, leaning=leaning)
+        else:
+            drawn = near_prior(prior, window, first.each * SEEDS, rng)
+            seeds = compose(drawn, between(window.poses[0], window.poses[-1]))
+            first = first._replace(each=1)  # they lie as dense as tries
+        for round_ in (first, *rounds):
             seeds = _tried(window, seeds, round_, rng)
         return seeds
 
@@ -94,13 +102,13 @@ def _tried(window: Window, seeds: Floats, round_: _Try, rng: Generator) -> Float
     tries = around(seeds, round_.each, round_.box, round_.turn, rng)
     looked = spread(len(window), round_.frames)
     steps = between(poses[last], poses[looked])
-    views = [_thinned(window.views(COARSE)[i], round_.thinned, i) for i in looked]
+    views = [thinned(window.views(COARSE)[i], round_.thinned, i) for i in looked]
     values = window.scorer.together(tries, views, steps).reshape(len(seeds), round_.each)
     best = tries.reshape(len(seeds), round_.each, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
     return np.asarray(best[np.argsort(-values.max(axis=1), kind="stable")[: round_.most]])
 
 
-def _thinned(view: View, step: int, offset: int) -> View:
+def thinned(view: View, step: int, offset: int) -> View:
     """Every so many tiles of a view; its patches speak for those left out."""
     tiles = np.arange(len(view.patch) // LANES)
     use = np.repeat(tiles % step == offset % step, LANES)
@@ -166,3 +174,17 @@ def around(
     count = np.broadcast_to(each, len(seeds))
     offset[np.cumsum(count) - count] = 0.0
     return out + offset
+
+
+def near_prior(prior: Prior, window: Window, count: int, rng: Generator) -> Floats:
+    """Poses (count, 4) of the first frame drawn around a prior."""
+    floor = float(floor_under(window.scene, np.array([[prior.x, prior.y]]))[0])
+    low, high = min(window.options.heights), max(window.options.heights)
+    out = rng.normal(size=(count, 4)) * np.array([prior.spread, prior.spread, 0.05, prior.turn])
+    out[:, :2] += (prior.x, prior.y)
+    out[:, 2] += floor + rng.uniform(low, high, count) if prior.z is None else prior.z
+    if prior.yaw is None:
+        out[:, 3] = rng.uniform(-np.pi, np.pi, count)
+    else:
+        out[:, 3] += prior.yaw
+    return out

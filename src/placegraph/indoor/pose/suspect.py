@@ -189,7 +189,7 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
         if not len(other.table):
             continue
         seeds = search(other, rng)
-        fit = polished(other, seeds[:_STARTS], seeds[:_STARTS], rng)[0]
+        fit = polished(other, seeds[:_STARTS], rng)[0]
         judging, looked = other.judging, other.newest
         views = [judging.views(FINE)[i] for i in looked]
         agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[looked]))

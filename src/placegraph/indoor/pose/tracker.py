@@ -192,7 +192,7 @@ class Tracker:
         known = [s for s in self.keyframes if s is not newest]
         window = Window(self.query, self.scorer, [*known[-KEPT + 1 :], newest])
         seeds = search(window, self.rng)
-        fits = freed(window, polished(window, seeds[:4], seeds, self.rng), self.rng)
+        fits = freed(window, polished(window, seeds, self.rng), self.rng)
         estimate = verdict(window, fits)
         if estimate.status is Status.OK:
             self._doubts = 0
