@@ -22,18 +22,19 @@ OPTIONS = FilterOptions()
 # --------------------------------------------------------------------------------- prior
 
 
-def test_poses_about_a_prior(rng):
+def test_poses_about_a_prior(room, rng):
     prior = Prior(2.0, -1.0, z=1.4, yaw=0.7, spread=0.5, turn=0.2)
-    got = near_prior(prior, 0.0, 20_000, OPTIONS, rng)
+    got = near_prior(prior, window_of(room, OPTIONS), 20_000, rng)
     np.testing.assert_allclose(got.mean(axis=0), [2.0, -1.0, 1.4, 0.7], atol=0.02)
     np.testing.assert_allclose(got.std(axis=0), [0.5, 0.5, 0.05, 0.2], rtol=0.03)
 
 
-def test_what_a_prior_leaves_open_is_anything(rng):
-    got = near_prior(Prior(0.0, 0.0), 10.0, 20_000, OPTIONS, rng)
+def test_what_a_prior_leaves_open_is_anything(room, rng):
+    got = near_prior(Prior(0.0, 0.0), window_of(room, OPTIONS), 20_000, rng)
     # heights are those of cameras above the floor that is there
-    assert 9.9 < got[:, 2].min() < 10.2
-    assert 12.2 < got[:, 2].max() < 12.5
+    above = got[:, 2] - room.floors[0]
+    assert -0.1 < above.min() < 0.2
+    assert 2.2 < above.max() < 2.5
     turns = np.histogram(got[:, 3], bins=8, range=(-np.pi, np.pi))[0]
     assert turns.sum() == 20_000
     assert turns.min() > 2200

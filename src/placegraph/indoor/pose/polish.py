@@ -51,6 +51,7 @@ GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
+_COUNTED = 10
 FINEST = np.diag(NARROWEST**2)
 KNOWN = WIDENED * FINEST
 """Covariance of a fit before the first round."""
@@ -175,9 +176,8 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
         scores = scorer.together(drawn, level.views, along)
         samples.append(drawn)
         values.append(scores)
-        # tempered so that about a sixth of the samples count, however sharp the likelihood
-        sixth = -level.samples // 6
-        heat = max(1.0, float(scores.max() - np.partition(scores, sixth)[sixth]))
+        # tempered so that several samples count, however sharp the likelihood
+        heat = max(1.0, float(scores.max() - np.partition(scores, -_COUNTED)[-_COUNTED]))
         weights = np.exp((scores - scores.max()) * (1.5 / heat))
         mean, covariance = moments(drawn, weights)
         sampling = 1.69 * covariance + FINEST
@@ -215,8 +215,8 @@ def polished(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
     with timed(window.seconds, "polish"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            round_of(window, COARSE, rounds=2, samples=24, most=10, frames=5),
-            round_of(window, COARSE, rounds=3, samples=24, most=4, gap=800.0),
+            round_of(window, COARSE, rounds=2, samples=32, most=10, frames=5),
+            round_of(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
             round_of(window, FINE, rounds=4, samples=40, most=3, gap=GAP),
         ]
         return polish(window.scorer, starts, levels, rng)
