@@ -98,13 +98,13 @@ class Round:
     views: Sequence[View]
     """(L,) of them."""
     rounds: int
-    """Samples are drawn so often ..."""
-    samples: int
-    """... and so many."""
+    """Samples are drawn so often."""
     most: int
     """Modes that take part."""
     gap: float
     """Modes further behind the best [nat] are dropped before."""
+    samples: int = _SAMPLES
+    """Drawn at once."""
 
 
 def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generator) -> list[Fit]:
@@ -245,7 +245,7 @@ def round_of(
         views = [thinned(view, 2, i) for view, i in zip(views, looked, strict=True)]
     else:
         samples = _SAMPLES
-    return Round(window.chain, looked, views, rounds, samples, most, gap)
+    return Round(window.chain, looked, views, rounds, most, gap, samples)
 
 
 def probabilities(values: Floats, temperature: float) -> Floats:
