@@ -28,6 +28,7 @@ from placegraph.indoor.pose.particles import (
 )
 from placegraph.indoor.pose.search import SCREENED, thinned
 from placegraph.indoor.pose.window import timed
+from placegraph.indoor.rays.layout import LANES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -52,6 +53,7 @@ GAP = 400.0
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
 _COUNTED = 10
+_RICH = 12  # tiles of a view half of which do
 FINEST = np.diag(NARROWEST**2)
 KNOWN = WIDENED * FINEST
 """Covariance of a fit before the first round."""
@@ -241,7 +243,8 @@ def round_of(
     fine = stride == FINE
     looked = window.newest if fine else recent(len(window), frames)
     views = [window.views(stride)[i] for i in looked]
-    if all(view.terms[DEPTH] for view in views):
+    # small images have no rays to spare
+    if all(view.terms[DEPTH] and len(view.patch) >= _RICH * LANES for view in views):
         views = [thinned(view, 2, i) for view, i in zip(views, looked, strict=True)]
     else:
         samples = _SAMPLES

@@ -54,8 +54,8 @@ class _Try(NamedTuple):
 
 
 _TRIES = (
-    _Try(8, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
-    _Try(5, 0.3, 0.05, SCREENED, 3, SEEDS // 2),
+    _Try(12, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
+    _Try(8, 0.3, 0.05, SCREENED, 2, SEEDS // 2),
 )
 """From a cell of the table to a hand's breadth: many tries by few rays, then few by many."""
 
