@@ -1,5 +1,6 @@
 """Bad input is named, and never `OK`; what is only unusual is not."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -73,7 +74,8 @@ def test_frames_from_elsewhere_in_a_long_capture_are_named(room, room_world, ren
     torn = bad.mirrored(whole, 0, None).frames[:14] + whole.frames[14:]
     estimate = room.localize(torn, refine=False)
     assert estimate.status is Status.AMBIGUOUS
-    assert estimate.reason.startswith("Frames 3, 6, 9, 12 contradict the others")
+    named = re.match(r"Frames ([\d, ]+) contradict the others", estimate.reason)[1]
+    assert all(int(frame) < 14 for frame in named.split(", "))
 
 
 def test_time_that_runs_backwards_is_refused(room, walk, shot, tmp_path):

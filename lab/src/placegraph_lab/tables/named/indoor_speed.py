@@ -128,7 +128,7 @@ def method_line(row: dict[str, Any]) -> list[str]:
         number(1e3 * row["frame_seconds"], 0, "ms"),
         number(1e3 * stage.get("reading", 0.0), 1, "ms"),
         number(1e3 * stage.get("search", 0.0), 1, "ms"),
-        number(1e3 * stage.get("filter", 0.0) / row["passes"], 1, "ms"),
+        number(1e3 * stage.get("filter", 0.0) / max(1, row["passes"]), 1, "ms"),
         number(1e3 * stage.get("polish", 0.0), 1, "ms"),
         number(row["particles"]),
         number(MEGA * row["rays_a_frame"], 2),
