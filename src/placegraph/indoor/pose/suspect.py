@@ -156,7 +156,7 @@ def divided(window: Window, frames: Floats) -> str:
     images = np.isnan(depth) & np.isnan(frames[:, 0]) & shows  # these alone say where a frame is
     misses = np.where(images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
     fit = np.where(images, colour > SPEAK, depth > _FITS)
-    few = misses.sum() < max(2, np.ceil(0.25 * len(depth)))
+    few = misses.sum() < max(2, round(0.3 * len(depth)))
     if fit.sum() < 2 or (few and not (images & misses)[-1]):
         return ""
     rows = [window.sightings[i].frame.index for i in np.flatnonzero(misses)]
