@@ -163,5 +163,5 @@ def test_a_bare_wall_has_no_cliff(weights):
     odds = [TRUST.odds(replace(bare, colour=c)) for c in np.linspace(0.0, 0.12, 121)]
     steps = np.diff(odds)
     assert steps.min() > 0
-    assert steps.max() < 1.25
+    assert steps.max() < 1.0
     assert TRUST.of(replace(bare, colour=0.0), 1.0) < SURE
