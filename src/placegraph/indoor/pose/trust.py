@@ -84,4 +84,4 @@ def log_odds(share: float, least: float) -> float:
     return float(np.log(share / (1.0 - share)))
 
 
-TRUST = Trust(level=5.03, depth=(-2.11, 3.27, 3.08), colour=(-3.42, 71.84))
+TRUST = Trust(level=6.44, depth=(-3.0, 1.77, 2.26), colour=(-5.54, 31.36))
