@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 SCENES = 8
 """Scenes localized in at most."""
-CERTAIN = 16.0
+CERTAIN = 6.0
 """Log odds from which on a pose that is `OK` ends the search; a lesser one ..."""
 RIVALS = 2
 """... has to fit better than what is found in so many scenes after it."""
