@@ -43,8 +43,9 @@ _MUTE = SPEAK / 4.0
 _STARTS = 4
 _SOME = 12
 """Frames of a long capture that are looked at."""
-_GAIN, _TELLS = 1.2, 25.0
-"""A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
+_GAIN, _TELLS, _COVERS = 1.2, 25.0, 0.67
+"""A fault taken back must make frames fit so many times as well, and tell so much a frame [nat], where
+the map fills so much of what they see: before one sofa anything fits."""
 _PERHAPS = 0.2
 """What a factor of depth must gain to be tried, though others may be as usual [nat a reading]."""
 _COLOURS_FIT = 0.05
@@ -194,7 +195,7 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
         views = [judging.views(FINE)[i] for i in looked]
         agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[looked]))
         fits = agreed.colour > _COLOURS_FIT if np.isnan(agreed.depth) else agreed.depth > _FITS
-        if fits and agreed.ratio > max(_TELLS, _GAIN * ratio):
+        if fits and agreed.covered > _COVERS and agreed.ratio > max(_TELLS, _GAIN * ratio):
             return said
     return ""
 
