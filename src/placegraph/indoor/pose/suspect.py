@@ -43,9 +43,10 @@ _MUTE = SPEAK / 4.0
 _STARTS = 4
 _SOME = 12
 """Frames of a long capture that are looked at."""
-_GAIN, _TELLS, _COVERS = 1.2, 25.0, 0.67
-"""A fault taken back must make frames fit so many times as well, and tell so much a frame [nat], where
-the map fills so much of what they see: before one sofa anything fits."""
+_GAIN, _TELLS = 1.2, 25.0
+"""A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
+_FILLED = 0.67
+"""Share of the views that the map must cover for another factor of depth: near enough, anything fits."""
 _PERHAPS = 0.2
 """What a factor of depth must gain to be tried, though others may be as usual [nat a reading]."""
 _COLOURS_FIT = 0.05
@@ -186,7 +187,7 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
 
     `ratio`: log-likelihood ratio against anywhere that the frames reached as they are, a frame [nat].
     """
-    for other, said in _faults(window):
+    for other, said, least in _faults(window):
         if not len(other.table):
             continue
         seeds = search(other, rng)
@@ -195,32 +196,32 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
         views = [judging.views(FINE)[i] for i in looked]
         agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[looked]))
         fits = agreed.colour > _COLOURS_FIT if np.isnan(agreed.depth) else agreed.depth > _FITS
-        if fits and agreed.covered > _COVERS and agreed.ratio > max(_TELLS, _GAIN * ratio):
+        if fits and agreed.covered > least and agreed.ratio > max(_TELLS, _GAIN * ratio):
             return said
     return ""
 
 
-def _faults(window: Window) -> Iterator[tuple[Window, str]]:
-    """Windows with a fault taken back, looked for in all of the map, and what it is."""
+def _faults(window: Window) -> Iterator[tuple[Window, str, float]]:
+    """Windows with a fault taken back, looked for in all of the map; what it is; least coverage."""
     query, sightings, scene = replace(window.query, prior=None), window.sightings, window.scene
 
     def changed(asked: PoseQuery = query, frames: list[Sighting] = sightings) -> Window:
         return Window(asked, window.scorer, frames)
 
     if window.query.prior is not None:
-        yield changed(), _NOT_THERE
+        yield changed(), _NOT_THERE, 0.0
     if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or held upside down
-        yield changed(frames=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN
-    yield changed(frames=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT
+        yield changed(frames=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN, 0.0
+    yield changed(frames=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT, 0.0
     factor = suspected_factor(window.views(FINE), window.table.background, _PERHAPS)
     if factor is not None:
-        said = mended(sightings[-1].frame, factor)
-        yield changed(frames=[_divided(s, factor) for s in sightings]), f"Scaled they fit. {said}"
+        said = f"Scaled they fit. {mended(sightings[-1].frame, factor)}"
+        yield changed(frames=[_divided(s, factor) for s in sightings]), said, _FILLED
     top = float(scene.bounds[1, 2] - scene.floors.max())
     outside = {"below the floor": (-1.0, -0.3), "above the ceiling": (top + 0.2, top + 0.9)}
     for where, heights in outside.items():
         options = replace(query.options, heights=heights)
-        yield changed(replace(query, options=options)), _OUTSIDE.format(where)
+        yield changed(replace(query, options=options)), _OUTSIDE.format(where), 0.0
 
 
 def _turned_round(sighting: Sighting) -> Sighting:
