@@ -40,7 +40,7 @@ _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
 _MUTE = SPEAK / 4.0
 """What colours tell at most of a frame taken elsewhere [nat a sample]."""
-_STARTS = 4
+_STARTS = 8
 _SOME = 12
 """Frames of a long capture that are looked at."""
 _GAIN, _TELLS = 1.2, 25.0
