@@ -1,4 +1,4 @@
-"""A capture finds its pose in a scene map: table, filter in passes, polish, verdict, refinement."""
+"""A capture finds its pose in a scene map: table, polish, verdict, refinement."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
     if not fault:
         return estimate
-    covered = f" {COVERED}" if estimate.reason.endswith(COVERED) else ""
+    covered = f" {COVERED}" if COVERED in estimate.reason else ""
     return replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}{covered}")
 
 

@@ -211,8 +211,6 @@ class FilterOptions:
         object.__setattr__(self, "heights", tuple(float(h) for h in self.heights))
         if not self.heights or not all(np.isfinite(self.heights)):
             raise OptionError("heights: give at least one height of the camera above the floor.")
-        if not self.passes and (self.record or self.start == "uniform" or self.answer == "mle"):
-            object.__setattr__(self, "passes", ONE_PASS)
         check_numbers(self)
         check_whole(self, "per_cell", "modes", "fewest")
         check_positive(self, "spacing", "kld_error")
@@ -235,6 +233,12 @@ class FilterOptions:
         if name not in presets:
             raise OptionError(f"preset is {name!r}; there are {', '.join(presets)}.")
         return presets[name]()
+
+    @property
+    def run(self) -> tuple[Pass, ...]:
+        """Passes of the filter that are run."""
+        asked = self.record or self.start == "uniform" or self.answer == "mle"
+        return self.passes or (ONE_PASS if asked else ())
 
     @classmethod
     def paper(cls) -> FilterOptions:

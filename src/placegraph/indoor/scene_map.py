@@ -86,10 +86,10 @@ class SceneMap(Scene):
             Roughly where the first frame was taken, if known; else the whole map is searched.
         description
             What somebody says of where the last frame was taken, "next to the sofa" (of a capture
-            longer than `localize.WINDOW`, which is tracked, the first). It shapes the first particles,
+            longer than `localize.WINDOW`, which is tracked, the first). It shapes the search,
             and counts as one witness for the poses found.
         shares
-            (S,) of a merged map: share of the first particles that each of its scenes gets.
+            (S,) of a merged map: share of the search that each of its scenes gets.
         encoder
             Says what patches show: a name such as ``appearance``, an `Encoder`, or one bound to this
             map; the capture's own labels if not given.

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import placegraph as pg
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.estimate import SceneEstimate, SceneMode, Status
+from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode, Status
 from placegraph.indoor.library import SceneLibrary, library_of, localize
 from placegraph.indoor.mapping.merge import merge_scenes
 
@@ -150,6 +150,32 @@ def test_scene_and_pose_of_a_capture(by_labels, rooms, name):
     )
     assert estimate.stats["retrieval"][name] > 0.5
     assert estimate.to_dict()["modes"][0]["scene"] == name
+
+
+LABELS = {"depth": None, "semantic": 0.9, "odds": None}
+
+
+@pytest.mark.parametrize(
+    ("trusts", "scene", "status"),
+    [
+        ([LABELS, LABELS], "b", Status.OK),  # labels alone have no odds: a is no rival
+        ([{"odds": 6.5}, {"odds": 6.2}], "a", Status.AMBIGUOUS),
+        ([{"odds": 3.0}, {"odds": 6.2}], "b", Status.OK),
+    ],
+)
+def test_a_pose_that_is_not_sure_in_another_scene(trusts, scene, status):
+    """Scene a was looked into first, and its pose was AMBIGUOUS; that in b is OK."""
+    stati, names = (Status.AMBIGUOUS, Status.OK), ("a", "b")
+    eye, covariance = np.eye(4), np.eye(6)
+    answers = [
+        PoseEstimate(
+            told, (PoseMode(eye, np.zeros(4), covariance, 1.0, name, eye),), "",
+            stats={"trust": {"depth": 1.0, "semantic": None} | trust},
+        )
+        for told, name, trust in zip(stati, names, trusts, strict=True)
+    ]  # fmt: skip
+    decided = localize._decided(answers)
+    assert (decided.modes[0].scene, decided.status) == (scene, status)
 
 
 @pytest.mark.parametrize("status", [Status.OK, Status.LOST])

@@ -121,7 +121,7 @@ def test_images_alone(room, walk, exact, kit):
     ],
 )
 def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, after):
-    refiner = SimpleNamespace(matcher=None, seconds={}, stats=landmarks)
+    refiner = SimpleNamespace(matcher=None, seconds={}, stats=landmarks, has_depth=True)
     poses = coarse.trajectory.copy()
     fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
     judgement = Judgement(accepted, "", fitted, {}, doubt="" if accepted else "it is elsewhere")

@@ -94,8 +94,8 @@ def localize(
     preset: Annotated[
         str,
         Option(
-            help="Recipe of the filter: default (a table of what is visible from where, few "
-            "particles, a fit of all frames), paper (SG2Loc as printed: particles everywhere, three "
+            help="Recipe of the search: default (a table of what is visible from where, and a fit of "
+            "all frames), paper (SG2Loc as printed: particles everywhere, three "
             "passes, one MLE, then six views and PnP), coarse (its first pass alone, then the same), "
             "published (what its code does otherwise; a filter only, nothing is refined). The paper's "
             "take many times as long.",
@@ -114,7 +114,7 @@ def localize(
     device: Device = "auto",
     as_json: AsJson = False,
     png: Annotated[
-        Path | None, Option(help="Write a plan with the particles of every pass.", panel=WRITTEN)
+        Path | None, Option(help="Write a plan with the particles of a filter.", panel=WRITTEN)
     ] = None,
     gif: Annotated[
         Path | None, Option(help="Write the plan as an animation.", panel=WRITTEN)

@@ -74,7 +74,7 @@ class SceneLibrary(Scenes):
         )
 
     def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
-        """Scene and pose of a capture: retrieval, then the filter in the best scenes, one by one.
+        """Scene and pose of a capture: retrieval, then a pose in each of the best, one by one.
 
         Parameters, result and errors: `placegraph.indoor.library.localize.localize`.
         """

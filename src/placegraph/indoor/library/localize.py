@@ -1,4 +1,4 @@
-"""Scene and pose of a capture: retrieval, then one filter in the best few scenes, one after another.
+"""Scene and pose of a capture: retrieval, then a pose in each of the best few scenes, one by one.
 
 Retrieval proposes, poses decide: unless frames fit beyond doubt, the next scene is looked into, and that
 in which they fit best is named. Each is asked alone: rays that leave a scan with gaps would meet
@@ -125,16 +125,20 @@ def _settled(answers: list[PoseEstimate]) -> bool:
 def _decided(answers: list[PoseEstimate]) -> PoseEstimate:
     """The answer of the scene where frames fit best, `OK` only if they fit nowhere else as well."""
     best = min(
-        answers, key=lambda a: (a.status is Status.LOST, -_odds(a), a.status is not Status.OK)
+        answers, key=lambda a: (a.status is Status.LOST, a.status is not Status.OK, -_odds(a))
     )
-    rivals = [a for a in answers if a is not best and a.status is not Status.LOST]
+    # labels alone have no odds: what they do not call `OK` is no rival
+    rivals = [
+        a
+        for a in answers
+        if a is not best
+        and (a.status is Status.OK if _named(best) else a.status is not Status.LOST)
+    ]
     probability = 1.0 / (1.0 + sum(float(np.exp(_odds(a) - _odds(best))) for a in rivals))
     if best.status is not Status.OK or probability >= SURE:
         return best
-    other = max(rivals, key=_odds).modes[0].scene
-    return _unsure(
-        best, f"another fits nearly as well in {other} ({probability:.0%} for this one)."
-    )
+    likeliest, other = sorted([best, *rivals], key=_odds, reverse=True)[:2]
+    return _unsure(likeliest, f"another fits nearly as well in {other.modes[0].scene}.")
 
 
 def _odds(estimate: PoseEstimate) -> float:

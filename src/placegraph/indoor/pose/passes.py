@@ -41,12 +41,12 @@ class Passes:
 def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
     """Filter the window, from seeds (K, 4) of the last frame, in passes coarse to fine (Sec. 3.5)."""
     options, query, poses = window.options, window.query, window.poses
-    if not options.passes:
+    if not options.run:
         return Passes(seeds[:0], Particles.even(seeds), (), [])
     modes, masses, history, counts = seeds, np.ones(len(seeds)), [], []
     steps = np.zeros((len(window), 4))
     steps[1:] = between(poses[:-1], poses[1:])
-    total, done = len(options.passes) * len(window), 0
+    total, done = len(options.run) * len(window), 0
 
     def tick() -> None:
         nonlocal done
@@ -64,7 +64,7 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
         return table_seeds(window.table, [view], poses[[t]], noise, 0, count, leaning)[0]
 
     with timed(window.seconds, "filter"):
-        for number, spec in enumerate(options.passes):
+        for number, spec in enumerate(options.run):
             # back to the first frame, from where the pass starts
             first = compose(modes, between(poses[-1], poses[0]))
             start = _later(spec, first, masses, rng) if number else _start(window, spec, first, rng)

@@ -172,7 +172,7 @@ def divided(window: Window, frames: Floats) -> str:
 def divided_all(query: PoseQuery, scorer: Scorer, trajectory: Floats) -> str:
     """`divided` of a long capture by its trajectory (T, 4, 4) and some of its frames."""
     rows = spread(len(trajectory), _SOME)
-    seen = [sight(query.frames[i], None, query.options) for i in rows.tolist()]
+    seen = [sight(query.frames[i], query.encoder, query.options) for i in rows.tolist()]
     window, (poses, _) = Window(query, scorer, seen), split_pose(trajectory[rows])
     steps = between(poses[-1], poses)
     judging = window.judging

@@ -248,7 +248,7 @@ def localizing(
         "device": device,
         "frame_seconds": total["seconds"] / frames,
         "stage_seconds": {stage: seconds / frames for stage, seconds in stages.items()},
-        "passes": len(options.passes),
+        "passes": len(options.run),
         "particles": total["particles"] / frames,
         "poses_a_frame": total["poses"] / frames,
         "rays_a_frame": total["rays"] / frames,
