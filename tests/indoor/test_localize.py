@@ -192,7 +192,7 @@ def test_the_answer_as_json(answer, room):
 
 
 def test_the_history_is_for_pictures(answer):
-    passes = RECORDED.passes
+    passes = RECORDED.run
     assert [p.stride for p in answer.history] == [p.stride for p in passes]
     for record, spec, counts in zip(answer.history, passes, answer.stats["particles"], strict=True):
         assert [frame for frame, _, _ in record.steps] == list(range(6))
