@@ -22,6 +22,7 @@ EXIT_CODES = {
     "ServiceError": 9,
     "StoreError": 10,
     "IncompleteStoreError": 11,
+    "RequestError": 12,
 }
 
 

@@ -67,3 +67,25 @@ class IncompleteStoreError(StoreError):
     """A vector store's load was begun and not finished; it is never searched."""
 
     exit_code = 11
+
+
+class RequestError(PlacegraphError):
+    """A server cannot take a request: unknown, forbidden, too large, too many, or cut short."""
+
+    exit_code = 12
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        status: int = 400,
+        code: str = "request",
+        retry_after: int | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.status = status
+        """Of HTTP."""
+        self.code = code
+        """Stable word for programs."""
+        self.retry_after = retry_after
+        """Seconds after which to ask again, where that may help."""

@@ -149,6 +149,7 @@ APP = Group(
         "city": CITY,
         "scene": SCENE,
         "library": LIBRARY,
+        "serve": f"{_HERE}.serve:serve",
     },
     params=[
         click.Option(

@@ -1,0 +1,1 @@
+"""A server: maps in a folder answer sentences, pictures and other programs over HTTP."""

@@ -1,0 +1,194 @@
+"""The maps of a server by name: opened when asked for, and again when their file is replaced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph import store
+from placegraph.errors import InputError, PlacegraphError, RequestError
+from placegraph.geometry import LocalPlane
+from placegraph.maps import open_map
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from os import PathLike
+
+    from placegraph.indoor.library import SceneLibrary
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.outdoor.city import CityMap
+
+SUFFIXES = (".city", ".scene", ".library")
+"""Of the maps in a folder."""
+
+State = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A map of a server, by its file."""
+
+    name: str
+    kind: str
+    """``city``, ``scene`` or ``library``."""
+    path: Path
+
+    def state(self) -> State:
+        """What changes when the file is replaced; `RequestError` where it is gone."""
+        try:
+            stat = self.path.stat()
+        except OSError:
+            raise RequestError(
+                f"The file of map {self.name!r} is gone from the server; ask another map, or put it "
+                "back.",
+                status=503,
+                code="map_gone",
+            ) from None
+        return stat.st_mtime_ns, stat.st_size, stat.st_ino
+
+
+class Places:
+    """Maps by name.
+
+    Parameters
+    ----------
+    paths
+        Map files, and folders of them; a folder is looked into anew when it is listed.
+
+    Raises
+    ------
+    InputError
+        A path does not exist, or there is no map.
+    MapError
+        A file that was named is no map.
+
+    """
+
+    def __init__(self, paths: Sequence[str | PathLike[str]]) -> None:
+        self.paths = tuple(Path(path) for path in paths)
+        self._open: dict[str, tuple[State, Any]] = {}
+        self._world: tuple[dict[str, State], Any] | None = None
+        self._kinds = {p: store.read_header(p).kind for p in self.paths if not p.is_dir()}
+        self._entries = self._found()
+        if not self._entries:
+            listed = ", ".join(map(str, self.paths)) or "nothing"
+            raise InputError(
+                f"{listed} holds no map; name files that `placegraph city build` or `scene build` made."
+            )
+
+    def entries(self) -> tuple[Entry, ...]:
+        """All maps that are there now."""
+        self._entries = self._found()
+        return tuple(self._entries.values())
+
+    def entry(self, name: str) -> Entry:
+        """Map of a name; `RequestError` (404) where there is none."""
+        if name not in self._entries:
+            self._entries = self._found()
+        if name not in self._entries:
+            known = ", ".join(self._entries) or "none"
+            raise RequestError(
+                f"There is no map {name[:80]!r}; known are: {known}.",
+                status=404,
+                code="map_unknown",
+            )
+        return self._entries[name]
+
+    def open(self, name: str) -> CityMap | SceneMap | SceneLibrary:
+        """A map, as its file is now; raises as `open_map`, and `RequestError` where it is gone."""
+        entry = self.entry(name)
+        state = entry.state()
+        held = self._open.get(name)
+        if held is None or held[0] != state:
+            held = self._open[name] = state, open_map(entry.path)
+        return held[1]
+
+    def city(self, name: str) -> CityMap:
+        """A map that must be a city; `RequestError` where it is none."""
+        found: CityMap = self._of_kind(name, "city", "sentences about streets")
+        return found
+
+    def scene(self, name: str) -> SceneMap:
+        """A map that must be a scene; `RequestError` where it is none."""
+        found: SceneMap = self._of_kind(name, "scene", "images")
+        return found
+
+    def _of_kind(self, name: str, kind: str, what: str) -> Any:  # noqa: ANN401  # of that kind
+        entry = self.entry(name)
+        if entry.kind != kind:
+            named = [e.name for e in self._entries.values() if e.kind == kind]
+            raise RequestError(
+                f"Map {name!r} is a {entry.kind}, and {what} need a {kind}; name one of: "
+                f"{', '.join(named) or 'none here'}.",
+                status=422,
+                code="map_kind",
+            )
+        return self.open(name)
+
+    @property
+    def only(self) -> str | None:
+        """Name of the only map; None where there are several."""
+        return next(iter(self._entries)) if len(self._entries) == 1 else None
+
+    def world(self) -> Any:  # noqa: ANN401  # placegraph.world.World
+        """All maps as one world; opened anew where a file was replaced."""
+        states = {entry.name: entry.state() for entry in self.entries()}
+        if self._world is None or self._world[0] != states:
+            self._world = (
+                states,
+                import_module("placegraph.world").open_world(
+                    [e.path for e in self._entries.values()]
+                ),
+            )
+        return self._world[1]
+
+    def listed(self) -> list[dict[str, Any]]:
+        """What `GET /v1/maps` says of each; of a map that cannot be opened the reason."""
+        return [self._facts(entry) for entry in self.entries()]
+
+    def _facts(self, entry: Entry) -> dict[str, Any]:
+        facts: dict[str, Any] = {
+            "name": entry.name, "kind": entry.kind, "objects": 0, "bounds": None,
+            "anchored": entry.kind == "city", "bytes": 0,
+        }  # fmt: skip
+        try:
+            header = store.read_header(entry.path)
+        except PlacegraphError as error:
+            return facts | {"problem": str(error)}
+        facts["bytes"] = header.file_size
+        rows = {block.name: block.shape[0] for block in header.blocks}
+        if entry.kind == "library":
+            return facts | {"objects": len(header.meta["digests"])}
+        if entry.kind == "city":
+            return facts | {"objects": rows["kind"], "bounds": bounds_of(header.meta)}
+        return facts | {
+            "objects": rows["positions"],
+            "anchored": bool(header.meta.get("anchors") or rows.get("anchors")),
+        }
+
+    def _found(self) -> dict[str, Entry]:
+        """Entries by name, which is the stem of the file, or all of its name where two share one."""
+        files: dict[Path, None] = {}
+        for path in self.paths:
+            if path.is_dir():
+                files |= dict.fromkeys(
+                    p for p in sorted(path.rglob("*")) if p.suffix in SUFFIXES and p.is_file()
+                )
+            else:
+                files[path] = None
+        stems = [path.stem for path in files]
+        entries = {}
+        for path in files:
+            name = path.stem if stems.count(path.stem) == 1 else path.name
+            entries[name] = Entry(name, self._kinds.get(path) or path.suffix[1:], path)
+        return entries
+
+
+def bounds_of(meta: dict[str, Any]) -> list[float]:
+    """West, south, east, north [deg] of the cells of a city, by the metadata of its file."""
+    east, north, stride, columns, rows = meta["grid"]
+    corners = [[east, north], [east + stride * columns, north + stride * rows]]
+    bounds: list[float] = LocalPlane(*meta["origin"]).to_lonlat(corners).ravel().tolist()
+    return bounds

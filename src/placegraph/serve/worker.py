@@ -1,0 +1,105 @@
+"""A process that answers: it holds the maps open, and takes one request after the other."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import warnings
+from importlib import import_module
+from math import isfinite
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from placegraph.errors import PlacegraphError, RequestError
+from placegraph.serve.places import Places
+from placegraph.serve.problem import problem
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from pathlib import Path
+
+    from placegraph.serve.options import ServeOptions
+
+VERBS = {
+    "warm": "locate:warm",
+    "locate": "locate:locate",
+}
+"""What can be asked, and the function of `placegraph.serve` that answers."""
+
+Answer = tuple[bytes | None, dict[str, Any] | None]
+"""A body, or else a problem."""
+
+
+class Setting(NamedTuple):
+    """What a process needs to begin."""
+
+    paths: tuple[Path, ...]
+    options: ServeOptions
+    compiled: Path | None
+    """Folder of compiled code, where one was chosen."""
+
+
+def answer(places: Places, options: ServeOptions, verb: str, asked: Any) -> Answer:  # noqa: ANN401
+    """Answer one request; whatever goes wrong becomes a problem."""
+    module, function = VERBS[verb].split(":")
+    start = perf_counter()
+    try:
+        made = getattr(import_module(f"placegraph.serve.{module}"), function)(
+            places, options, asked
+        )
+    except Exception as error:  # a server goes on
+        if not isinstance(error, PlacegraphError | MemoryError):
+            logging.getLogger("placegraph.serve").exception("a request failed")
+        if isinstance(error, MemoryError):
+            error = RequestError(
+                "This takes more memory than there is; send less.", status=413, code="memory"
+            )
+        return None, problem(error)
+    if isinstance(made, bytes):
+        return made, None
+    if isinstance(made, dict):
+        made["seconds"] = round(perf_counter() - start, 4)
+    return dumped(made), None
+
+
+def dumped(told: object) -> bytes:
+    """JSON, which has no NaN and no infinity: they become null."""
+    try:
+        text = json.dumps(told, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    except ValueError:
+        text = json.dumps(_finite(told), ensure_ascii=False, separators=(",", ":"))
+    return text.encode()
+
+
+def _finite(told: object) -> Any:  # noqa: ANN401  # any JSON
+    if isinstance(told, dict):
+        return {key: _finite(value) for key, value in told.items()}
+    if isinstance(told, list | tuple):
+        return [_finite(value) for value in told]
+    return None if isinstance(told, float) and not isfinite(told) else told
+
+
+def run(connection: Connection, setting: Setting) -> None:
+    """Answer until the other end is closed; a busy process is ended by its parent alone."""
+    from placegraph import kept
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent lets running answers end
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    warnings.simplefilter("ignore")
+    kept.use_folder(setting.compiled)
+    try:
+        places = Places(setting.paths)
+        answer(places, setting.options, "warm", None)
+        connection.send((b"", None))
+        while True:
+            verb, asked = connection.recv()
+            connection.send(answer(places, setting.options, verb, asked))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass
+    except PlacegraphError as error:
+        connection.send((None, problem(error)))
+    sys.stdout.flush()
+    os._exit(0)  # threads of libraries are not waited for

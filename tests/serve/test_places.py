@@ -1,0 +1,62 @@
+"""Maps by name, as their files are now."""
+
+import shutil
+
+import pytest
+
+from placegraph.errors import InputError, MapError, RequestError
+from placegraph.serve.places import Places
+
+
+def test_a_folder_is_listed_without_opening_a_map(maps):
+    listed = {m["name"]: m for m in Places([maps]).listed()}
+    assert {n: m["kind"] for n, m in listed.items()} == {
+        "hafenstadt": "city", "home1": "scene", "home2": "scene",
+    }  # fmt: skip
+    city = Places([maps]).city("hafenstadt")
+    west, south, east, north = listed["hafenstadt"]["bounds"]
+    where = city.plane.to_lonlat(city.objects.center)
+    assert (where > (west, south)).all()
+    assert (where < (east, north)).all()
+    assert listed["hafenstadt"]["objects"] == len(city.objects)
+    assert listed["home1"]["objects"] == len(Places([maps]).scene("home1"))
+
+
+def test_a_map_is_opened_once_and_anew_when_replaced(maps, tmp_path):
+    file = tmp_path / "home.scene"
+    shutil.copy(maps / "home1.scene", file)
+    places = Places([tmp_path])
+    first = places.open("home")
+    assert places.open("home") is first
+    shutil.copy(maps / "home2.scene", tmp_path / "new")
+    (tmp_path / "new").replace(file)
+    assert len(places.open("home")) != len(first)
+    file.unlink()
+    with pytest.raises(RequestError, match="gone from the server") as gone:
+        places.open("home")
+    assert (gone.value.status, gone.value.code) == (503, "map_gone")
+
+
+def test_maps_of_one_stem_keep_their_endings(maps, tmp_path):
+    shutil.copy(maps / "home1.scene", tmp_path / "a.scene")
+    shutil.copy(maps / "hafenstadt.city", tmp_path / "a.city")
+    assert {e.name for e in Places([tmp_path]).entries()} == {"a.scene", "a.city"}
+
+
+def test_what_is_no_map_is_refused_at_the_start(tmp_path):
+    with pytest.raises(InputError, match="holds no map"):
+        Places([tmp_path])
+    with pytest.raises(InputError, match="does not exist"):
+        Places([tmp_path / "none.city"])
+    (tmp_path / "x.city").write_text("no map")
+    with pytest.raises(MapError, match="not a placegraph map"):
+        Places([tmp_path / "x.city"])
+
+
+def test_a_map_of_another_name_or_kind_is_told(maps):
+    places = Places([maps])
+    with pytest.raises(RequestError, match="known are: hafenstadt, home1, home2") as unknown:
+        places.open("paris")
+    assert unknown.value.status == 404
+    with pytest.raises(RequestError, match="name one of: home1, home2"):
+        places.scene("hafenstadt")
