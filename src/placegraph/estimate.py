@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from placegraph.evidence import Evidence as Evidence  # noqa: PLC0414, TC001 - found here too
+from placegraph.evidence import Evidence as Evidence  # noqa: PLC0414 - found here too
+from placegraph.evidence import Explained
 from placegraph.evidence import ObjectRef as ObjectRef  # noqa: PLC0414 - found here too
+from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from placegraph.outdoor.city import CityMap
@@ -33,12 +32,8 @@ class Status(StrEnum):
     """Nothing fits better than being somewhere else, or nothing was understood."""
 
 
-def _no_evidence() -> tuple[Evidence, ...]:
-    return ()
-
-
 @dataclass(frozen=True, eq=False)
-class Place:
+class Place(Explained):
     """A mode of an outdoor estimate: a position, how sure it is, and why."""
 
     longitude: float
@@ -49,15 +44,8 @@ class Place:
     are only ranked (`CityEstimate.ranked`) that of the prior."""
     cell: str
     """Id of the map's cell that holds the mode."""
-    covariance: NDArray[np.float64]
+    covariance: NDArray[np.float64] = field(repr=False)
     """(2, 2) float64, east-north [m^2]."""
-    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
-    """Finds the evidence."""
-
-    @cached_property
-    def evidence(self) -> tuple[Evidence, ...]:
-        """What each statement says of this place; found when first asked for."""
-        return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -72,28 +60,21 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseMode:
+class PoseMode(Explained):
     """A mode of an indoor estimate: a pose of the last frame, how sure it is, and why."""
 
-    map_from_camera: NDArray[np.float64]
+    map_from_camera: NDArray[np.float64] = field(repr=False)
     """(4, 4) float64 [m]; camera axes are OpenCV's."""
     pose: NDArray[np.float64]
     """(4,) float64 x, y, z [m], yaw [rad] of the camera stood upright (`geometry.split_pose`)."""
-    covariance: NDArray[np.float64]
+    covariance: NDArray[np.float64] = field(repr=False)
     """(6, 6) float64 of x, y, z [m] and of a small turn about the map's x, y, z axes [rad], which
     is ROS's order: the true pose is exp(turn) @ rotation at position + shift."""
     probability: float
     scene: str
     """Which of the merged scenes of the map it lies in."""
-    scene_from_camera: NDArray[np.float64]
+    scene_from_camera: NDArray[np.float64] = field(repr=False)
     """(4, 4) float64, the pose in that scene's own frame; of a plain map the same."""
-    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
-    """Finds the evidence."""
-
-    @cached_property
-    def evidence(self) -> tuple[Evidence, ...]:
-        """Which objects and measurements speak for this pose and against it."""
-        return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -109,7 +90,7 @@ class PoseMode:
 
 
 @dataclass(frozen=True, eq=False)
-class SceneMode:
+class SceneMode(Explained):
     """A scene of a library, how sure it is, and why."""
 
     scene: str
@@ -119,13 +100,6 @@ class SceneMode:
     score: float
     """Log-likelihood ratio of the query in this scene against anywhere [nat]; under the paper's
     sum (Sec. 4) the sum over frames of the mean best cosine."""
-    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
-    """Finds the evidence."""
-
-    @cached_property
-    def evidence(self) -> tuple[Evidence, ...]:
-        """Which objects speak for this scene and against it."""
-        return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -200,8 +174,8 @@ class PassRecord:
 Mode = TypeVar("Mode", Place, PoseMode, SceneMode)
 
 
-@dataclass(frozen=True)
-class Estimate(Generic[Mode]):
+@dataclass(frozen=True, repr=False)
+class Estimate(Shown, Generic[Mode]):
     """Answer to "where am I?"."""
 
     status: Status
@@ -209,6 +183,15 @@ class Estimate(Generic[Mode]):
     """Best first. Empty only where nothing on the map could be compared with the query."""
     reason: str
     """One sentence: why this status."""
+    map: object = field(default=None, compare=False, kw_only=True)
+    """What it was found on, for pictures; None where nobody said, and in another process."""
+
+    def __repr__(self) -> str:
+        best = f", best of {len(self.modes)}: {self.best}" if self.modes else ""
+        return f"{type(self).__name__}({self.status}{best}; {self.reason})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"map": None}
 
     @property
     def best(self) -> Mode | None:
@@ -226,7 +209,7 @@ class Estimate(Generic[Mode]):
         return {"status": self.status.name, "reason": self.reason, "modes": modes}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CityEstimate(Estimate[Place]):
     """Where in a city a description was given."""
 
@@ -247,7 +230,7 @@ class CityEstimate(Estimate[Place]):
         return super().to_dict() | {"understood": understood}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PoseEstimate(Estimate[PoseMode]):
     """Where in a scene map the last frame of a capture was taken, and all others."""
 
@@ -275,7 +258,7 @@ class PoseEstimate(Estimate[PoseMode]):
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SceneEstimate(Estimate[SceneMode]):
     """Which scenes of a library a capture was taken in, or a text describes."""
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, partial
 from math import isnan, nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,3 +50,24 @@ class Evidence:
             for o in plain["objects"]
         ]
         return plain
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """An answer whose evidence is found when it is first asked for.
+
+    What finds it holds the map. Sent to another process, the answer takes the evidence along
+    instead.
+    """
+
+    explain: Callable[[], tuple[Evidence, ...]] = field(default=tuple, repr=False, kw_only=True)
+    """Finds the evidence."""
+
+    @cached_property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """What speaks for this answer and against it, and which objects; found when first asked for."""
+        return self.explain()
+
+    def __getstate__(self) -> dict[str, Any]:
+        found = self.evidence
+        return self.__dict__ | {"evidence": found, "explain": partial(tuple, found)}

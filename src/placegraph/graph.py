@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.portable import Portable
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable
@@ -22,7 +23,7 @@ Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SceneGraph:
+class SceneGraph(Portable):
     """A scene graph of N nodes in D = 2 or 3 dimensions and M edges.
 
     Row i of every node column is one thing; row j of every edge column reads

@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.indoor.encode.instances import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.pose.bend import bend
 from placegraph.indoor.pose.passes import run_passes
@@ -71,6 +72,10 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
 def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     """An answer that no mended camera makes `OK`, with the fault of the input that explains it, if any."""
     query = window.query
+    own = query.encoder is None and query.shares is None and estimate.status is not Status.OK
+    semantic = estimate.stats.get("trust", {}).get("semantic")
+    if own and (other := foreign(query.scene, query.frames[-WINDOW:], semantic)):
+        return replace(estimate, reason=f"{estimate.reason} {other}")
     wrong = estimate.status is not Status.OK and not estimate.stats.get("undecided", False)
     here = query.shares is None  # else other scenes of a library may be where it was taken
     searched = query.options.tracked and len(query.frames) <= WINDOW

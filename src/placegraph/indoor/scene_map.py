@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
+from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SceneMap(Scene):
+class SceneMap(Shown, Scene):
     """A scene and what can be done with it.
 
     Made by `build_scene`, `SceneMap.create` or `merge_scenes`, opened by `open_map`; never changed

@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
+from placegraph.notebook import Shown
 from placegraph.outdoor.map.city import City
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
-    from typing import Unpack
+    from typing import Any, Literal, Unpack
 
+    import geopandas as gpd
     import numpy as np
     from numpy.typing import NDArray
 
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.track.tracker import CityTracker
 
 
-class CityMap(City):
+class CityMap(Shown, City):
     """A city that can be asked.
 
     Made by `build_city`, opened by `open_map`; never changed by localizing in it.
@@ -120,6 +122,23 @@ class CityMap(City):
         from placegraph.outdoor.track.tracker import CityTracker
 
         return CityTracker(self, near=near, radius=radius, heading=heading, top=top)
+
+    def to_geojson(self, what: Literal["objects", "cells"] = "objects") -> dict[str, Any]:
+        """The map as a GeoJSON FeatureCollection, longitude and latitude to a centimetre.
+
+        ``objects`` have properties `osm` ("way/1"), `label`, `name` and `tags`, as far as the map
+        holds them, and shapes as coarse as the map's; ``cells`` are squares with property `cell`.
+        Raises `OptionError` where it is neither.
+        """
+        from placegraph.outdoor.map.features import features
+
+        return features(self, what)
+
+    def to_geopandas(self, what: Literal["objects", "cells"] = "objects") -> gpd.GeoDataFrame:
+        """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
+        from placegraph.features import geopandas_of
+
+        return geopandas_of(self.to_geojson(what))
 
     def ask(self, estimate: CityEstimate) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""

@@ -13,12 +13,11 @@ from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.likelihood.query import compile_query, read, standing_at
 from placegraph.outdoor.likelihood.statements import ends
-from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.answer import estimate
 from placegraph.outdoor.search.cells import search_cells
 from placegraph.outdoor.search.request import Matching, Request, is_count, within
 from placegraph.outdoor.search.viewpoints import search
-from placegraph.outdoor.search.whereabouts import Way, Whereabouts, number, position
+from placegraph.outdoor.search.whereabouts import Way, Whereabouts, number, position, swapped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -123,12 +122,9 @@ def _why_nothing(asked: Request, description: Description) -> str:
 def _off_the_map(asked: Request, hints: Hints) -> str:
     """Why the speaker cannot be anywhere on the map; an empty string where they can."""
     known, views = asked.known, asked.city.views
-    if (
-        hints.near is not None
-        and known.near is not None
-        and not len(views.near(known.near, 4.0 * known.radius + REACH))
-    ):
-        return f"The map does not reach the surroundings of {hints.near[:2]}."
+    if hints.near is not None and known.off(asked.city):
+        near = tuple(hints.near[:2])
+        return f"The map does not reach the surroundings of {near}.{swapped(asked.city, near)}"
     if known.inside is not None and not known.inside(views.positions.astype(np.float64)).any():
         return f"The map has nothing to see in {tuple(asked.matching.region or ())}."
     return ""

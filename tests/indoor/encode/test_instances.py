@@ -9,7 +9,7 @@ from placegraph.geometry import Camera
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import MapEncoder, Patches
 from placegraph.indoor.encode.grid import GRID
-from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder, foreign
 from placegraph.indoor.mapping.merge import merge_scenes
 
 CAMERA = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
@@ -145,3 +145,16 @@ def test_the_rendered_walk_says_what_is_there(room, walk):
     assert patches.grid == GRID
     assert (patches.rows >= 0).mean() > 0.95
     assert len(np.unique(patches.rows)) > 3
+
+
+def test_ids_of_another_map_are_told(scene):
+    own, other = (
+        frame(blocks([[0, 1, 2, 3, -1, -1, 1, 1]] * 4), camera=EIGHT),
+        frame(blocks([[0, 10, 12, 13, 14, -1, 1, 1]] * 4), camera=EIGHT),
+    )
+    assert not foreign(scene, [own], 0.9)
+    said = foreign(scene, [own, other], 0.9)
+    assert "Of the 8 instance ids in the frames, 4 are no objects of this map (10, 12" in said
+    assert "labels=None" in said
+    assert "may be another map's" in foreign(scene, [own], 0.1)  # numbers are alike everywhere
+    assert not foreign(scene, [frame(blocks([[1] * 8] * 4), "labels", {1: "a"}, EIGHT)], 0.1)

@@ -84,7 +84,7 @@ def _frames(
     gravity = _gravity(path / "gravity.txt", odometry.poses)
     known = None
     if kind == "labels":
-        known = Meanings.read(names, path / "labels.json", cameras.offsets[kind])
+        known = Meanings(names, path / "labels.json", cameras.offsets[kind])
     shown = {i: name for i, name in names.items() if name}
     unit = DepthUnit(f"`depth.scale` in {cameras.path}", cameras.depth_scale)
 

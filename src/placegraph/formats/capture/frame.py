@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.portable import Portable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,7 +35,7 @@ class Images(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class Frame(Portable):
     """One moment of a capture. Images are read, and checked, each time they are asked for."""
 
     index: int

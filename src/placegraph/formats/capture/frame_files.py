@@ -17,6 +17,7 @@ images are files, its own where they come out of a video or a container, and giv
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -183,7 +184,7 @@ def turned_camera(camera: Camera, turns: int) -> Camera:
 
 def colour_file(path: Path, camera: Camera) -> Callable[[], NDArray[np.uint8]]:
     """Reads the colours of an image file, which must have the camera's size."""
-    return lambda: read_rgb(path, _size(camera))
+    return partial(read_rgb, path, _size(camera))
 
 
 def depth_file(
@@ -194,16 +195,18 @@ def depth_file(
     Where the image `confidence`, of the same size, is 0, the sensor did not trust its reading, and
     there is none.
     """
+    return partial(_depth, path, _size(camera), per_metre, confidence)
 
-    def read() -> NDArray[np.float32]:
-        units = read_whole(path, _size(camera), DEPTH_MODES)
-        metres = (units / per_metre).astype(np.float32)
-        metres[units <= 0] = np.nan
-        if confidence is not None:
-            metres[read_whole(confidence, _size(camera), WHOLE_MODES) == 0] = np.nan
-        return metres
 
-    return read
+def _depth(
+    path: Path, size: tuple[int, int], per_metre: float, confidence: Path | None
+) -> NDArray[np.float32]:
+    units = read_whole(path, size, DEPTH_MODES)
+    metres = (units / per_metre).astype(np.float32)
+    metres[units <= 0] = np.nan
+    if confidence is not None:
+        metres[read_whole(confidence, size, WHOLE_MODES) == 0] = np.nan
+    return metres
 
 
 def label_file(
@@ -213,37 +216,34 @@ def label_file(
 
     `known` says what the ids mean; `InputError` where an id of the image has no name.
     """
+    return partial(_labels, path, _size(camera), offset, known)
 
-    def read() -> NDArray[np.int32]:
-        ids = read_whole(path, _size(camera), WHOLE_MODES)
-        ids = np.maximum(ids - offset, -1)
-        return ids if known is None else known.of(ids, path)
 
-    return read
+def _labels(
+    path: Path, size: tuple[int, int], offset: int, known: Meanings | None
+) -> NDArray[np.int32]:
+    ids = np.maximum(read_whole(path, size, WHOLE_MODES) - offset, -1)
+    return ids if known is None else known.of(ids, path)
 
 
 class Meanings(NamedTuple):
     """What label ids mean."""
 
-    table: NDArray[np.int32]
-    """(65536,) from id to itself, -1 (says nothing) or -2 (has no name)."""
+    names: Mapping[int, str | None]
+    """By id; None or empty: says nothing."""
     path: Path
     """File that says so."""
-
-    @classmethod
-    def read(cls, names: Mapping[int, str | None], path: Path, offset: int) -> Meanings:
-        """Meanings of names by id; None says nothing."""
-        table = np.full(1 << 16, _UNNAMED, np.int32)
-        if not offset:
-            table[0] = -1  # by custom 0 is "unlabelled", where no name says otherwise
-        for number, name in names.items():
-            table[number] = number if name else -1
-        return cls(table, path)
+    offset: int
+    """Was subtracted from the ids."""
 
     def of(self, ids: NDArray[np.int32], image: Path) -> NDArray[np.int32]:
         """Ids (h, w) of an image, -1 where they say nothing; `InputError`: one has no name."""
-        last = len(self.table) - 1
-        meant: NDArray[np.int32] = np.where(ids < 0, -1, self.table[np.minimum(ids, last)])
+        table = np.full(1 << 16, _UNNAMED, np.int32)
+        if not self.offset:
+            table[0] = -1  # by custom 0 is "unlabelled", where no name says otherwise
+        for number, name in self.names.items():
+            table[number] = number if name else -1
+        meant: NDArray[np.int32] = np.where(ids < 0, -1, table[np.minimum(ids, len(table) - 1)])
         if meant.min() == _UNNAMED:
             nameless = np.unique(ids[meant == _UNNAMED]).tolist()
             listed = ", ".join(map(str, nameless[:8])) + (" ..." if len(nameless) > 8 else "")

@@ -38,6 +38,9 @@ class Video:
         self._count = count
         self.size = width, height
 
+    def __reduce__(self) -> tuple[type[Video], tuple[Path]]:
+        return Video, (self.path,)  # opened again where it is sent to
+
     def __len__(self) -> int:
         return self._count
 

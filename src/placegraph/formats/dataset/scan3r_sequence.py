@@ -12,6 +12,7 @@ import re
 import zipfile
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -31,7 +32,6 @@ from placegraph.formats.capture.images import opened
 from placegraph.formats.dataset.scannet_files import camera_of_matrix, is_rigid
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from os import PathLike
 
     from numpy.typing import NDArray
@@ -180,8 +180,8 @@ class _Info:
 
     def images(self, files: _Files, digits: str, *, with_depth: bool) -> LazyImages:
         return LazyImages(
-            _colours(files, f"frame-{digits}.color.jpg", self.colour),
-            _metres(files, f"frame-{digits}.depth.pgm", self.depth, self.unit.per_metre)
+            partial(_colours, files, f"frame-{digits}.color.jpg", self.colour),
+            partial(_metres, files, f"frame-{digits}.depth.pgm", self.depth, self.unit.per_metre)
             if with_depth
             else None,
             unit=self.unit,
@@ -210,27 +210,19 @@ def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.floa
     return pose
 
 
-def _colours(files: _Files, name: str, camera: Camera) -> Callable[[], NDArray[np.uint8]]:
-    def read() -> NDArray[np.uint8]:
-        with opened(io.BytesIO(files.read(name)), files.where(name)) as image:
-            colours: NDArray[np.uint8] = np.asarray(image.convert("RGB"))
-        check_shape(colours, camera, files.where(name))
-        return colours
-
-    return read
+def _colours(files: _Files, name: str, camera: Camera) -> NDArray[np.uint8]:
+    with opened(io.BytesIO(files.read(name)), files.where(name)) as image:
+        colours: NDArray[np.uint8] = np.asarray(image.convert("RGB"))
+    check_shape(colours, camera, files.where(name))
+    return colours
 
 
-def _metres(
-    files: _Files, name: str, camera: Camera, per_metre: float
-) -> Callable[[], NDArray[np.float32]]:
-    def read() -> NDArray[np.float32]:
-        units = read_pgm(files.read(name), files.where(name))
-        check_shape(units, camera, files.where(name))
-        metres = (units / per_metre).astype(np.float32)
-        metres[units == 0] = np.nan
-        return metres
-
-    return read
+def _metres(files: _Files, name: str, camera: Camera, per_metre: float) -> NDArray[np.float32]:
+    units = read_pgm(files.read(name), files.where(name))
+    check_shape(units, camera, files.where(name))
+    metres = (units / per_metre).astype(np.float32)
+    metres[units == 0] = np.nan
+    return metres
 
 
 def read_pgm(data: bytes, name: str) -> NDArray[np.uint16]:

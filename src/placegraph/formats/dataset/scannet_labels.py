@@ -121,7 +121,7 @@ def _meanings(
             f"{folder} or above."
         )
     names = dict(labels.of_id)
-    return names, Meanings.read(names, labels.path, 0)
+    return names, Meanings(names, labels.path, 0)
 
 
 def numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +32,6 @@ from placegraph.formats.capture.posed import (
 from placegraph.formats.capture.video import Video
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -81,20 +81,17 @@ def read_stray(path: Path) -> Capture:
                 stamp=row["timestamp"],
                 pose=MAP_FROM_Y_UP @ pose_of(position, xyzw, line),
                 camera=camera,
-                images=LazyImages(_picture(video, number, camera), depth, unit=unit),
+                images=LazyImages(partial(_picture, video, number, camera), depth, unit=unit),
                 depth_camera=depth_camera,
             )
         )
     return capture_of(path, shots, left_out=left_out)
 
 
-def _picture(video: Video, number: int, camera: Camera) -> Callable[[], NDArray[np.uint8]]:
-    def read() -> NDArray[np.uint8]:
-        image = video.read(number)
-        check_shape(image, camera, f"{video.path}, frame {number},")
-        return image
-
-    return read
+def _picture(video: Video, number: int, camera: Camera) -> NDArray[np.uint8]:
+    image = video.read(number)
+    check_shape(image, camera, f"{video.path}, frame {number},")
+    return image
 
 
 def _matrix(path: Path) -> dict[str, float]:

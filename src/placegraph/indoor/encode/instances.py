@@ -10,8 +10,15 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.grid import GRID, checked, looked_up, majority
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.map.scene import Scene
+
+_FOREIGN = 0.2
+"""Share of the ids of frames that a map may lack: things come and go."""
+_AGREE = 0.5
+"""Of patches that name an object, the share that see it, below which they may name another."""
 
 
 class InstancesEncoder:
@@ -75,3 +82,31 @@ class ClassesOfInstances(InstancesEncoder):
         for either, row in rows.items():
             self.table[row, np.isin(kind_of, list(either))] = 1.0
         self.row_of = {id_: rows[frozenset(either)] for id_, either in meant.items()}
+
+
+def foreign(scene: Scene, frames: Sequence[Frame], agree: float | None) -> str:
+    """Why ids of instances seem to be another map's, in a sentence; empty: nothing says so.
+
+    `agree`: of the patches that name an object, the share that see it at the best pose; None: none
+    does.
+    """
+    seen: set[int] = set()
+    for frame in frames:
+        image = frame.labels() if frame.label_kind == "instances" else None
+        if image is not None:
+            seen.update(np.unique(image[image >= 0]).tolist())
+    known = InstancesEncoder(scene).row_of
+    strange = sorted(id_ for id_ in seen if str(id_) not in known)
+    mend = (
+        "Localize in the map that the ids are of, or leave them out "
+        '(`open_capture(path, labels=None)`, or labels="labels" where there are some).'
+    )
+    if len(strange) > _FOREIGN * len(seen):
+        some = ", ".join(map(str, strange[:5])) + (", ..." if len(strange) > 5 else "")
+        return (
+            f"Of the {len(seen)} instance ids in the frames, {len(strange)} are no objects of this "
+            f"map ({some}): they seem to be another map's. {mend}"
+        )
+    if seen and (agree is None or agree < _AGREE):
+        return f"The instance ids in the frames may be another map's. {mend}"
+    return ""

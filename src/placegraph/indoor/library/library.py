@@ -12,6 +12,7 @@ from placegraph.indoor.library.answer import search
 from placegraph.indoor.library.localize import localize
 from placegraph.indoor.library.scenes import Entry, Scenes
 from placegraph.indoor.library.signature_file import GRAIN, KIND, VERSION, columns, signatures_in
+from placegraph.notebook import Shown
 from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ SUFFIX = ".scene"
 """Of the maps in a folder."""
 
 
-class SceneLibrary(Scenes):
+class SceneLibrary(Shown, Scenes):
     """Scenes by name, and the question in which of them something is.
 
     Made empty, opened from a file that `save` wrote, or from a folder of scene maps; parameters

@@ -242,6 +242,7 @@ def _in_its_own(
         modes=tuple(_own(m, into) for m in estimate.modes),
         trajectory=trajectory,
         refinement=refinement,
+        map=None,  # the merged one has other axes
         stats=estimate.stats | {"retrieval": retrieval | {"seconds": found.stats["seconds"] | {
             "opening": round(opening, 4)}}},
     )  # fmt: skip

@@ -6,7 +6,7 @@ import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -174,6 +174,17 @@ class Scenes:
         while len(self._merged) > _MERGED:
             self._merged.popitem(last=False)
         return self._merged[key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Signatures, and the maps that no file holds; the rest is opened and derived again."""
+        held = {n: m for n, m in self._open.items() if self._entries[n].path is None}
+        derived: dict[str, Any] = {
+            "_index": None,
+            "_own": None,
+            "_texts": None,
+            "_merged": OrderedDict(),
+        }
+        return self.__dict__ | derived | {"_open": OrderedDict(held)}
 
     @property
     def names(self) -> tuple[str, ...]:

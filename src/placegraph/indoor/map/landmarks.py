@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.portable import Portable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +29,7 @@ _CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences c
 
 
 @dataclass(frozen=True, eq=False)
-class Landmarks:
+class Landmarks(Portable):
     """L points with compact descriptors, as `placegraph.indoor.refine.landmarks` makes them."""
 
     points: NDArray[np.float32]

@@ -11,7 +11,9 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
+from placegraph.indoor.map.mesh import WHITE
 from placegraph.indoor.map.mesh_order import ordered
+from placegraph.portable import Portable, made_again
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -30,7 +32,7 @@ S = TypeVar("S", bound="Scene")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scene:
+class Scene(Portable):
     """Objects with a coarse mesh, in map axes: z up, gravity -z, metres; what a `SceneMap` holds.
 
     All stages take it, and none changes it. Row i of `graph`, `attributes` and `scene_of` is one
@@ -148,6 +150,12 @@ class Scene:
     def __len__(self) -> int:
         return len(self.graph)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Textures travel as the map file holds them."""
+        _, (cls, values, kept) = super().__reduce__()
+        bare = replace(self.mesh, textures=(WHITE,) * len(self.encoded))
+        return _with_textures, (cls, values | {"mesh": bare}, kept)
+
     def __repr__(self) -> str:
         merged = f", {len(self.scenes)} scenes" if len(self.scenes) > 1 else ""
         size = f"{len(self)} objects, {len(self.mesh):,} triangles{merged}"
@@ -238,6 +246,13 @@ class Scene:
         if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
             vectors = from_8_bits(*in_8_bits(vectors))
         return replace(self, graph=replace(self.graph, embeddings=vectors), encoder=encoder)
+
+
+def _with_textures(cls: type[S], values: dict[str, Any], kept: tuple[str, ...]) -> S:
+    """What `Scene.__reduce__` took apart."""
+    mesh = replace(values["mesh"], textures=textures.decode(values["encoded"], values["source"]))
+    scene: S = made_again(cls, values | {"mesh": mesh}, kept)
+    return scene
 
 
 def graph_of(

@@ -79,6 +79,7 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
                 "trust": agreed[0].numbers() | {"probability": modes[0].probability},
                 "undecided": undecided,
             },
+            map=window.scene,
         )
 
 

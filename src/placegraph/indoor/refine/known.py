@@ -106,4 +106,4 @@ def _given(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstima
         scene_from_camera=scene.scene_from_map[row] @ matrix,
     )
     rows = np.array([f.index for f in window.query.frames])
-    return PoseEstimate(Status.AMBIGUOUS, (mode,), "", trajectory=coarse, frames=rows)
+    return PoseEstimate(Status.AMBIGUOUS, (mode,), "", trajectory=coarse, frames=rows, map=scene)

@@ -12,6 +12,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.outdoor.map.raster import Grid, Sightings, sightings
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.portable import Portable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,7 +47,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells(Mapping[str, Cell]):
+class Cells(Portable, Mapping[str, Cell]):
     """Cells of a city by id (``c<column>r<row>``), the keys of Eq. 8; only those with two objects exist."""
 
     plane: LocalPlane

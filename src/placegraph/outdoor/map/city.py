@@ -18,6 +18,7 @@ from placegraph.outdoor.map.index import ViewIndex, tokens_of
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import GRAIN, CityColumns, CityObjects, centers, of_name
 from placegraph.outdoor.map.raster import Grid
+from placegraph.portable import Portable
 from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
-class City:
+class City(Portable):
     """A city: its objects, its cells, and what is derived from them to be searched.
 
     Every stage takes one; `CityMap` adds what a user asks of it. Nothing changes it.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.outdoor.map.simplify_kernels import _centers, _keep
+from placegraph.portable import Portable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +21,7 @@ GRAIN = 0.5
 
 
 @dataclass(frozen=True)
-class CityObjects:
+class CityObjects(Portable):
     """Columns of the objects of a city; row i of every column is one object.
 
     CSR columns come as pairs: the entries of row i are ``values[starts[i]:starts[i + 1]]``.

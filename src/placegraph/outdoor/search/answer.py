@@ -51,7 +51,7 @@ def estimate(asked: Request, found: Posterior, top: int, understood: Description
     if places and understood.conflicts and contradicted(places[0], query):
         status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
     return CityEstimate(
-        status, places, reason, understood, support(found, city), ranked=matching.ranks
+        status, places, reason, understood, support(found, city), ranked=matching.ranks, map=city
     )
 
 
@@ -59,7 +59,7 @@ def place(mode: Mode, city: City, explain: Callable[[], tuple[Evidence, ...]]) -
     """A mode in degrees."""
     longitude, latitude = (float(x) for x in city.plane.to_lonlat(mode.position))
     cell = city.cells.nearest(mode.position)
-    return Place(longitude, latitude, mode.probability, cell, mode.covariance, explain)
+    return Place(longitude, latitude, mode.probability, cell, mode.covariance, explain=explain)
 
 
 def support(found: Posterior, city: City) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import angle_between, bearing
-from placegraph.outdoor.map.index import STRIDE
+from placegraph.outdoor.map.index import REACH, STRIDE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -83,6 +83,12 @@ class Whereabouts:
         """Whether anything is known."""
         return not (self.near is None and self.listener is None and self.inside is None)
 
+    def off(self, city: City) -> bool:
+        """Whether the map does not reach the surroundings of `near`."""
+        return self.near is not None and not len(
+            city.views.near(self.near, 4.0 * self.radius + REACH)
+        )
+
     def log(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log prior probability (W,) of all viewpoints of a map; uniform where nothing is known.
 
@@ -126,6 +132,14 @@ class Whereabouts:
         return np.asarray(shares / max(1.0, float(shares.sum())))
 
 
+def shares_around(city: City, near: Sequence[float], radius: float) -> NDArray[np.float64]:
+    """`Whereabouts.shares` near a place; `OptionError` where that lies on the map only if swapped."""
+    known = Whereabouts.around(city, near, radius)
+    if known.off(city) and (hint := swapped(city, near)):
+        raise OptionError(f"near is {near!r}, which is off the map.{hint}")
+    return known.shares(city.views)
+
+
 def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
     return np.asarray(np.exp(-0.5 * (distance / WALK) ** 2) * 1e6 / (2.0 * np.pi * WALK**2))
@@ -145,8 +159,21 @@ def position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float
     if len(numbers) != 2 or not (abs(numbers[0]) <= 180.0 and abs(numbers[1]) <= 90.0):
         raise OptionError(
             f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
+            f"{swapped(city, numbers)}"
         )
     return city.plane.to_plane(numbers)
+
+
+def swapped(city: City, lonlat: Sequence[float]) -> str:
+    """That a position (2,) [deg] lies on the map if its numbers are swapped; empty where it does not."""
+    if len(lonlat) < 2 or not abs(lonlat[0]) <= 90.0:
+        return ""
+    longitude, latitude = lonlat[1], lonlat[0]
+    points = city.objects.points
+    there = city.plane.to_plane((longitude, latitude))
+    if not ((points.min(axis=0) <= there) & (there <= points.max(axis=0))).all():
+        return ""
+    return f" Swapped, it lies on the map: longitude comes first, {longitude},{latitude}."
 
 
 def finite(value: object, name: str, what: str) -> float:

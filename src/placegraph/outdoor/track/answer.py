@@ -55,7 +55,7 @@ def estimate(
     if query and understood and understood.conflicts and places and contradicted(places[0], query):
         status, reason = Status.LOST, CONTRADICTS.format(understood.conflicts[0])
     reason = f"{reason} {why}".strip()
-    return CityEstimate(status, places, reason, understood, support(found, city))
+    return CityEstimate(status, places, reason, understood, support(found, city), map=city)
 
 
 def explained(

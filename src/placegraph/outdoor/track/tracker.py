@@ -19,7 +19,7 @@ from placegraph.language.check import check
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.search.request import is_count
-from placegraph.outdoor.search.whereabouts import Whereabouts, finite, positive
+from placegraph.outdoor.search.whereabouts import finite, positive, shares_around
 from placegraph.outdoor.track.answer import Waypoint, estimate, why_nothing
 from placegraph.outdoor.track.grid import (
     COMPASS,
@@ -87,8 +87,7 @@ class CityTracker:
         self._top = int(top)
         self._grid = TrackGrid.of(city.views)
         self._first_heading = None if heading is None else finite(heading, "heading", "an angle")
-        known = None if near is None else Whereabouts.around(city, near, radius)
-        self._shares = None if known is None else known.shares(city.views)
+        self._shares = None if near is None else shares_around(city, near, radius)
         self.reset()
 
     def reset(self) -> CityEstimate:

@@ -1,0 +1,42 @@
+"""What is sent to other processes: what a thing was made of, without what was derived from it since.
+
+Files of this form are never written, and none is ever opened: a pickle is code, a map file is data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+
+class Portable:
+    """A dataclass that `pickle` takes by its fields alone.
+
+    Tables, compiled casters and locks stay behind and are made again where they are needed. Arrays
+    that nobody may write stay so, which pickling forgets: compiled code tells the two apart, and
+    would be compiled twice.
+    """
+
+    __slots__ = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        return made_again, (type(self), values, locked(values))
+
+
+def locked(values: dict[str, Any]) -> tuple[str, ...]:
+    """Names of the arrays that nobody may write."""
+    arrays = {name: array for name, array in values.items() if isinstance(array, np.ndarray)}
+    return tuple(name for name, array in arrays.items() if not array.flags.writeable)
+
+
+def made_again(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) -> Any:  # noqa: ANN401
+    """What `Portable` took apart; nothing is checked twice."""
+    made = object.__new__(cls)
+    for name, value in values.items():
+        if name in kept:
+            value.flags.writeable = False
+        object.__setattr__(made, name, value)
+    return made

@@ -1,0 +1,105 @@
+"""Maps and estimates as a cell of a notebook: a small picture, and what is most worth knowing."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from PIL import Image
+
+from placegraph.estimate import CityEstimate, Estimate, PoseEstimate
+from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.map.scene import Scene
+from placegraph.outdoor.map.city import City
+from placegraph.view.city.picture import draw_city, write_picture
+from placegraph.view.scene.scene_plan import draw_scene, write_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+WIDTH = 640
+"""Of a picture [px]."""
+COLOURS = 96
+"""Of a picture: a notebook keeps it as text."""
+MOST = 12
+"""Rows of a table."""
+
+
+def html(thing: object) -> str:
+    """A map or an estimate as HTML that needs nothing else."""
+    if isinstance(thing, Estimate):
+        return _estimate(thing)
+    if isinstance(thing, City):
+        return _picture(lambda path: draw_city(thing, path, size=(WIDTH, 440))) + _line(thing)  # type: ignore[arg-type]
+    if isinstance(thing, Scene):
+        return _picture(lambda path: draw_scene(thing, path, width=WIDTH)) + _line(thing)  # type: ignore[arg-type]
+    if isinstance(thing, SceneLibrary):
+        graphs = {name: thing.entry(name).signature.graph for name in thing.names[:MOST]}
+        rows = [(name, len(graph), _words(graph.labels)) for name, graph in graphs.items()]
+        return _line(thing) + _table(("scene", "objects", "among them"), rows, len(thing))
+    return _line(thing)
+
+
+def _estimate(estimate: Estimate[Any]) -> str:
+    drawn = ""
+    held: Any = estimate.map
+    if isinstance(estimate, CityEstimate) and isinstance(held, City) and estimate.modes:
+        drawn = _picture(lambda path: write_picture(held, estimate, path, size=(WIDTH, 480)))  # type: ignore[arg-type]
+    elif isinstance(estimate, PoseEstimate) and isinstance(held, Scene) and estimate.modes:
+        drawn = _picture(lambda path: write_plan(held, estimate, path, width=WIDTH))  # type: ignore[arg-type]
+    said = f"<p><b>{escape(estimate.status.name)}</b>: {escape(estimate.reason)}</p>"
+    return drawn + said + _modes(estimate.modes) + _evidence(estimate)
+
+
+def _modes(modes: Sequence[Any]) -> str:
+    """Numbers and names of modes, which differ by what was asked; matrices are left out."""
+    plain = [mode.to_dict() for mode in modes[:MOST]]
+    keys = [k for k, v in plain[0].items() if isinstance(v, str | float | int)] if plain else []
+    return _table(keys, [[mode.get(k, "") for k in keys] for mode in plain], len(modes))
+
+
+def _evidence(estimate: Estimate[Any]) -> str:
+    rows = [(e.verdict, e.statement, f"{e.weight:+.1f}", e.note) for e in estimate.evidence]
+    return _table(("", "evidence of the best", "nat", ""), rows[:MOST], len(rows))
+
+
+def _picture(draw: Callable[[Path], object]) -> str:
+    """What is drawn into a file, as an image that carries its own bytes."""
+    with TemporaryDirectory() as folder:
+        draw(Path(folder) / "drawn.png")
+        with Image.open(Path(folder) / "drawn.png") as drawn:
+            small = drawn.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    png = BytesIO()
+    small.save(png, "PNG", optimize=True)
+    data = b64encode(png.getvalue()).decode()
+    return f'<img alt="" style="max-width:100%" width="{WIDTH}" src="data:image/png;base64,{data}">'
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[object]], count: int) -> str:
+    """Rows as a table, with a line on how many there are beyond them; nothing where there is none."""
+    lines = ["".join(f"<td>{escape(_text(cell))}</td>" for cell in row) for row in rows]
+    if not lines:
+        return ""
+    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
+    more = f"<p>... {count} in all</p>" if count > len(lines) else ""
+    return f"<table><tr>{head}</tr><tr>{'</tr><tr>'.join(lines)}</tr></table>{more}"
+
+
+def _text(cell: object) -> str:
+    return (
+        f"{cell:.6g}"
+        if isinstance(cell, float) and abs(cell) < 1.0
+        else (f"{cell:.5f}".rstrip("0").rstrip(".") if isinstance(cell, float) else str(cell))
+    )
+
+
+def _words(labels: Sequence[str]) -> str:
+    return ", ".join(list(dict.fromkeys(labels))[:5])
+
+
+def _line(thing: object) -> str:
+    return f"<p>{escape(repr(thing))}</p>"
