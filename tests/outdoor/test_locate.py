@@ -303,17 +303,6 @@ BAD_PLACES = [
 
 
 @pytest.mark.parametrize("place", BAD_PLACES, ids=str)
-def test_swapped_degrees_are_told(harbour, hafenstadt):
-    """Latitude first is the commonest slip: it is named where it explains the failure."""
-    longitude, latitude = hafenstadt.center
-    estimate = harbour.locate(TEXT, near=(latitude, longitude))
-    assert estimate.status.name == "LOST"
-    assert f"longitude comes first, {longitude},{latitude}" in estimate.reason
-    with pytest.raises(OptionError, match="longitude comes first"):
-        harbour.track(near=(latitude, longitude))
-    assert "Swapped" not in harbour.locate(TEXT, near=(0.0, 0.0)).reason
-
-
 @pytest.mark.parametrize("name", ["near", "listener"])
 def test_bad_places(name, place, harbour):
     with pytest.raises(OptionError, match=name):
@@ -497,3 +486,14 @@ def test_other_cells_same_place(make_city, hafenstadt):
         for mode, other in zip(found.modes, expected.modes, strict=True):
             assert (mode.longitude, mode.latitude) == (other.longitude, other.latitude)
             assert mode.probability == other.probability
+
+
+def test_swapped_degrees_are_told(harbour, hafenstadt):
+    """Latitude first is the commonest slip: it is named where it explains the failure."""
+    longitude, latitude = hafenstadt.center
+    estimate = harbour.locate(TEXT, near=(latitude, longitude))
+    assert estimate.status.name == "LOST"
+    assert f"longitude comes first, {longitude},{latitude}" in estimate.reason
+    with pytest.raises(OptionError, match="longitude comes first"):
+        harbour.track(near=(latitude, longitude))
+    assert "Swapped" not in harbour.locate(TEXT, near=(0.0, 0.0)).reason

@@ -71,7 +71,7 @@ def _estimate(city, town, status, probabilities):
         covariance = np.array([[60.0, 20.0], [20.0, 90.0]])
         cell = city.cells.at(longitude, latitude) or ""
         modes.append(
-            Place(longitude, latitude, probability, cell, covariance, lambda e=evidence: e)
+            Place(longitude, latitude, probability, cell, covariance, explain=lambda e=evidence: e)
         )
     support = [
         (*town.lonlat(5 + dr, 9 + 6 * k + dc), p / 9)

@@ -60,7 +60,7 @@ def test_names_that_no_face_draws_do_no_harm(tmp_path):
     longitude, latitude = town.position("B")
     ref = ObjectRef("node/1", "shop=bakery", "\U00012000\U00012001", longitude, latitude)
     evidence = (Evidence("a bakery", "for", 1.0, (ref,)),)
-    mode = Place(longitude, latitude - 3e-4, 0.9, "", np.eye(2), lambda: evidence)
+    mode = Place(longitude, latitude - 3e-4, 0.9, "", np.eye(2), explain=lambda: evidence)
     estimate = CityEstimate(Status.OK, (mode,), "Here.")
     with Image.open(write_picture(city, estimate, tmp_path / "one.png")) as image:
         assert ImageColor.getrgb(PALETTE["for"][0]) in colors(image)

@@ -298,7 +298,7 @@ def mode(x, y, yaw, probability, scene="room", evidence=()):
     pose = np.array([x, y, 1.6, yaw])
     covariance = np.diag([0.02, 0.01, 0.001, 1e-5, 1e-5, 0.001])
     matrix = pose_matrix(pose, UPRIGHT)
-    return PoseMode(matrix, pose, covariance, probability, scene, matrix, lambda: evidence)
+    return PoseMode(matrix, pose, covariance, probability, scene, matrix, explain=lambda: evidence)
 
 
 def refs(*rows):
