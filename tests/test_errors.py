@@ -23,6 +23,7 @@ EXIT_CODES = {
     "StoreError": 10,
     "IncompleteStoreError": 11,
     "RequestError": 12,
+    "GeoPoseError": 13,
 }
 
 

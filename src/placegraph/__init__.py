@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from placegraph import errors
 
 if TYPE_CHECKING:
+    from placegraph.earth import Anchor
     from placegraph.estimate import Estimate, Refinement, Status
     from placegraph.formats.capture.capture import Capture, Frame, open_capture
     from placegraph.graph import SceneGraph
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "Anchor": "placegraph.earth",
     "Capture": "placegraph.formats.capture.capture",
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.estimate",
@@ -59,6 +61,7 @@ _HOME = {
 }
 
 __all__ = [
+    "Anchor",
     "Capture",
     "CityMap",
     "Estimate",

@@ -89,3 +89,9 @@ class RequestError(PlacegraphError):
         """Stable word for programs."""
         self.retry_after = retry_after
         """Seconds after which to ask again, where that may help."""
+
+
+class GeoPoseError(PlacegraphError):
+    """An estimate has no pose on Earth: nothing was found, or its scene map is not anchored."""
+
+    exit_code = 13

@@ -11,11 +11,13 @@ import numpy as np
 from placegraph.evidence import Evidence as Evidence  # noqa: PLC0414 - found here too
 from placegraph.evidence import Explained
 from placegraph.evidence import ObjectRef as ObjectRef  # noqa: PLC0414 - found here too
+from placegraph.geojson import OnEarth
 from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.earth import EarthPose
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.search.ask import Question
@@ -75,6 +77,8 @@ class PoseMode(Explained):
     """Which of the merged scenes of the map it lies in."""
     scene_from_camera: NDArray[np.float64] = field(repr=False)
     """(4, 4) float64, the pose in that scene's own frame; of a plain map the same."""
+    earth: tuple[EarthPose, ...] = ()
+    """Where on Earth: one a candidate of the map's anchor, best first; none: it is not anchored."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -86,6 +90,7 @@ class PoseMode(Explained):
             "map_from_camera": self.map_from_camera.tolist(),
             "covariance": self.covariance.tolist(),
             "evidence": [e.to_dict() for e in self.evidence],
+            "earth": [pose.to_dict() for pose in self.earth],
         }  # fmt: skip
 
 
@@ -175,7 +180,7 @@ Mode = TypeVar("Mode", Place, PoseMode, SceneMode)
 
 
 @dataclass(frozen=True, repr=False)
-class Estimate(Shown, Generic[Mode]):
+class Estimate(OnEarth, Shown, Generic[Mode]):
     """Answer to "where am I?"."""
 
     status: Status

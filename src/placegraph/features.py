@@ -20,9 +20,10 @@ DIGITS = 7
 """Decimals of a degree: a centimetre."""
 
 
-def feature(geometry: Mapping[str, Any], properties: Mapping[str, Any]) -> dict[str, Any]:
-    """One feature."""
-    return {"type": "Feature", "geometry": dict(geometry), "properties": dict(properties)}
+def feature(geometry: Mapping[str, Any] | None, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """One feature; None: it has no place."""
+    shape = dict(geometry) if geometry else None
+    return {"type": "Feature", "geometry": shape, "properties": dict(properties)}
 
 
 def collection(features: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import placegraph as pg
+from placegraph.earth import Anchor
 from placegraph.errors import MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map.mesh import Mesh
@@ -206,6 +207,34 @@ def test_rows_that_point_nowhere(name, value, forge, scene):
 def test_metadata_that_makes_no_sense(meta, forge):
     with pytest.raises(MapError, match=r"f\.scene"):
         pg.open_map(forge(meta))
+
+
+def test_where_it_stands_is_saved_and_old_files_stand_nowhere(scene, file, tmp_path):
+    assert pg.open_map(file).anchors == ()
+    assert "anchors" not in read_header(file).meta
+    likely = Anchor(7.42, 43.73, 50, 1.5, np.diag([1, 2, 3, 0.01]), "Library", "way/7", "1", 0.75)
+    other = replace(likely, heading=1.5 + np.pi, probability=0.25, residuals=(0.1, 0.3))
+    scene.anchored(other, likely).save(tmp_path / "b.scene")
+    found = pg.open_map(tmp_path / "b.scene").anchors
+    assert [a.to_dict() for a in found] == [likely.to_dict(), other.to_dict()]
+    with pytest.raises(OptionError, match=r"'drawn'.* add up to 1\.50"):
+        scene.anchored(likely, likely)
+
+
+PLACE = {"longitude": 7.42, "latitude": 43.73, "height": 50, "heading": 1.5}
+
+
+@pytest.mark.parametrize(
+    "anchors",
+    [
+        3, "here", [3], ["here"], [{}], None, [PLACE | {"latitude": 91}], [PLACE | {"height": None}],
+        [PLACE | {"covariance": [[1]]}], [PLACE | {"building": 7}], [PLACE, PLACE],
+        [PLACE | {"scene": "attic"}], [PLACE | {"residuals": "many"}], [PLACE | {"heading": "north"}],
+    ],
+)  # fmt: skip
+def test_anchors_that_make_no_sense(anchors, forge):
+    with pytest.raises(MapError, match=r"f\.scene"):
+        pg.open_map(forge({"anchors": anchors}))
 
 
 def test_attributes_and_textures_that_make_no_sense(forge):

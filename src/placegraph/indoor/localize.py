@@ -13,6 +13,7 @@ from placegraph.indoor.encode.instances import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.pose.bend import bend
 from placegraph.indoor.pose.passes import run_passes
+from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.pose.polish import heaviest, polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
@@ -49,7 +50,8 @@ def localized(
         raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
     query = PoseQuery.of(scene, capture, **asked)
     options = refine if isinstance(refine, RefineOptions) else None
-    return localize(query, Refining.of(options, matcher, query.device) if refine else None)
+    refining = Refining.of(options, matcher, query.device) if refine else None
+    return placed(scene, localize(query, refining))
 
 
 def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:

@@ -169,6 +169,7 @@ class SceneMap(Shown, Scene):
 
         """
         from placegraph.indoor.options import FilterOptions
+        from placegraph.indoor.pose.placed import placed
         from placegraph.indoor.pose.query import PoseQuery
         from placegraph.indoor.refine import Refining, refine
         from placegraph.indoor.render import checked_pose
@@ -179,7 +180,7 @@ class SceneMap(Shown, Scene):
             self, capture, frames=frames, options=senses, seed=seed, device=device,
             progress=progress,
         )  # fmt: skip
-        return refine(query, checked_pose(map_from_camera), refining)
+        return placed(self, refine(query, checked_pose(map_from_camera), refining))
 
     def render(
         self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4, device: str = "auto"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
+from placegraph.earth import Anchor
 from placegraph.errors import OptionError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.mapping.merge import GAP, merge_scenes
@@ -53,6 +54,27 @@ def test_meshes_keep_shape_objects_and_colours(scenes):
     assert (mesh.object_of[own] == shed.object_of + 2).all()
     assert len(mesh.textures) == 2
     assert set(mesh.texture_of[own].tolist()) == {1}
+
+
+def test_scenes_stay_where_they_stand_on_earth(scenes):
+    here = Anchor(7.42, 43.73, 50, 0.7, np.diag([0.01, 0.02, 0.03, 1e-4]))
+    there = Anchor(-0.1, 51.5, 20, 2.0)
+    anchored = {"flat": scenes["flat"].anchored(here), "shed": scenes["shed"].anchored(there)}
+    merged = merge_scenes({"house": merge_scenes(anchored), "bare": scenes["shed"]})
+    points = np.array([[2.5, 3.5, 1.2], [5.0, 4.0, 2.0]])
+    for row, anchor in ((0, here), (1, there)):
+        name = merged.scenes[row]
+        (moved,) = merged.anchors_of(name)
+        shifted = points - merged.scene_from_map[row, :3, 3]
+        np.testing.assert_allclose(moved.to_earth(shifted), anchor.to_earth(points), atol=1e-4)
+    pose = np.eye(4)
+    pose[:3, 3] = points[0]
+    before = here.pose(pose)
+    pose[:3, 3] -= merged.scene_from_map[0, :3, 3]
+    np.testing.assert_allclose(
+        merged.anchors_of("house/flat")[0].pose(pose).covariance, before.covariance, atol=1e-7
+    )
+    assert merged.anchors_of("bare") == ()
 
 
 def test_relations_stay_at_home(scenes):

@@ -16,15 +16,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Evidence, ObjectRef
+from placegraph.estimate import Evidence
 from placegraph.indoor.language.referents import Referents
 from placegraph.indoor.language.sight import Sight
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
+from placegraph.indoor.map.refs import ref
 from placegraph.language.check import Ignored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from placegraph.estimate import ObjectRef
     from placegraph.indoor.language.sentence import Sentence, Statement
     from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.map.scene import Scene
@@ -79,9 +81,8 @@ def evidence(
 
 def _served(s: Statement, things: Referents) -> tuple[ObjectRef, ...]:
     """The objects that a statement is most probably about, at most one of each thing."""
-    graph = things.scene.graph
     rows = [int(things.weights[t].argmax()) for t in s.things if things.weights[t].any()]
-    return tuple(ObjectRef(graph.ids[r], graph.labels[r], graph.names[r]) for r in rows)
+    return tuple(ref(things.scene, r) for r in rows)
 
 
 def _ratios(

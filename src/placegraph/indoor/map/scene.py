@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from placegraph.earth import ranked
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
+from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.mesh import WHITE
 from placegraph.indoor.map.mesh_order import ordered
 from placegraph.portable import Portable, made_again
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from placegraph.earth import Anchor
     from placegraph.indoor.map.landmarks import Landmarks
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.surface import Surface
@@ -62,6 +65,8 @@ class Scene(Portable):
     """Points of its surfaces that images show again; None: the map was built without."""
     viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(V, 3) where the cameras were that the map was made from [m, map]; none of a mesh."""
+    anchors: tuple[Anchor, ...] = ()
+    """Where it stands on Earth: candidates, best first; none: nobody said."""
 
     @classmethod
     def create(
@@ -146,6 +151,7 @@ class Scene(Portable):
             raise OptionError("mesh: a triangle belongs to no object.")
         if not 0 <= int(self.scene_of.min()) <= int(self.scene_of.max()) < s:
             raise OptionError("scene_of: a row lies outside the scenes.")
+        object.__setattr__(self, "anchors", ranked(self.anchors, self.scenes))
 
     def __len__(self) -> int:
         return len(self.graph)
@@ -237,6 +243,17 @@ class Scene(Portable):
     def _rows(self) -> dict[str, int]:
         return {id_: i for i, id_ in enumerate(self.graph.ids)}
 
+    def anchored(self, *anchors: Anchor) -> Self:
+        """Map that stands on Earth as these candidates say; of none, map that stands nowhere.
+
+        Raises `OptionError` where their probabilities add up to more than 1, for each merged scene.
+        """
+        return replace(self, anchors=anchors)
+
+    def anchors_of(self, scene: str) -> tuple[Anchor, ...]:
+        """Candidates of one of the merged scenes, best first, in the axes of this map."""
+        return tuple(a for a in self.anchors if a.scene in {"", scene})
+
     def with_embeddings(self, embeddings: ArrayLike, *, encoder: str = "") -> Self:
         """Map whose objects carry these vectors (N, E), rounded to 8 bits as its file holds them.
 
@@ -271,21 +288,3 @@ def graph_of(
         relations=tuple(r for _, r, _ in relations),
         targets=np.array([t for _, _, t in relations], np.int64),
     )  # fmt: skip
-
-
-def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
-
-    Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
-    """
-    most = np.abs(vectors).max(axis=1, initial=0.0).astype(np.float64)
-    mantissa, exponent = np.frexp(most / 127.0)
-    # few bits, so that products are exact
-    scales = np.ldexp(np.ceil(mantissa * 4096.0) / 4096.0, exponent).astype(np.float32)
-    divisor = np.where(scales > 0, scales, np.float32(1.0))
-    return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
-
-
-def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Vectors (N, E) of `in_8_bits`."""
-    return numbers.astype(np.float32) * scales[:, None]

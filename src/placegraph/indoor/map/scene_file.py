@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.earth import Anchor
 from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
+from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.landmarks import MOST, Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
-from placegraph.indoor.map.scene import S, Scene, from_8_bits, in_8_bits
+from placegraph.indoor.map.scene import S, Scene
 from placegraph.store import pack_strings, read_header, read_map, write_map
 
 if TYPE_CHECKING:
@@ -91,6 +93,8 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "uv_grain": uv_grain,
         "encoder": scene.encoder,
     }
+    if scene.anchors:
+        meta["anchors"] = [anchor.to_dict() for anchor in scene.anchors]
     arrays: dict[str, NDArray[Any]] = {
         "ids": pack_strings(graph.ids),
         "labels": pack_strings(graph.labels),
@@ -150,6 +154,7 @@ def _fields(file: MapFile) -> dict[str, Any]:
         "encoded": blobs,
         "encoder": str(file.meta.get("encoder", "")),
         "landmarks": Landmarks.read(file),
+        "anchors": tuple(Anchor.from_dict(dict(a)) for a in file.meta.get("anchors", ())),
         "viewpoints": (
             file.array("viewpoints", "<i4", 2) * CENTIMETRE
             if "viewpoints" in file.arrays

@@ -28,7 +28,8 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
     """Map that holds all these scenes, in a row along x with a gap of 2 m, floors at z = 0.
 
     Scenes are shifted, never turned. Ids become `scene/id`; relations stay within their scenes.
-    `scene_from_map` of the result leads back into each scene's own frame. A scene that was merged
+    `scene_from_map` of the result leads back into each scene's own frame, and each scene stays
+    where it stands on Earth. A scene that was merged
     of several itself is moved as a whole, and its parts are named `scene/part`.
 
     Parameters
@@ -65,6 +66,7 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
         encoded=_joined([m.encoded for m in moved]),
         landmarks=Landmarks.joined([m.landmarks for m in moved]),
         viewpoints=np.concatenate([m.viewpoints for m in moved]),
+        anchors=_joined([m.anchors for m in moved]),
     )
     if out_path is not None:
         from placegraph.indoor.map.scene_file import save_scene
@@ -125,6 +127,11 @@ def _moved(name: str, scene: S, shift: NDArray[np.float64]) -> S:
         floors=scene.floors + shift[2],
         scenes=tuple(parts),
         scene_from_map=scene.scene_from_map @ back,
+        anchors=tuple(
+            anchor.shifted(shift, scene=part)
+            for scene_name, part in zip(scene.scenes, parts, strict=True)
+            for anchor in scene.anchors_of(scene_name)
+        ),
     )
 
 

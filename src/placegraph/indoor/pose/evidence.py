@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Evidence, ObjectRef
+from placegraph.estimate import Evidence
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, look
+from placegraph.indoor.map.refs import ref
 from placegraph.indoor.pose.trust import SPEAK, TELLING, TRUST
 
 if TYPE_CHECKING:
@@ -178,11 +179,10 @@ def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
 def _of_object(scene: Scene, n: int, weight: float) -> Evidence:
     graph = scene.graph
     verdict = "for" if weight > TELLING else "against" if weight < -TELLING else "silent"
-    name = graph.names[n] if graph.names else ""
     return Evidence(
         statement=f"{graph.labels[n]} {graph.ids[n]}",
         verdict=verdict,
         weight=weight,
-        objects=(ObjectRef(graph.ids[n], graph.labels[n], name),),
+        objects=(ref(scene, n),),
         note="" if verdict != "against" else "not where the map has it",
     )

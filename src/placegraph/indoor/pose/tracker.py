@@ -15,6 +15,7 @@ from placegraph.indoor.likelihood.observe import FINE, sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.filter import ParticleFilter
 from placegraph.indoor.pose.particles import Particles, moments
+from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.pose.polish import NARROWEST, Fit, polished, refine, round_of
 from placegraph.indoor.pose.query import leveled
 from placegraph.indoor.pose.search import search
@@ -113,8 +114,8 @@ class Tracker:
             self._waited += 1
             due = keyframe or self._waited >= WAIT or self._answer is None
             estimate = self._search(sighting) if due else self._carried(frame)
-        self._last, self._answer = frame, estimate
-        return estimate
+        self._last, self._answer = frame, placed(self.query.scene, estimate)
+        return self._answer
 
     def follow(self, frames: Sequence[Frame]) -> PoseEstimate:
         """The last pose of a long capture, and a trajectory of poses as they were known.

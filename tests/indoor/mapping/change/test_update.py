@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.earth import Anchor
 from placegraph.errors import MapError, OptionError
 from placegraph.geometry import rotation_z
 from placegraph.indoor.build import build_scene
@@ -196,6 +197,11 @@ def test_relations_that_say_nothing_of_place_outlive_a_motion(room, found):
     lasting = ["bigger than", "more comfortable than", "same material", "smaller than"]
     assert sorted(set(kept) - {"next to", "same room"}) == lasting
     assert new.graph.relations.count("bigger than") == 1
+
+
+def test_the_map_stays_where_it_stands(room, found):
+    anchored = room.anchored(Anchor(7.42, 43.73, 50, 0.7))
+    assert update(anchored, found).anchors == anchored.anchors
 
 
 def test_nothing_taken_over_is_the_same_map(room):

@@ -14,6 +14,7 @@ from placegraph.indoor.map.mesh_order import ordered
 from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
 from placegraph.indoor.map.relations.words import BIGGER, PART, canonical
 from placegraph.indoor.map.rooms import rooms_of, with_rooms
+from placegraph.indoor.map.rooms.naming import most
 from placegraph.indoor.map.scene import S, graph_of
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.register import moved
@@ -255,7 +256,7 @@ def rooms_now(
         told_by = ~stirred & ~structure(labels)
         for row in np.flatnonzero(stirred).tolist():
             among = told_by & (now == now[row]) if now[row] >= 0 else _nearest(boxes, row, told_by)
-            name = _most([told[i].get("room", "") for i in np.flatnonzero(among).tolist()])
+            name = most([told[i].get("room", "") for i in np.flatnonzero(among).tolist()])
             told[row].pop("room", None)
             told[row] |= {"room": name} if name else {}
     return with_rooms(mesh, labels, floor, told)
@@ -266,9 +267,3 @@ def _nearest(boxes: Floats, row: int, chosen: NDArray[np.bool_]) -> NDArray[np.b
     apart = np.maximum(boxes[:, 0] - boxes[row, 1], boxes[row, 0] - boxes[:, 1])
     gap = np.where(chosen, np.linalg.norm(np.maximum(apart, 0.0), axis=1), np.inf)
     return chosen & (np.arange(len(boxes)) == gap.argmin())
-
-
-def _most(names: Sequence[str]) -> str:
-    """The name that most things have, the first of several; things without one have no say."""
-    given = sorted({name for name in names if name})
-    return max(given, key=names.count, default="")

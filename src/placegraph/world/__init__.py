@@ -1,0 +1,1 @@
+"""Cities and rooms together: where scene maps stand in a city, and one answer from both."""
