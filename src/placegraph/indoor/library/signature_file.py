@@ -13,7 +13,7 @@ import numpy as np
 from placegraph.graph import SceneGraph
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature
-from placegraph.indoor.map.scene import from_8_bits, in_8_bits
+from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.store import pack_strings, read_map
 
 if TYPE_CHECKING:

@@ -16,7 +16,6 @@ from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.landmarks import MOST, Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
-from placegraph.indoor.map.scene import S, Scene
 from placegraph.store import pack_strings, read_header, read_map, write_map
 
 if TYPE_CHECKING:
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.indoor.map.scene import S, Scene
     from placegraph.store import MapFile
 
 KIND = "scene"
