@@ -1,0 +1,198 @@
+"""What of a sentence speaks of the outside, and what of the inside.
+
+Both wings read the whole of it. A thing is outside where the city has its name, or has such things
+and no room does; what is said of things inside is no evidence for a place in town, and the other way
+round. "Library" is a room in one home and a building in the next town: where the city has one, that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from placegraph.indoor.language import read as read_inside
+from placegraph.indoor.language.likeness import EXACT, fits, room_kind, table
+from placegraph.indoor.language.sentence import Kind
+from placegraph.language.check import Ignored, check
+from placegraph.outdoor.language.description import LISTENER, SPEAKER
+from placegraph.outdoor.likelihood.query import read as read_outside
+from placegraph.outdoor.likelihood.statements import ends
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from placegraph.indoor.language import Sentence
+    from placegraph.indoor.language.sentence import Statement as Inside
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.language.description import Description, Mention
+    from placegraph.outdoor.language.description import Statement as Outside
+
+SENSE = 0.7
+"""Weight from which on a word means such a thing of the map."""
+_ARTICLES = frozenset(("a", "an", "the", "my", "our", "one", "two", "three", "some", "this", "that"))
+_WINDS = frozenset(
+    ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
+)
+
+
+@dataclass(frozen=True)
+class Understood:
+    """What was understood of a text, by both wings."""
+
+    text: str
+    outside: Mapping[str, Description]
+    """Of each city, by its name, what is said of the outside; only where there is something."""
+    inside: Sentence | None
+    """What is said of the inside; None if nothing."""
+    ignored: tuple[Ignored, ...] = ()
+    """What neither wing could use."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        outside: dict[str, None] = {}
+        for description in self.outside.values():
+            outside |= dict.fromkeys(_told(description))
+        return {
+            "text": self.text,
+            "outside": list(outside),
+            "inside": [_said(self.inside, s) for s in self.inside.statements] if self.inside else [],
+            "ignored": [{"text": i.text, "reason": i.reason} for i in self.ignored],
+        }
+
+
+def understand(
+    text: str,
+    cities: Mapping[str, CityMap],
+    things: Sequence[str],
+    heading: float | None = None,
+    names: Collection[str] = (),
+) -> Understood:
+    """Read a text for all cities and for rooms.
+
+    Parameters
+    ----------
+    text
+        What was said.
+    cities
+        Cities by name.
+    things
+        Labels of what stands in the rooms of the world, and names of these rooms.
+    heading
+        Where the speaker looks [rad], clockwise from north.
+    names
+        Names of scenes and buildings, which no city needs to know.
+
+    Raises
+    ------
+    DescriptionError
+        The text is empty, too long, or no text.
+
+    """
+    check(text, "I am in the library on Main Street, by the window.")
+    whole = {
+        name: addressed(read_outside(city, text, heading=heading), city)
+        for name, city in cities.items()
+    }
+    own = {" ".join(_words(name)) for name in names}
+    out = {
+        name: {m.id for m in d.mentions[LISTENER + 1 :] if _is_outside(m, d, cities[name], things, own)}
+        for name, d in whole.items()
+    }
+    outside = {name: _kept(d, out[name]) for name, d in whole.items()}
+    outside = {name: d for name, d in outside.items() if d.statements}
+    spoken = {
+        word for name, d in whole.items() for i in out[name] for word in _words(d.mentions[i].words)
+    }
+    inside = read_inside(text) if things and _english(whole) else None
+    sentence = None if inside is None else _inside(inside, spoken | _WINDS | _parts(own))
+    ignored = tuple(dict.fromkeys(i for d in whole.values() for i in d.ignored))
+    if not cities and inside is not None:
+        ignored = inside.ignored
+    return Understood(text, outside, sentence, ignored)
+
+
+def addressed(description: Description, city: CityMap) -> Description:
+    """A description with addresses as the map writes them, number first: "5 Gartenweg"."""
+    mentions = []
+    for m in description.mentions:
+        words = m.name.split()
+        turned = " ".join([words[-1], *words[:-1]]) if len(words) > 1 and words[-1][0].isdigit() else ""
+        known = turned and city.name_index.named(turned).values()
+        mentions.append(replace(m, name=turned) if known and max(known) >= 1.0 else m)
+    return replace(description, mentions=tuple(mentions))
+
+
+def _is_outside(
+    mention: Mention, said: Description, city: CityMap, things: Sequence[str], own: Collection[str]
+) -> bool:
+    """Whether a mention speaks of something on the city's map, and not in a room."""
+    words = " ".join(_words(mention.words))
+    if mention.name:
+        return bool(city.name_index.named(mention.name)) or words not in own
+    known = any(s.weight >= SENSE and s.label in city.label_index for s in mention.senses)
+    room = room_kind(words)
+    if room:
+        return known and room not in {room_kind(thing) for thing in things}
+    if not _in_rooms(words, things):
+        return True
+    winds = any(
+        _WINDS.intersection(_words(s.text))
+        for s in said.statements
+        if mention.id in ends(s) and SPEAKER in ends(s)
+    )
+    return known and winds
+
+
+def _in_rooms(words: str, things: Sequence[str]) -> bool:
+    """Whether rooms hold such things: those of this world, or homes."""
+    return any(bool((fits(words, held) >= EXACT).any()) for held in (things, table().things) if held)
+
+
+def _kept(said: Description, out: Collection[int]) -> Description:
+    """A description without what is said of things inside."""
+    known = {*out, SPEAKER, LISTENER}
+    kept = [s for s in said.statements if _ends(s) <= known and _ends(s) - {SPEAKER, LISTENER}]
+    return said if len(kept) == len(said.statements) else replace(said, statements=tuple(kept))
+
+
+def _ends(s: Outside) -> set[int]:
+    return {*ends(s), s.target2 if s.target2 is not None else SPEAKER}
+
+
+def _inside(said: Sentence, outside: Collection[str]) -> Sentence | None:
+    """A sentence without what is said of things outside; None where nothing is left.
+
+    What stands to something outside as a place to a speaker, stands so to the speaker: "in the
+    library, by the window".
+    """
+    away = {i for i, m in enumerate(said.mentions) if set(_words(m.label)) & set(outside)}
+    kept: list[Inside] = []
+    for s in said.statements:
+        there = [t for t in s.things if t not in away]
+        if len(there) == len(s.things):
+            kept.append(s)
+        elif s.kind is Kind.RELATED and s.things[1] in there:
+            kept.append(replace(s, kind=Kind.NEAR, things=(s.things[1],), relation="next to"))
+    return replace(said, statements=tuple(kept)) if kept else None
+
+
+def _english(read: Mapping[str, Description]) -> bool:
+    return not read or any(d.language == "en" for d in read.values())
+
+
+def _words(text: str) -> list[str]:
+    words = "".join(c if c.isalnum() else " " for c in text.casefold()).split()
+    return [w for w in words if w not in _ARTICLES]
+
+
+def _parts(names: Collection[str]) -> set[str]:
+    return {word for name in names for word in name.split()}
+
+
+def _told(said: Description) -> list[str]:
+    return [s.text.strip() for s in said.statements]
+
+
+def _said(sentence: Sentence, s: Inside) -> str:
+    things = " and ".join(sentence.mentions[t].words for t in s.things)
+    return f"{s.kind.value}: {things}"

@@ -1,0 +1,171 @@
+"""A world: the cities, scenes and libraries of a folder, and one question to all of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import InputError
+from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.outdoor.city import CityMap
+from placegraph.world.maps import Maps, find
+
+if TYPE_CHECKING:
+    from placegraph.formats.capture.capture import Capture
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.world.estimate import WorldEstimate
+
+
+class World:
+    """Maps by name, opened on first use and kept; never changed by locating in them.
+
+    Made by `open_world`, or of maps in memory.
+
+    Parameters
+    ----------
+    cities, scenes, libraries
+        Maps by name. Scenes of a library whose map files are there are scenes of the world.
+    ignored
+        Files left alone, and why.
+
+    """
+
+    def __init__(
+        self,
+        cities: Maps[CityMap] | dict[str, CityMap] | None = None,
+        scenes: Maps[SceneMap] | dict[str, SceneMap] | None = None,
+        libraries: Maps[SceneLibrary] | dict[str, SceneLibrary] | None = None,
+        *,
+        ignored: Sequence[tuple[Path, str]] = (),
+    ) -> None:
+        self.cities = {} if cities is None else cities
+        self.scenes = {} if scenes is None else scenes
+        self.libraries = {} if libraries is None else libraries
+        self.ignored = tuple(ignored)
+
+    @cached_property
+    def library(self) -> SceneLibrary:
+        """All scenes side by side, to be searched; made once, of a library's file where it has them."""
+        library = SceneLibrary()
+        keys = [e.key for e in library.encoders]
+        known = {
+            entry.path.resolve(): entry
+            for made in self.libraries.values()
+            if [e.key for e in made.encoders] == keys
+            for entry in map(made.entry, made)
+            if entry.path is not None
+        }
+        paths = self.scenes.paths if isinstance(self.scenes, Maps) else {}
+        for name in self.scenes:
+            path = paths.get(name)
+            entry = None if path is None else known.get(path.resolve())
+            if entry is not None:
+                library.insert(name, entry)
+            else:
+                library.add(name, self.scenes[name] if path is None else path)
+        return library
+
+    def locate(
+        self,
+        text: str | None = None,
+        capture: Capture | Sequence[Frame] | None = None,
+        *,
+        frames: slice | Sequence[int] | None = None,
+        near: Sequence[float] | None = None,
+        radius: float = 1000.0,
+        heading: float | None = None,
+        seed: int = 0,
+        **options: Any,  # noqa: ANN401  # of `placegraph.world.locate.Known`
+    ) -> WorldEstimate:
+        """Where, in all these maps: place, room and pose, from all that is known.
+
+        Parameters
+        ----------
+        text
+            What is said of the place, outside or inside: "in the library on Lange Straße, by the
+            window". Indoor language is English.
+        capture, frames
+            A capture, or frames in order of time, and which of them; all if not given.
+        near, radius
+            Longitude and latitude [deg] of a fix, and its radius [m]: a Gaussian of which half lies
+            within.
+        heading
+            Where the speaker, and the camera of the last frame, looks [rad], clockwise from north.
+        seed
+            Of all randomness.
+        options
+            `top`: modes at most (5); `most`: scenes in which a pose is sought, at most (8);
+            `refine`, `device`, `progress`: as of `SceneMap.localize`.
+
+        Returns
+        -------
+        WorldEstimate
+            `OK` only where one place, room and pose hold most of the probability and nothing that is
+            known contradicts them.
+
+        Raises
+        ------
+        OptionError
+            Nothing is asked; an option is out of its range; frames show nothing to be compared.
+        DescriptionError
+            The text is empty, too long, or no text.
+        InputError, MapError
+            An image is broken; a map is damaged, gone, or another one than its library has.
+
+        """
+        from placegraph.world.locate import Known, locate
+
+        known = Known(text, capture, frames, near, radius, heading, seed, **options)
+        return locate(self, known)
+
+    def __repr__(self) -> str:
+        return f"World({len(self.cities)} cities, {len(self.scenes)} scenes)"
+
+
+def open_world(
+    places: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+) -> World:
+    """Open the maps of a folder, or of several folders and files.
+
+    Maps are only listed now, and opened when they are needed. Other files are left alone, and named in
+    `World.ignored`. A scene's place on Earth stands in its own file.
+
+    Parameters
+    ----------
+    places
+        A folder with ``.city``, ``.scene`` and ``.library`` files, or a list of such folders and files.
+
+    Raises
+    ------
+    InputError
+        A place is missing, or holds no map.
+    MapError
+        Map files are damaged or have one name: the message names all, each with its mend.
+
+    """
+    given = [places] if isinstance(places, str | os.PathLike) else list(places)
+    if not given:
+        raise InputError("There is no place to look for maps; name a folder, or map files.")
+    found = find([Path(place) for place in given])
+    libraries = Maps(found.paths["library"], SceneLibrary.open)
+    scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
+    for library in libraries.values():
+        here = {path.resolve() for path in scenes.values()}
+        for name in library:
+            path = library.entry(name).path
+            if path is None or path.resolve() in here:
+                continue
+            if not path.exists():
+                ignored.append((path, f"the map of {name!r} is not there; bring it back"))
+            elif name in scenes:
+                ignored.append((path, f"another scene is called {name!r}"))
+            else:
+                scenes[name] = path
+    return World(
+        Maps(found.paths["city"], CityMap.open), Maps(scenes, SceneMap.open), libraries,
+        ignored=ignored,
+    )  # fmt: skip
