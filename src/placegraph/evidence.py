@@ -68,6 +68,10 @@ class Explained:
         """What speaks for this answer and against it, and which objects; found when first asked for."""
         return self.explain()
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings; what else an answer says, it adds."""
+        return {"evidence": [e.to_dict() for e in self.evidence]}
+
     def __getstate__(self) -> dict[str, Any]:
         found = self.evidence
         return self.__dict__ | {"evidence": found, "explain": partial(tuple, found)}

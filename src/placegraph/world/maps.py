@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from placegraph import store
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Map = TypeVar("Map")
 
@@ -57,7 +59,9 @@ class Found:
 
 @dataclass
 class _Sorted:
-    paths: dict[str, dict[str, Path]] = field(default_factory=lambda: {k: {} for k in KINDS.values()})
+    paths: dict[str, dict[str, Path]] = field(
+        default_factory=lambda: {k: {} for k in KINDS.values()}
+    )
     ignored: list[tuple[Path, str]] = field(default_factory=list)
     bad: list[str] = field(default_factory=list)
 

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 SENSE = 0.7
 """Weight from which on a word means such a thing of the map."""
-_ARTICLES = frozenset(("a", "an", "the", "my", "our", "one", "two", "three", "some", "this", "that"))
+_ARTICLES = frozenset(
+    ("a", "an", "the", "my", "our", "one", "two", "three", "some", "this", "that")
+)
 _WINDS = frozenset(
     ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
 )
@@ -55,7 +57,9 @@ class Understood:
         return {
             "text": self.text,
             "outside": list(outside),
-            "inside": [_said(self.inside, s) for s in self.inside.statements] if self.inside else [],
+            "inside": [_said(self.inside, s) for s in self.inside.statements]
+            if self.inside
+            else [],
             "ignored": [{"text": i.text, "reason": i.reason} for i in self.ignored],
         }
 
@@ -95,7 +99,9 @@ def understand(
     }
     own = {" ".join(_words(name)) for name in names}
     out = {
-        name: {m.id for m in d.mentions[LISTENER + 1 :] if _is_outside(m, d, cities[name], things, own)}
+        name: {
+            m.id for m in d.mentions[LISTENER + 1 :] if _is_outside(m, d, cities[name], things, own)
+        }
         for name, d in whole.items()
     }
     outside = {name: _kept(d, out[name]) for name, d in whole.items()}
@@ -116,7 +122,9 @@ def addressed(description: Description, city: CityMap) -> Description:
     mentions = []
     for m in description.mentions:
         words = m.name.split()
-        turned = " ".join([words[-1], *words[:-1]]) if len(words) > 1 and words[-1][0].isdigit() else ""
+        turned = (
+            " ".join([words[-1], *words[:-1]]) if len(words) > 1 and words[-1][0].isdigit() else ""
+        )
         known = turned and city.name_index.named(turned).values()
         mentions.append(replace(m, name=turned) if known and max(known) >= 1.0 else m)
     return replace(description, mentions=tuple(mentions))
@@ -145,7 +153,9 @@ def _is_outside(
 
 def _in_rooms(words: str, things: Sequence[str]) -> bool:
     """Whether rooms hold such things: those of this world, or homes."""
-    return any(bool((fits(words, held) >= EXACT).any()) for held in (things, table().things) if held)
+    return any(
+        bool((fits(words, held) >= EXACT).any()) for held in (things, table().things) if held
+    )
 
 
 def _kept(said: Description, out: Collection[int]) -> Description:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,8 @@ from placegraph.outdoor.city import CityMap
 from placegraph.world.maps import Maps, find
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.world.estimate import WorldEstimate

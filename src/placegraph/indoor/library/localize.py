@@ -28,7 +28,7 @@ from placegraph.indoor.pose.trust import SURE as RIGHT
 from placegraph.indoor.pose.trust import log_odds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Mapping, Sequence
 
     from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate
     from placegraph.formats.capture.capture import Capture
@@ -45,6 +45,9 @@ CERTAIN = 6.0
 """Log odds from which on a pose that is `OK` ends the search; a lesser one ..."""
 RIVALS = 2
 """... has to fit better than what is found in so many scenes after it."""
+ALIKE = 0.5
+"""A scene with more than this share of the probability of the one that is sure is looked into in any
+case: it may be its twin."""
 _ERRS = 0.01  # share of searches that are sure and wrong
 
 
@@ -57,7 +60,6 @@ def localize(
     search: SearchOptions | None = None,
     description: str | None = None,
     encoder: str | Encoder | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
     **options: Any,  # noqa: ANN401  # of `SceneMap.localize`
 ) -> PoseEstimate:
     """In which scene of a library a capture was taken, and where in it.
@@ -79,10 +81,8 @@ def localize(
     encoder
         Says what patches show, by name or one of the library's own; if not given, the library's
         encoder of labels for captures that have some.
-    progress
-        Called with what is done, how far, and of how much.
     **options
-        Of `SceneMap.localize`: options, refine, matcher, seed, device.
+        Of `SceneMap.localize`: options, refine, matcher, seed, device, progress.
 
     Raises
     ------
@@ -97,35 +97,61 @@ def localize(
     _check(most, options)
     chosen = chosen_frames(capture, frames)
     found = search_in(library, chosen, description=description, options=search, most=most)
-    reader = _reader(library, chosen, encoder)
+    answers = looked_into(
+        library, chosen, found, description=description, encoder=encoder, **options
+    )
+    return doubted(decided(answers), found, len(answers))
+
+
+def looked_into(
+    library: Scenes,
+    frames: Sequence[Frame],
+    found: SceneEstimate,
+    *,
+    description: str | Sentence | None = None,
+    encoder: str | Encoder | None = None,
+    **options: Any,  # noqa: ANN401  # of `SceneMap.localize`
+) -> list[PoseEstimate]:
+    """What frames say in the scenes that a search found, one by one, until no other can matter."""
+    reader = _reader(library, frames, encoder)
     answers: list[PoseEstimate] = []
     for mode in found.modes:
+        if _settled(answers, [m.probability for m in found.modes]):
+            break
         start = perf_counter()
         scene = _opened(library, mode.scene, reader)
         opening = perf_counter() - start
         estimate = localized(
-            scene, chosen, shares=[1.0 / len(scene.scenes)] * len(scene.scenes), encoder=reader,
-            description=_useful(description, scene), progress=progress, **options,
+            scene, frames, shares=[1.0 / len(scene.scenes)] * len(scene.scenes), encoder=reader,
+            description=_useful(description, scene), **options,
         )  # fmt: skip
         answers.append(_in_its_own(estimate, scene, found, opening))
-        if _settled(answers):
-            break
-    return _doubted(_decided(answers), found, len(answers))
+    return answers
 
 
-def _settled(answers: list[PoseEstimate]) -> bool:
+def _settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> bool:
     """Whether no other scene needs to be looked into. Of labels alone the search knew as much."""
-    found = [answer.status is Status.OK for answer in answers]
-    if not any(found):
+    sure = [answer.status is Status.OK for answer in answers]
+    if not any(sure):
         return False
-    certain = found[-1] and (_named(answers[-1]) or _odds(answers[-1]) >= CERTAIN)
-    return certain or len(found) - found.index(True) > RIVALS
+    first, looked = sure.index(True), len(answers)
+    if looked < len(probabilities) and probabilities[looked] > ALIKE * probabilities[first]:
+        return False
+    certain = sure[-1] and (_named(answers[-1]) or odds(answers[-1]) >= CERTAIN)
+    return certain or looked - first > RIVALS
 
 
-def _decided(answers: list[PoseEstimate]) -> PoseEstimate:
-    """The answer of the scene where frames fit best, `OK` only if they fit nowhere else as well."""
+def decided(answers: list[PoseEstimate], said: Mapping[str, float] | None = None) -> PoseEstimate:
+    """The answer of the scene where frames fit best, `OK` only if they fit nowhere else as well.
+
+    `said`: what else speaks for each scene, by its name [nat].
+    """
+
+    def weight(a: PoseEstimate) -> float:
+        return odds(a) + (said or {}).get(scene_of(a), 0.0)
+
     best = min(
-        answers, key=lambda a: (a.status is Status.LOST, a.status is not Status.OK, -_odds(a))
+        answers, key=lambda a: (a.status is Status.LOST, a.status is not Status.OK, -weight(a))
     )
     # labels alone have no odds: what they do not call `OK` is no rival
     rivals = [
@@ -134,14 +160,19 @@ def _decided(answers: list[PoseEstimate]) -> PoseEstimate:
         if a is not best
         and (a.status is Status.OK if _named(best) else a.status is not Status.LOST)
     ]
-    probability = 1.0 / (1.0 + sum(float(np.exp(_odds(a) - _odds(best))) for a in rivals))
+    probability = 1.0 / (1.0 + sum(float(np.exp(weight(a) - weight(best))) for a in rivals))
     if best.status is not Status.OK or probability >= SURE:
         return best
-    likeliest, other = sorted([best, *rivals], key=_odds, reverse=True)[:2]
-    return _unsure(likeliest, f"another fits nearly as well in {other.modes[0].scene}.")
+    likeliest, other = sorted([best, *rivals], key=weight, reverse=True)[:2]
+    return unsure(likeliest, f"another fits nearly as well in {other.modes[0].scene}.")
 
 
-def _odds(estimate: PoseEstimate) -> float:
+def scene_of(estimate: PoseEstimate) -> str:
+    """Name of the library's scene that an answer is of; empty where it has no mode."""
+    return estimate.best.scene.partition("/")[0] if estimate.best else ""
+
+
+def odds(estimate: PoseEstimate) -> float:
     """Log odds that frames fit where an estimate has them, by which scenes are told apart.
 
     Labels alone are judged by rules; what passes them is as good as what just passes by odds.
@@ -155,7 +186,7 @@ def _named(estimate: PoseEstimate) -> bool:
     return trust.get("odds") is None or (trust["depth"] is None and trust["semantic"] is not None)
 
 
-def _unsure(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
+def unsure(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
     reason = f"{estimate.reason} But {doubt}"
     return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
 
@@ -195,30 +226,38 @@ def _with(library: Scenes, name: str, reader: Encoder | None) -> Scene:
     return scene.with_embeddings(vectors[reader.key], encoder=reader.key)
 
 
-def _useful(description: str | None, scene: Scene) -> Sentence | None:
+def _useful(description: str | Sentence | None, scene: Scene) -> Sentence | None:
     """What was said, if it is of anything in these scenes: the search has heard it already."""
     if description is None:
         return None
-    sentence = read(description)
+    sentence = read(description) if isinstance(description, str) else description
     useful = len(unused(sentence, scene)) < len(sentence.statements)
     return sentence if useful else None
 
 
-def _doubted(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
-    """Estimate with the doubts of the search, which errs: they are believed no further than `_ERRS`."""
+def doubted(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
+    """Estimate with the doubts of the search, as far as they outweigh its odds."""
     if estimate.status is not Status.OK or estimate.best is None:
         return estimate
-    name = estimate.best.scene.partition("/")[0]
-    here = next(m.probability for m in found.modes if m.scene == name)
-    left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
-    lean = np.log((here + _ERRS) / (found.elsewhere + left_out + _ERRS))
-    if _odds(estimate) + min(0.0, float(lean)) >= log_odds(RIGHT, 0.0):
+    lean, left_out = doubts(scene_of(estimate), found, looked)
+    if odds(estimate) + lean >= log_odds(RIGHT, 0.0):
         return estimate
     if left_out > found.elsewhere:
         doubt = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
     else:
         doubt = f"it may be in no scene of the library ({found.elsewhere:.0%})."
-    return _unsure(estimate, doubt)
+    return unsure(estimate, doubt)
+
+
+def doubts(name: str, found: SceneEstimate, looked: int) -> tuple[float, float]:
+    """What a search adds to the odds of a scene [nat], at most 0; and how probably it left the right out.
+
+    A search errs: it is believed no further than `_ERRS`.
+    """
+    here = next(m.probability for m in found.modes if m.scene == name)
+    left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
+    lean = np.log((here + _ERRS) / (found.elsewhere + left_out + _ERRS))
+    return min(0.0, float(lean)), left_out
 
 
 def _in_its_own(

@@ -49,23 +49,33 @@ def evidence_at(position: NDArray[np.float64], city: City, query: Query) -> tupl
     )
     if not query.used:
         return unused
-    views = city.views
-    around = views.near(position, REACH)
-    seen = [views.objects[views.starts[v] : views.starts[v + 1]] for v in around]
-    nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
-    at = position[None]
-    far = np.zeros((1, len(query.used)), np.float32)
-    if query.far is not None:
-        far = distant(query.statements, city.columns, query.far, at)
-    _, ratios, served = look_again(
-        query.statements, city.columns, query.words(len(views.posting_starts) - 1),
-        at, nearby, far, CERTAIN, True,
-    )  # fmt: skip
+    ratios, served = looked_at(position[None], city, query)
     found = [
         _evidence(s, float(r), [int(o) for o in rows if o >= 0], position, city, query)
         for s, r, rows in zip(query.used, ratios[0], served[0], strict=True)
     ]
     return (*found, *unused)
+
+
+def looked_at(
+    positions: NDArray[np.float64], city: City, query: Query
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Log-likelihood ratio (N, S) of each statement used at positions (N, 2) [m], and what serves it.
+
+    Of the latter rows of objects (N, S, 2), -1 for none.
+    """
+    views = city.views
+    around = np.unique(np.concatenate([views.near(p, REACH) for p in positions]))
+    seen = [views.objects[views.starts[v] : views.starts[v + 1]] for v in around]
+    nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
+    far = np.zeros((len(positions), len(query.used)), np.float32)
+    if query.far is not None:
+        far = distant(query.statements, city.columns, query.far, positions)
+    _, ratios, served = look_again(
+        query.statements, city.columns, query.words(len(views.posting_starts) - 1),
+        positions, nearby, far, CERTAIN, True,
+    )  # fmt: skip
+    return ratios, served
 
 
 def _evidence(

@@ -1,0 +1,146 @@
+"""What the outside of a sentence says of places: of a town as a whole, and of where scenes stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.locate import Hints
+from placegraph.outdoor.locate import understand as asked_of
+from placegraph.outdoor.map.objects import LINE
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.outdoor.search.answer import estimate
+from placegraph.outdoor.search.confidence import Claim, claim_of
+from placegraph.outdoor.search.evidence import TELLING, evidence_at, looked_at
+from placegraph.outdoor.search.posterior import ELSEWHERE
+from placegraph.outdoor.search.request import Matching
+from placegraph.outdoor.search.viewpoints import search
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import CityEstimate
+    from placegraph.evidence import Evidence
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.search.posterior import Posterior
+    from placegraph.outdoor.search.request import Request
+
+AROUND = (12.0, 24.0)
+"""What stands around a building is seen from its doors and windows, so far from its walls [m]."""
+BESIDE = 100.0
+"""A scene so far off a city's map [m] is in another town."""
+THERE = 30.0
+"""A building is the one that somebody is said to be in where that is no farther from its middle [m]."""
+MISSED = -2.0
+"""Log-likelihood ratio, at most, of a building that somebody is not in by what was said [nat]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """A city, and what was said of its streets and buildings."""
+
+    city: CityMap
+    asked: Request
+    posterior: Posterior
+    estimate: CityEstimate
+
+    @classmethod
+    def hear(cls, city: CityMap, said: Description, hints: Hints, top: int) -> Outside | None:
+        """What a description says in a city; None where it says nothing that could be looked for."""
+        description, asked = asked_of(city, said, hints, Matching())
+        if not asked.positive:
+            return None
+        near = asked.known.near
+        if near is not None and not len(city.views.near(near, 4.0 * asked.known.radius)):
+            return None
+        found = search(asked)
+        return cls(city, asked, found, estimate(asked, found, top, description))
+
+    @property
+    def claim(self) -> Claim:
+        """What an answer to such a text claims."""
+        return claim_of(self.asked.query.description)
+
+    @cached_property
+    def gain(self) -> float:
+        """Log-likelihood ratio of this town, wherever in it, against anywhere else [nat]."""
+        here, off = float(self.posterior.probabilities.sum()), self.posterior.elsewhere
+        ratio = (here + 1e-9) / (off + 1e-9) * ELSEWHERE / (1.0 - ELSEWHERE)
+        return self.claim.whole.slope * float(np.log(ratio))
+
+    def holds(self, position: NDArray[np.float64]) -> bool:
+        """Whether a position (2,) [m] is on the map."""
+        return len(self.city.views.near(position, BESIDE)) > 0
+
+    def of_building(self, footprint: NDArray[np.float64]) -> Told:
+        """What was said of a building, by its corners (4, 2) east and north [m].
+
+        What one is said to be *in* is told of the building itself, all else of what lies around it,
+        too.
+        """
+        middle = footprint.mean(axis=0)
+        inner = np.concatenate([middle[None], (footprint + middle) / 2.0])
+        rays = (
+            np.concatenate([footprint, (footprint + np.roll(footprint, 1, axis=0)) / 2.0]) - middle
+        )
+        far = np.linalg.norm(rays, axis=1, keepdims=True)
+        outer = np.concatenate([middle + rays * (1.0 + d / np.maximum(far, 1.0)) for d in AROUND])
+        ratios, served = looked_at(np.concatenate([inner, outer]), self.city, self.asked.query)
+        weights, meant = [], False
+        for i, s in enumerate(self.asked.query.used):
+            own = s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
+            own &= not (s.negated or self._road(served[:, i]))
+            told = float((ratios[: len(inner)] if own else ratios)[:, i].max())
+            if own:
+                there = self._away(served[: len(inner), i], middle) < THERE
+                meant |= there
+                told = told if there else min(told, MISSED)
+            weights.append(told)
+        return Told(self, middle, self.claim.whole.slope * sum(weights), meant, tuple(weights))
+
+    def _away(self, rows: NDArray[np.int32], position: NDArray[np.float64]) -> float:
+        """How far what serves a statement is from a position [m]; infinity where nothing does."""
+        o = self.city.objects
+        deltas = [
+            nearest_on_parts(o.part_starts, o.point_starts, o.points, o.kind[r], r, *position)[:2]
+            for r in np.unique(rows[rows >= 0])
+        ]
+        return min((float(np.hypot(*d)) for d in deltas), default=np.inf)
+
+    def _road(self, rows: NDArray[np.int32]) -> bool:
+        """Whether what serves a statement is a line, such as a street."""
+        known = rows[rows >= 0]
+        return len(known) > 0 and bool((self.city.objects.kind[known] == LINE).mean() > 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What the outside of a sentence says of one building."""
+
+    by: Outside
+    position: NDArray[np.float64]
+    """(2,) east, north [m]."""
+    ratio: float
+    """Log-likelihood ratio of being there, against anywhere [nat]."""
+    meant: bool
+    """Whether the speaker was said to be in this building."""
+    weights: tuple[float, ...]
+    """The same of each statement that was used."""
+
+    @property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """What each statement says of the building."""
+        found = evidence_at(self.position, self.by.city, self.by.asked.query)
+        told = [
+            e if abs(e.weight - w) < TELLING else replace(
+                e, weight=w, verdict="for" if w > TELLING else "against" if w < -TELLING else "silent",
+                note="" if w > TELLING else e.note,
+            )
+            for e, w in zip(found, self.weights, strict=False)
+        ]  # fmt: skip
+        return (*told, *found[len(told) :])

@@ -1,0 +1,60 @@
+"""Where the scenes of a world stand on Earth, as far as their anchors tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.geometry import LocalPlane
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.earth import Anchor
+    from placegraph.indoor.map.scene import Scene
+
+UNANCHORED = 0.1
+"""How well a scene that stands nowhere fits a fix, against one that stands right there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """One candidate of a scene's place."""
+
+    anchor: Anchor
+    corners: NDArray[np.float64]
+    """(4, 2) longitude, latitude [deg] of the map's bounds."""
+
+    @classmethod
+    def of(cls, scene: Scene) -> tuple[Standing, ...]:
+        """Candidates of a scene, best first; none where it is not anchored."""
+        (x0, y0, z), (x1, y1, _) = scene.bounds.tolist()
+        box = np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])
+        return tuple(cls(a, a.to_earth(box)[:, :2]) for a in scene.anchors)
+
+    @property
+    def lonlat(self) -> tuple[float, float]:
+        """Of the middle of the map."""
+        longitude, latitude = self.corners.mean(axis=0).tolist()
+        return longitude, latitude
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(2, 2) east-north [m^2] of somebody anywhere in the map."""
+        metres = LocalPlane(*self.lonlat).to_plane(self.corners)
+        return np.asarray(self.anchor.covariance[:2, :2] + np.cov(metres.T, bias=True))
+
+    def near(self, lonlat: Sequence[float], radius: float) -> float:
+        """How well (0 to 1) the place fits a fix of which half lies within a radius [m]."""
+        off = LocalPlane(*self.lonlat).to_plane((float(lonlat[0]), float(lonlat[1])))
+        spread = np.eye(2) * (radius / 1.1774) ** 2 + self.covariance
+        return float(np.exp(-0.5 * off @ np.linalg.solve(spread, off)))
+
+
+def nowhere() -> NDArray[np.float64]:
+    """Covariance (2, 2) of what has no place on Earth."""
+    return np.full((2, 2), np.nan)

@@ -1,0 +1,171 @@
+"""What words and a fix say of each scene, before any frame is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.evidence import Evidence
+from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.locate import Hints
+from placegraph.world.inside import Inside, things_of
+from placegraph.world.outside import Outside, Told
+from placegraph.world.split import Understood, understand
+from placegraph.world.standing import UNANCHORED, Standing
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.world.known import Known
+    from placegraph.world.world import World
+
+CALLED = 3.0
+"""What it says for a scene that its name, or its building's, was spoken [nat]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """What is known of being in one scene."""
+
+    name: str
+    standings: tuple[Standing, ...] = ()
+    """Candidates of its place, the likeliest first, after all that was said."""
+    shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    """(K,) probability of each."""
+    outside: float = 0.0
+    """Log-likelihood ratio of what was said of the outside [nat], against anywhere."""
+    inside: float = 0.0
+    """The same of the inside."""
+    near: float = 1.0
+    """How well it fits the fix, 0 to 1."""
+    meant: bool = False
+    """Whether its building, or the scene itself, was spoken of by name or kind."""
+    told: Told | None = None
+    """What the city that it stands in says of it, if anything was said of that."""
+
+    @property
+    def said(self) -> float:
+        """What words say for it [nat]."""
+        return self.outside + self.inside
+
+    @property
+    def building(self) -> str:
+        """Name of its building, where that is known."""
+        return self.standings[0].anchor.building if self.standings else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Witnesses:
+    """What words and a fix say of all scenes and towns."""
+
+    understood: Understood | None
+    towns: dict[str, Outside]
+    inside: Inside | None
+    scenes: dict[str, Witness]
+    near: tuple[float, float] | None = None
+
+    @property
+    def speaks_inside(self) -> bool:
+        """Whether somebody inside a mapped scene seems to speak."""
+        return self.inside is not None or any(w.meant for w in self.scenes.values())
+
+    def prior(self, name: str) -> float:
+        """Share of a scene among all, by the fix alone; together at most 1."""
+        total = sum(w.near for w in self.scenes.values())
+        crowded = total if self.near is None else max(1.0, total)
+        return self.scenes[name].near / crowded
+
+    def evidence(self, name: str) -> tuple[Evidence, ...]:
+        """What each statement, and the fix, say of a scene."""
+        w = self.scenes[name]
+        out: list[Evidence] = []
+        if w.told is not None:
+            out += w.told.evidence
+        if self.inside is not None:
+            out += self.inside.evidence(name)
+        if self.near is not None and w.standings:
+            weight = float(np.log(max(w.near, 1e-6) / 0.5))
+            verdict = "for" if weight > 0 else "against"
+            out.append(Evidence("the fix is near", verdict, weight))
+        return tuple(out)
+
+
+def hear(world: World, known: Known) -> Witnesses:
+    """What is known of all scenes and towns but for the frames; raises as `World.locate`."""
+    scenes = {name: Standing.of(world.scenes[name]) for name in world.scenes}
+    understood, towns, inside = None, {}, None
+    if known.text is not None:
+        buildings = {s.anchor.building for found in scenes.values() for s in found}
+        things = things_of(world.library) if scenes else ()
+        names = {*scenes, *buildings} - {""}
+        understood = understand(known.text, world.cities, things, known.heading, names)
+        hints = Hints(known.near, known.radius, known.heading)
+        for city, said in understood.outside.items():
+            told = Outside.hear(world.cities[city], said, hints, known.top)
+            if told is not None:
+                towns[city] = told
+        if understood.inside is not None and scenes:
+            inside = Inside.hear(world.library, understood.inside)
+    spoken = f" {' '.join(tokens(known.text or ''))} "
+    witness = partial(_witness, known=known, towns=towns, inside=inside, spoken=spoken)
+    near = None if known.near is None else (float(known.near[0]), float(known.near[1]))
+    return Witnesses(understood, towns, inside, {n: witness(n, s) for n, s in scenes.items()}, near)
+
+
+def _witness(
+    name: str,
+    standings: tuple[Standing, ...],
+    *,
+    known: Known,
+    towns: dict[str, Outside],
+    inside: Inside | None,
+    spoken: str,
+) -> Witness:
+    """What words and the fix say of one scene and the candidates of its place."""
+    called = _called(name, spoken)
+    said = inside.scenes[name] if inside else 0.0
+    if not standings:
+        fits = 1.0 if known.near is None else UNANCHORED
+        return Witness(name, outside=CALLED * called, inside=said, near=fits, meant=called)
+    priors = np.array([s.anchor.probability for s in standings])
+    told = [_told(s, towns) for s in standings]
+    ratios = np.array([t.ratio if t else 0.0 for t in told])
+    nears = np.ones(len(standings))
+    if known.near is not None:
+        nears = np.array([s.near(known.near, known.radius) for s in standings])
+    logs = np.log(priors) + ratios + np.log(nears + 1e-12)
+    shares = np.exp(logs - logs.max())
+    shares /= shares.sum()
+    order = np.argsort(-shares, kind="stable")
+    best = int(order[0])
+    called |= any(_called(s.anchor.building, spoken) for s in standings)
+    unknown = max(0.0, 1.0 - float(priors.sum()))
+    outside = float(np.log(priors @ np.exp(ratios) + unknown))
+    return Witness(
+        name,
+        tuple(standings[i] for i in order),
+        shares[order],
+        outside + CALLED * (called and told[best] is None),
+        said,
+        float(priors @ nears + unknown * UNANCHORED),
+        called or any(t is not None and t.meant for t in told),
+        told[best],
+    )  # fmt: skip
+
+
+def _told(standing: Standing, towns: dict[str, Outside]) -> Told | None:
+    """What the town that a candidate stands in says of it."""
+    for town in towns.values():
+        corners = town.city.plane.to_plane(standing.corners)
+        if town.holds(corners.mean(axis=0)):
+            return town.of_building(corners)
+    return None
+
+
+def _called(name: str, spoken: str) -> bool:
+    """Whether a name was spoken."""
+    said = " ".join(tokens(name))
+    return len(said) > 3 and f" {said} " in spoken
