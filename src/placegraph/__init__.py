@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap, build_city
     from placegraph.outdoor.language import describe
     from placegraph.vectors import Region, open_store
+    from placegraph.world import World, open_world
 
 __version__ = "0.1.0"
 
@@ -48,6 +49,7 @@ _HOME = {
     "SceneMap": "placegraph.indoor.scene_map",
     "SearchOptions": "placegraph.indoor.library",
     "Status": "placegraph.estimate",
+    "World": "placegraph.world",
     "build_city": "placegraph.outdoor.city",
     "build_scene": "placegraph.indoor.build",
     "describe": "placegraph.outdoor.language",
@@ -57,6 +59,7 @@ _HOME = {
     "open_capture": "placegraph.formats.capture.capture",
     "open_map": "placegraph.maps",
     "open_store": "placegraph.vectors",
+    "open_world": "placegraph.world",
     "rank_scenes": "placegraph.indoor.language",
 }
 
@@ -76,6 +79,7 @@ __all__ = [
     "SceneMap",
     "SearchOptions",
     "Status",
+    "World",
     "__version__",
     "build_city",
     "build_scene",
@@ -87,6 +91,7 @@ __all__ = [
     "open_capture",
     "open_map",
     "open_store",
+    "open_world",
     "rank_scenes",
 ]
 

@@ -176,7 +176,7 @@ class PassRecord:
     """For each frame its row in the capture, poses (N, 4) and weights (N,)."""
 
 
-Mode = TypeVar("Mode", Place, PoseMode, SceneMode)
+Mode = TypeVar("Mode", bound=Explained)
 
 
 @dataclass(frozen=True, repr=False)

@@ -80,7 +80,7 @@ def poses_of(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
     earth = getattr(mode, "earth", None)
     if earth:
         return (earth,) if isinstance(earth, EarthPose) else tuple(earth)
-    if hasattr(mode, "longitude"):
+    if getattr(mode, "longitude", None) is not None:
         given = mode.longitude, mode.latitude, mode.covariance
         return (EarthPose.of_place(*given, probability=mode.probability),)
     return ()

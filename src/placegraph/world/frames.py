@@ -63,7 +63,7 @@ def by_frames(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate
         world.library, frames, shown, description=inside, refine=known.refine, seed=known.seed,
         device=known.device, progress=known.progress,
     )  # fmt: skip
-    said = {n: w.said + float(np.log(w.near + 1e-9)) for n, w in witnesses.scenes.items()}
+    said = {n: w.said + float(np.log(w.near)) for n, w in witnesses.scenes.items()}
     best = doubted(decided(answers, said), shown, len(answers))
     poses = {mode.scene: a for mode, a in zip(shown.modes, answers, strict=False)}
     if best.status is Status.LOST:
@@ -90,7 +90,7 @@ def proposed(world: World, frames: Sequence[Frame], witnesses: Witnesses) -> Sce
     found = search_capture(world.library, frames, None, SearchOptions(), count)
     logs = [
         np.log(m.probability + 1e-12)
-        + np.log(count * witnesses.prior(m.scene) + 1e-12)
+        + np.log(count * witnesses.prior(m.scene))
         + witnesses.scenes[m.scene].said
         for m in found.modes
     ]

@@ -14,7 +14,7 @@ from placegraph.indoor.language import read as read_inside
 from placegraph.indoor.language.likeness import EXACT, fits, room_kind, table
 from placegraph.indoor.language.sentence import Kind
 from placegraph.language.check import Ignored, check
-from placegraph.outdoor.language.description import LISTENER, SPEAKER
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
 
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from placegraph.indoor.language import Sentence
+    from placegraph.indoor.language.sentence import Mention as Thing
     from placegraph.indoor.language.sentence import Statement as Inside
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.description import Description, Mention
+    from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.description import Statement as Outside
 
 SENSE = 0.7
@@ -35,6 +36,8 @@ _ARTICLES = frozenset(
 _WINDS = frozenset(
     ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
 )
+
+_WITHIN = (Relation.INSIDE, Relation.SAME)
 
 
 @dataclass(frozen=True)
@@ -98,12 +101,7 @@ def understand(
         for name, city in cities.items()
     }
     own = {" ".join(_words(name)) for name in names}
-    out = {
-        name: {
-            m.id for m in d.mentions[LISTENER + 1 :] if _is_outside(m, d, cities[name], things, own)
-        }
-        for name, d in whole.items()
-    }
+    out = {name: _outside(d, cities[name], things, own) for name, d in whole.items()}
     outside = {name: _kept(d, out[name]) for name, d in whole.items()}
     outside = {name: d for name, d in outside.items() if d.statements}
     spoken = {
@@ -130,25 +128,29 @@ def addressed(description: Description, city: CityMap) -> Description:
     return replace(description, mentions=tuple(mentions))
 
 
-def _is_outside(
-    mention: Mention, said: Description, city: CityMap, things: Sequence[str], own: Collection[str]
-) -> bool:
-    """Whether a mention speaks of something on the city's map, and not in a room."""
-    words = " ".join(_words(mention.words))
-    if mention.name:
-        return bool(city.name_index.named(mention.name)) or words not in own
-    known = any(s.weight >= SENSE and s.label in city.label_index for s in mention.senses)
-    room = room_kind(words)
-    if room:
-        return known and room not in {room_kind(thing) for thing in things}
-    if not _in_rooms(words, things):
-        return True
-    winds = any(
-        _WINDS.intersection(_words(s.text))
-        for s in said.statements
-        if mention.id in ends(s) and SPEAKER in ends(s)
-    )
-    return known and winds
+def _outside(
+    said: Description, city: CityMap, things: Sequence[str], own: Collection[str]
+) -> set[int]:
+    """Mentions that speak of something on the city's map, and not in a room."""
+    out, either = set(), set()
+    for m in said.mentions[LISTENER + 1 :]:
+        words = " ".join(_words(m.words))
+        known = any(s.weight >= SENSE and s.label in city.label_index for s in m.senses)
+        if m.name:
+            is_out = bool(city.name_index.named(m.name)) or words not in own
+        elif room_kind(words):
+            is_out = known and room_kind(words) not in {room_kind(thing) for thing in things}
+        else:
+            is_out = not _in_rooms(words, things)
+        if is_out:
+            out.add(m.id)
+        elif known and not room_kind(words):
+            either.add(m.id)
+    for s in said.statements:  # what both have is outside where it lies north, or by a church
+        beside = bool(_ends(s) & out) and SPEAKER not in ends(s)
+        if beside or _WINDS.intersection(_words(s.text)):
+            out |= either & _ends(s)
+    return out
 
 
 def _in_rooms(words: str, things: Sequence[str]) -> bool:
@@ -159,10 +161,23 @@ def _in_rooms(words: str, things: Sequence[str]) -> bool:
 
 
 def _kept(said: Description, out: Collection[int]) -> Description:
-    """A description without what is said of things inside."""
+    """A description without what is said of things inside.
+
+    What is said of the room that one is in, is said of oneself: "in the kitchen of the hotel".
+    """
     known = {*out, SPEAKER, LISTENER}
-    kept = [s for s in said.statements if _ends(s) <= known and _ends(s) - {SPEAKER, LISTENER}]
-    return said if len(kept) == len(said.statements) else replace(said, statements=tuple(kept))
+    rooms = {
+        s.target
+        for s in said.statements
+        if s.source == SPEAKER and s.relation in _WITHIN and s.target not in known
+    }
+    kept = []
+    for s in said.statements:
+        of_room = s.source in rooms and s.relation is Relation.NEAR
+        told = replace(s, source=SPEAKER, relation=Relation.INSIDE) if of_room else s
+        if _ends(told) <= known and _ends(told) - {SPEAKER, LISTENER}:
+            kept.append(told)
+    return replace(said, statements=tuple(kept))
 
 
 def _ends(s: Outside) -> set[int]:
@@ -175,15 +190,28 @@ def _inside(said: Sentence, outside: Collection[str]) -> Sentence | None:
     What stands to something outside as a place to a speaker, stands so to the speaker: "in the
     library, by the window".
     """
-    away = {i for i, m in enumerate(said.mentions) if set(_words(m.label)) & set(outside)}
+    mentions = [_within(m, outside) for m in said.mentions]
+    away = {i for i, m in enumerate(mentions) if m is None}
     kept: list[Inside] = []
     for s in said.statements:
         there = [t for t in s.things if t not in away]
         if len(there) == len(s.things):
-            kept.append(s)
+            new = any(mentions[t] is not said.mentions[t] for t in there)
+            kept.append(replace(s, kind=Kind.ROOM) if new and len(there) == 1 else s)
         elif s.kind is Kind.RELATED and s.things[1] in there:
             kept.append(replace(s, kind=Kind.NEAR, things=(s.things[1],), relation="next to"))
-    return replace(said, statements=tuple(kept)) if kept else None
+    both = (new or old for new, old in zip(mentions, said.mentions, strict=True))
+    return replace(said, mentions=tuple(both), statements=tuple(kept)) if kept else None
+
+
+def _within(thing: Thing, outside: Collection[str]) -> Thing | None:
+    """A thing without the names of things outside, "the kitchen of the hotel"; None: it is one of these."""
+    words = _words(thing.label)
+    left = [w for w in words if w not in outside]
+    if left == words:
+        return thing
+    own = " ".join(w for w in left if w != "of")
+    return replace(thing, label=own, room=room_kind(own)) if room_kind(own) else None
 
 
 def _english(read: Mapping[str, Description]) -> bool:

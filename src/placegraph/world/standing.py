@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 UNANCHORED = 0.1
 """How well a scene that stands nowhere fits a fix, against one that stands right there."""
+WRONG_FIX = 1e-3
+"""Share of fixes that are far off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +51,11 @@ class Standing:
         return np.asarray(self.anchor.covariance[:2, :2] + np.cov(metres.T, bias=True))
 
     def near(self, lonlat: Sequence[float], radius: float) -> float:
-        """How well (0 to 1) the place fits a fix of which half lies within a radius [m]."""
+        """How well, `WRONG_FIX` to 1, the place fits a fix of which half lies within a radius [m]."""
         off = LocalPlane(*self.lonlat).to_plane((float(lonlat[0]), float(lonlat[1])))
         spread = np.eye(2) * (radius / 1.1774) ** 2 + self.covariance
-        return float(np.exp(-0.5 * off @ np.linalg.solve(spread, off)))
+        fit = np.exp(-0.5 * off @ np.linalg.solve(spread, off))
+        return float(WRONG_FIX + (1.0 - WRONG_FIX) * fit)
 
 
 def nowhere() -> NDArray[np.float64]:

@@ -87,7 +87,7 @@ class Witnesses:
         if self.inside is not None:
             out += self.inside.evidence(name)
         if self.near is not None and w.standings:
-            weight = float(np.log(max(w.near, 1e-6) / 0.5))
+            weight = float(np.log(w.near / 0.5))
             verdict = "for" if weight > 0 else "against"
             out.append(Evidence("the fix is near", verdict, weight))
         return tuple(out)
@@ -136,7 +136,7 @@ def _witness(
     nears = np.ones(len(standings))
     if known.near is not None:
         nears = np.array([s.near(known.near, known.radius) for s in standings])
-    logs = np.log(priors) + ratios + np.log(nears + 1e-12)
+    logs = np.log(priors) + ratios + np.log(nears)
     shares = np.exp(logs - logs.max())
     shares /= shares.sum()
     order = np.argsort(-shares, kind="stable")

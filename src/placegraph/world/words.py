@@ -41,7 +41,7 @@ def by_words(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate:
         return _of_one_town(witnesses)
     mapped, in_town = (MAPPED, IN_TOWN) if inside and witnesses.scenes else (0.0, MAPPED + IN_TOWN)
     logs = {
-        name: float(np.log(mapped * witnesses.prior(name) + 1e-12)) + w.said
+        name: float(np.log(mapped * witnesses.prior(name))) + w.said
         for name, w in witnesses.scenes.items()
     } if mapped else {}  # fmt: skip
     towns = {

@@ -80,7 +80,7 @@ class World:
         radius: float = 1000.0,
         heading: float | None = None,
         seed: int = 0,
-        **options: Any,  # noqa: ANN401  # of `placegraph.world.locate.Known`
+        **options: Any,  # noqa: ANN401  # of `placegraph.world.known.Known`
     ) -> WorldEstimate:
         """Where, in all these maps: place, room and pose, from all that is known.
 
@@ -118,7 +118,8 @@ class World:
             An image is broken; a map is damaged, gone, or another one than its library has.
 
         """
-        from placegraph.world.locate import Known, locate
+        from placegraph.world.known import Known
+        from placegraph.world.locate import locate
 
         known = Known(text, capture, frames, near, radius, heading, seed, **options)
         return locate(self, known)

@@ -174,7 +174,7 @@ def test_a_pose_that_is_not_sure_in_another_scene(trusts, scene, status):
         )
         for told, name, trust in zip(stati, names, trusts, strict=True)
     ]  # fmt: skip
-    decided = localize._decided(answers)
+    decided = localize.decided(answers)
     assert (decided.modes[0].scene, decided.status) == (scene, status)
 
 

@@ -187,6 +187,7 @@ def _named(estimate: PoseEstimate) -> bool:
 
 
 def unsure(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
+    """Estimate that is AMBIGUOUS, and why."""
     reason = f"{estimate.reason} But {doubt}"
     return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
 

@@ -1,0 +1,131 @@
+"""Sentences, frames and fixes, each alone and together, in a world of two towns."""
+
+import json
+
+import numpy as np
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.world import World
+
+
+def test_a_library_on_its_street_is_found_by_frames_and_a_sentence(world, films):
+    text = "I am in the library on Lange Straße"
+    estimate = world.locate(text, films["study"], frames=slice(3), seed=0)
+    best = estimate.best
+    assert (estimate.status, best.scene, best.building) == (
+        Status.OK,
+        "reading",
+        "Stadtbibliothek",
+    )
+    assert (best.room, best.level, best.earth.room) == ("study", "0", "study")
+    assert best.longitude == pytest.approx(9.99, abs=0.01)
+    assert best.earth.geopose()["position"]["lat"] == pytest.approx(best.latitude)
+    assert json.loads(json.dumps(estimate.to_dict()))["modes"][0]["scene"] == "reading"
+    points = [f for f in estimate.geojson()["features"] if f["properties"]["kind"] == "mode"]
+    assert points[0]["geometry"]["coordinates"][0] == pytest.approx(best.longitude)
+
+
+@pytest.mark.parametrize(
+    ("text", "scene"), [("I am in the hotel", "suite"), ("I am at Lange Straße 7", "twin")]
+)
+def test_a_sentence_tells_twins_apart(world, films, text, scene):
+    frames = films["parlour"]
+    alone = world.locate(None, frames)
+    assert alone.status is Status.AMBIGUOUS
+    assert {m.scene for m in alone.modes} == {"suite", "twin"}
+    told = world.locate(text, frames)
+    assert (told.status, told.best.scene) == (Status.OK, scene)
+
+
+def test_frames_tell_towns_apart(world, films):
+    text = "I am in the library on Lange Straße"
+    alone = world.locate(text)
+    assert alone.status is Status.AMBIGUOUS
+    assert {"reading", "stacks"} <= {m.scene for m in alone.modes}
+    told = world.locate(text, films["bedroom"])
+    assert (told.status, told.best.scene) == (Status.OK, "stacks")
+
+
+def test_a_fix_tells_towns_and_twins_apart_but_picks_nothing_alone(world, films):
+    anchor = world.scenes["suite"].anchors[0]
+    near = (anchor.longitude, anchor.latitude)
+    told = world.locate(None, films["parlour"], near=near, radius=15.0)
+    assert (told.status, told.best.scene) == (Status.OK, "suite")
+    alone = world.locate(near=near, radius=15.0)
+    assert (alone.status, alone.best.scene) == (Status.AMBIGUOUS, "suite")
+    assert world.locate(near=(2.35, 48.85), radius=100.0).status is Status.LOST
+
+
+@pytest.mark.parametrize(
+    "known",
+    [
+        {"text": "I am in the café"},  # where no map is
+        {"near": (13.40, 52.52), "radius": 500.0},  # in the other town
+        {"heading": True},  # the other way
+    ],
+    ids=str,
+)
+def test_what_contradicts_frames_lowers_the_status(world, films, known):
+    plain = world.locate(None, films["study"])
+    assert plain.status is Status.OK
+    if "heading" in known:
+        known = {"heading": plain.best.earth.heading + np.pi}
+        assert (
+            world.locate(None, films["study"], heading=plain.best.earth.heading).status is Status.OK
+        )
+    estimate = world.locate(known.pop("text", None), films["study"], **known)
+    assert (estimate.status, estimate.best.scene) == (Status.AMBIGUOUS, "reading")
+    assert "But" in estimate.reason
+
+
+def test_text_of_the_outside_alone_is_as_in_the_city(world):
+    text = "A church is south of me and Lange Straße is south of me. A bakery is east of me."
+    city = world.cities["west"]
+    one = World({"west": city}, world.scenes).locate(text)
+    alone = city.locate(text)
+    assert (one.status, one.reason) == (alone.status, alone.reason)
+    assert [m.probability for m in one.modes] == [m.probability for m in alone.modes]
+    assert one.next_question(world) is None or one.status is Status.AMBIGUOUS
+
+
+def test_frames_alone_are_as_in_the_library(world, films):
+    alone = world.library.localize(films["study"])
+    told = world.locate(None, films["study"])
+    assert told.status is alone.status
+    np.testing.assert_allclose(told.best.pose.map_from_camera, alone.best.map_from_camera)
+
+
+def test_text_alone_names_building_and_room_where_it_can(world):
+    told = World({"west": world.cities["west"]}, world.scenes).locate(
+        "I am in the Stadtbibliothek. There is a desk and a bookcase."
+    )
+    assert (told.status, told.best.scene, told.best.room) == (Status.OK, "reading", "study")
+    assert told.understood.to_dict()["inside"]
+
+
+def test_a_film_of_nowhere_is_not_named(world, films):
+    fewer = World(world.cities, {n: world.scenes[n] for n in ("suite", "stacks")})
+    assert fewer.locate(None, films["study"]).status is not Status.OK
+
+
+def test_what_cannot_be_asked(world, films):
+    for bad in (
+        {},
+        {"frames": slice(3), "text": "a desk"},
+        {"near": (99, 99)},
+        {"near": (9, 9), "radius": -1},
+    ):
+        with pytest.raises(OptionError):
+            world.locate(**bad)
+    with pytest.raises(OptionError, match="no scene map"):
+        World(world.cities).locate(capture=films["study"])
+    noted = World(world.cities).locate("I am in the library", films["study"])
+    assert noted.notes
+    assert noted.best.building == "Stadtbibliothek"
+
+
+def test_a_short_repr(world):
+    assert repr(world) == "World(2 cities, 4 scenes)"
+    assert len(repr(world.locate("I am in the hotel"))) < 200

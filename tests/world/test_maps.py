@@ -1,0 +1,45 @@
+"""Maps of a folder: opened lazily, bad ones named, foreign ones left alone."""
+
+import shutil
+
+import pytest
+
+import placegraph as pg
+from placegraph.errors import InputError, MapError, OptionError
+
+
+def test_maps_are_opened_when_they_are_asked_for_and_kept(folder):
+    world = pg.open_world(folder)
+    assert set(world.cities) == {"west", "east"}
+    assert not world.cities._opened
+    assert world.cities["west"] is world.cities["west"]
+    assert {path.name for path, _ in world.ignored} == {"west.osm", "east.osm"}
+    with pytest.raises(OptionError, match="'north' is no map"):
+        world.cities["north"]
+
+
+def test_bad_files_are_named_all(folder, tmp_path):
+    (tmp_path / "broken.city").write_bytes((folder / "west.city").read_bytes()[:40])
+    shutil.copy(folder / "west.city", tmp_path / "west.scene")
+    with pytest.raises(MapError, match=r"(?s)broken.city.*west.scene holds a city map"):
+        pg.open_world(tmp_path)
+    shutil.copy(folder / "west.city", tmp_path / "twin.city")
+    (tmp_path / "more").mkdir()
+    shutil.copy(folder / "west.city", tmp_path / "more" / "twin.city")
+    with pytest.raises(MapError, match="one name"):
+        pg.open_world([tmp_path / "twin.city", tmp_path / "more"])
+
+
+def test_a_place_without_maps(tmp_path):
+    for place in (tmp_path, tmp_path / "nothing"):
+        with pytest.raises(InputError):
+            pg.open_world(place)
+
+
+def test_scenes_of_a_library_belong_to_the_world(folder, tmp_path):
+    library = pg.SceneLibrary()
+    library.add("reading", folder / "reading.scene")
+    library.save(tmp_path / "all.library")
+    world = pg.open_world([tmp_path])
+    assert set(world.scenes) == {"reading"}
+    assert world.library.entry("reading") is world.libraries["all"].entry("reading")

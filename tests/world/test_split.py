@@ -1,0 +1,28 @@
+"""What of a sentence is outside, and what inside."""
+
+import pytest
+
+from placegraph.world.split import understand
+
+THINGS = ("sofa", "window", "desk", "bookcase", "bed", "sink", "kitchen", "bedroom")
+
+
+@pytest.mark.parametrize(
+    ("text", "outside", "inside"),
+    [
+        ("I am in the library on Lange Straße, by the window", True, ["near: the window"]),
+        ("I am next to the sofa", False, ["near: the sofa"]),
+        ("A bakery is north of me. A church is east of the bakery.", True, []),
+        ("I am in the kitchen of Hotel Hansa", True, ["room: the kitchen of Hotel Hansa"]),
+        ("In the bedroom at Lange Straße 7, next to the bed", True, ["room: the bedroom", "holds: the bed"]),
+    ],
+)  # fmt: skip
+def test_split(world, text, outside, inside):
+    told = understand(text, {"west": world.cities["west"]}, THINGS)
+    assert bool(told.outside) is outside
+    assert told.to_dict()["inside"] == inside
+
+
+def test_addresses_are_known_number_last(world):
+    told = understand("I am at Lange Straße 7", {"west": world.cities["west"]}, THINGS)
+    assert told.outside["west"].mentions[2].name == "7 Lange Straße"
