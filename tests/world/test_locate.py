@@ -1,6 +1,7 @@
 """Sentences, frames and fixes, each alone and together, in a world of two towns."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -126,6 +127,10 @@ def test_what_cannot_be_asked(world, films):
     assert noted.best.building == "Stadtbibliothek"
 
 
-def test_a_short_repr(world):
+def test_an_answer_is_short_and_travels(world, films):
     assert repr(world) == "World(2 cities, 4 scenes)"
-    assert len(repr(world.locate("I am in the hotel"))) < 200
+    estimate = world.locate("I am in the hotel", films["parlour"], refine=False)
+    assert len(repr(estimate)) < 300
+    sent = pickle.dumps(estimate)
+    assert len(sent) < 100_000
+    assert pickle.loads(sent).to_dict() == estimate.to_dict()  # noqa: S301 - our own

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from placegraph.estimate import Estimate, Status
+from placegraph.evidence import Explained
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy as np
     from numpy.typing import NDArray
 
     from placegraph.earth import EarthPose
     from placegraph.estimate import CityEstimate, Place, PoseEstimate, PoseMode
-    from placegraph.evidence import Evidence
     from placegraph.outdoor.search.ask import Question
     from placegraph.world.split import Understood
     from placegraph.world.world import World
 
 
-def _no_evidence() -> tuple[Evidence, ...]:
-    return ()
-
-
 @dataclass(frozen=True, eq=False)
-class WorldMode:
+class WorldMode(Explained):
     """One place, room and pose that may be meant; what is not known is None, or empty."""
 
     longitude: float | None
@@ -51,13 +44,6 @@ class WorldMode:
     """Pose of the last frame in the scene's map."""
     place: Place | None = None
     """Place of a sentence in a city."""
-    explain: Callable[[], tuple[Evidence, ...]] = field(default=_no_evidence, repr=False)
-    """Finds the evidence."""
-
-    @cached_property
-    def evidence(self) -> tuple[Evidence, ...]:
-        """What speaks for this mode and against it: of the text, then of the frames."""
-        return self.explain()
 
     @property
     def where(self) -> str:
@@ -84,11 +70,10 @@ class WorldMode:
             "room": self.room,
             "pose": self.pose.to_dict() if self.pose else None,
             "geopose": self.earth.geopose() if self.earth else None,
-            "evidence": [e.to_dict() for e in self.evidence],
-        }
+        } | super().to_dict()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class WorldEstimate(Estimate[WorldMode]):
     """Where in a world: one posterior over place, room and pose."""
 
@@ -120,6 +105,3 @@ class WorldEstimate(Estimate[WorldMode]):
             "understood": self.understood.to_dict() if self.understood else None,
             "notes": list(self.notes),
         }
-
-    def __repr__(self) -> str:
-        return f"WorldEstimate({self.status.name}, {self.best!r}, {len(self.modes)} modes)"
