@@ -45,21 +45,43 @@ def lines(parts: Sequence[Floats]) -> dict[str, Any]:
 
 def areas(rings: Sequence[Floats]) -> dict[str, Any]:
     """Geometry of rings, each (n, 2) [deg] and closed, whose insides and holes are told by nesting."""
-    within = [
-        {k for k, other in enumerate(rings) if k != i and _inside(ring[0], other)}
-        for i, ring in enumerate(rings)
+    shapes = [
+        [_rounded(wound(rings[k], 1.0 if k == polygon[0] else -1.0)) for k in polygon]
+        for polygon in nested(rings)
     ]
-    polygons = {
-        i: [_wound(rings[i], 1.0)] for i, around in enumerate(within) if not len(around) % 2
-    }
-    for i, around in enumerate(within):
-        if len(around) % 2:  # a hole of the innermost that holds it
-            holder = max((k for k in around if k in polygons), key=lambda k: len(within[k]))
-            polygons[holder].append(_wound(rings[i], -1.0))
-    shapes = list(polygons.values())
     if len(shapes) == 1:
         return {"type": "Polygon", "coordinates": shapes[0]}
     return {"type": "MultiPolygon", "coordinates": shapes}
+
+
+def nested(rings: Sequence[Floats]) -> list[list[int]]:
+    """Polygons that closed rings, each (n, 2), make: rows of the outer ring and of its holes."""
+    within = [
+        {k for k, other in enumerate(rings) if k != i and inside(ring[0], other)}
+        for i, ring in enumerate(rings)
+    ]
+    polygons = {i: [i] for i, around in enumerate(within) if not len(around) % 2}
+    for i, around in enumerate(within):
+        holders = [k for k in around if k in polygons] if len(around) % 2 else []
+        if holders:  # a hole of the innermost that holds it
+            polygons[max(holders, key=lambda k: len(within[k]))].append(i)
+    return list(polygons.values())
+
+
+def wound(ring: Floats, sense: float) -> Floats:
+    """A closed ring (n, 2) counter-clockwise (1) or clockwise (-1), as RFC 7946 has rings and holes."""
+    x, y = (np.asarray(ring, np.float64) - ring[0]).T
+    doubled = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
+    return ring if doubled * sense >= 0 else ring[::-1]
+
+
+def inside(at: NDArray[Any], ring: Floats) -> bool:
+    """Whether a position (2,) lies in a closed ring (n, 2), by the crossings of a ray to the east."""
+    (x, y), (start, end) = at, (ring[:-1], ring[1:])
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    a, b = start[spans], end[spans]
+    crossing = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return bool(np.count_nonzero(crossing > x) % 2)
 
 
 def geopandas_of(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
@@ -76,19 +98,3 @@ def geopandas_of(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
 def _rounded(lonlat: Floats) -> list[Any]:
     rounded: list[Any] = np.round(np.asarray(lonlat, np.float64), DIGITS).tolist()
     return rounded
-
-
-def _wound(ring: Floats, sense: float) -> list[Any]:
-    """A ring counter-clockwise (1) or clockwise (-1), as RFC 7946 has outer rings and holes."""
-    x, y = (np.asarray(ring, np.float64) - ring[0]).T
-    doubled = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
-    return _rounded(ring if doubled * sense >= 0 else ring[::-1])
-
-
-def _inside(at: NDArray[Any], ring: Floats) -> bool:
-    """Whether a position (2,) lies in a ring, by the crossings of a ray to the east."""
-    (x, y), (start, end) = at, (ring[:-1], ring[1:])
-    spans = (start[:, 1] > y) != (end[:, 1] > y)
-    a, b = start[spans], end[spans]
-    crossing = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return bool(np.count_nonzero(crossing > x) % 2)

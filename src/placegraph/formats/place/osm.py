@@ -79,19 +79,17 @@ def read_osm(
     """
     import osmium
 
-    path = _check(Path(path))
+    path = checked_osm(Path(path))
     wanted = osmium.filter.KeyFilter(*sorted(keys))
     reader = _Reader(LeftOut() if left_out is None else left_out)
-    ending = next(s for s in SUFFIXES if path.name.lower().endswith(s))
-    file = osmium.io.File(path, ending.removeprefix("."))  # osmium knows lower case only
     try:
-        for item in osmium.FileProcessor(file).with_areas(wanted).with_filter(wanted):
+        for item in osmium.FileProcessor(osm_file(path)).with_areas(wanted).with_filter(wanted):
             element = reader.read(item)
             if element is not None:
                 yield element
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         raise InputError(
-            f"{path} cannot be read as OpenStreetMap data: {_one_line(error)}. "
+            f"{path} cannot be read as OpenStreetMap data: {one_line(error)}. "
             "It may be truncated or of another format; download or export it again."
         ) from error
     reader.finish()
@@ -157,7 +155,16 @@ class _Reader:
         return OsmElement(RELATION, area.orig_id(), AREA, dict(area.tags), rings)
 
 
-def _check(path: Path) -> Path:
+def osm_file(path: Path) -> Any:  # noqa: ANN401  # osmium has no types
+    """File for osmium, which knows endings in lower case only."""
+    import osmium
+
+    ending = next(s for s in SUFFIXES if path.name.lower().endswith(s))
+    return osmium.io.File(path, ending.removeprefix("."))
+
+
+def checked_osm(path: Path) -> Path:
+    """Path of a file that may be read; raises `InputError` where it is none."""
     if path.is_dir():
         raise InputError(f"{path} is a folder; name an OpenStreetMap file in it.")
     if not path.exists():
@@ -171,7 +178,8 @@ def _check(path: Path) -> Path:
     return path
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """What went wrong, in one line."""
     return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
 
 

@@ -1,0 +1,201 @@
+"""Outlines of rooms: made simple where they cross themselves, cut into triangles, found again."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.features import nested, wound
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.geometry import Floats
+
+LEAST_AREA = 0.05
+"""Of a ring that is kept [m2]."""
+_TINY = 1e-9
+_MOST_SPLITS = 200
+
+
+def area(ring: Floats) -> float:
+    """Of a closed ring (n, 2) [m2], positive where it is counter-clockwise."""
+    x, y = (ring - ring[0]).T
+    return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2.0
+
+
+def polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
+    """Simple polygons of closed rings (n, 2) [m]: the outer ring, counter-clockwise, then its holes.
+
+    An outer ring that crosses itself falls into those that it is made of, without holes; what is
+    smaller than `LEAST_AREA` is dropped.
+    """
+    found = []
+    for outer, *holes in nested(rings):
+        loops = untangled(rings[outer])
+        if len(loops) == 1:
+            inner = [loop for k in holes for loop in untangled(rings[k])]
+            found.append([wound(loops[0], 1.0), *(wound(loop, -1.0) for loop in inner)])
+        else:
+            found.extend([wound(loop, 1.0)] for loop in loops)
+    return found
+
+
+def untangled(ring: Floats) -> list[Floats]:
+    """Closed rings without crossings that a closed ring (n, 2) [m] is made of."""
+    left, simple = [np.asarray(ring, np.float64)[:-1]], []
+    for _ in range(_MOST_SPLITS):
+        if not left:
+            break
+        loop = left.pop()
+        crossing = _crossing(loop)
+        if crossing is None:
+            closed = np.concatenate([loop, loop[:1]])
+            if len(loop) > 2 and abs(area(closed)) > LEAST_AREA:
+                simple.append(closed)
+            continue
+        i, j, at = crossing
+        left.append(np.concatenate([[at], loop[i + 1 : j + 1]]))
+        left.append(np.concatenate([[at], loop[j + 1 :], loop[: i + 1]]))
+    return simple
+
+
+def _crossing(loop: Floats) -> tuple[int, int, Floats] | None:
+    """Edges i < j of an open loop (n, 2) that meet, and where; None: it is simple."""
+    n = len(loop)
+    ends = np.roll(loop, -1, axis=0)
+    along = ends - loop
+    for i in range(n - 2):
+        rows = np.arange(i + 2, n - (i == 0))
+        if not len(rows):
+            continue
+        same = rows[(loop[rows] == loop[i + 1]).all(axis=1)]
+        same = same[same > i + 1]
+        if len(same):  # through one node twice
+            return i, int(same[0]) - 1, loop[i + 1]
+        away = loop[rows] - loop[i]
+        turn = _cross(along[i], along[rows])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s, t = _cross(away, along[rows]) / turn, _cross(away, along[i]) / turn
+        hit = (np.abs(turn) > _TINY) & (s > _TINY) & (s < 1 - _TINY) & (t > _TINY) & (t < 1 - _TINY)
+        if hit.any():
+            k = int(np.flatnonzero(hit)[0])
+            return i, int(rows[k]), loop[i] + s[k] * along[i]
+    return None
+
+
+def triangulated(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+    """Points (V, 2) and counter-clockwise triangles (T, 3) of a simple polygon, by clipping ears.
+
+    `rings`: closed, the outer one counter-clockwise, holes clockwise; no point is added.
+    """
+    points = np.concatenate([ring[:-1] for ring in rings])
+    starts = np.cumsum([0, *(len(ring) - 1 for ring in rings)])
+    loops = [list(range(a, b)) for a, b in pairwise(starts.tolist())]
+    loop = loops[0]
+    for hole in sorted(loops[1:], key=lambda rows: -points[rows, 0].max()):
+        loop = _bridged(points, loop, hole)
+    return points, np.array(_ears(points, loop), np.int64).reshape(-1, 3)
+
+
+def _bridged(points: Floats, loop: list[int], hole: list[int]) -> list[int]:
+    """Loop that goes into a hole and back by the shortest way that crosses nothing."""
+    edges = [*pairwise([*loop, loop[0]]), *pairwise([*hole, hole[0]])]
+    start, end = points[[a for a, _ in edges]], points[[b for _, b in edges]]
+    lengths = np.linalg.norm(points[loop][:, None] - points[hole][None], axis=2)
+    for k in np.argsort(lengths, axis=None, kind="stable").tolist():
+        i, j = divmod(k, len(hole))
+        if not _cuts(points[loop[i]], points[hole[j]], start, end):
+            break
+    return [*loop[: i + 1], *hole[j:], *hole[: j + 1], *loop[i:]]
+
+
+def _cuts(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
+    """Whether a segment crosses one of others, ends aside."""
+    along, others = b - a, end - start
+    turn = _cross(along, others)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t = _cross(start - a, others) / turn, _cross(start - a, along) / turn
+    within = (s > _TINY) & (s < 1 - _TINY) & (t > -_TINY) & (t < 1 + _TINY)
+    return bool((within & (np.abs(turn) > _TINY)).any())
+
+
+def _ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
+    ears: list[tuple[int, int, int]] = []
+    loop, i, idle = list(loop), 0, 0
+    while len(loop) > 2 and idle <= len(loop):
+        i %= len(loop)
+        corner = loop[i - 1], loop[i], loop[(i + 1) % len(loop)]
+        a, b, c = points[list(corner)]
+        doubled = float(_cross(b - a, c - b))
+        flat = abs(doubled) <= _TINY
+        if flat or (doubled > 0 and not _holds(a, b, c, points[loop])):
+            if not flat:
+                ears.append(corner)
+            loop.pop(i)
+            i, idle = i - 1, 0
+        else:
+            i, idle = i + 1, idle + 1
+    return ears
+
+
+def _holds(a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
+    """Whether a counter-clockwise triangle holds a point that is none of its corners."""
+    own = (others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1)
+    sides = [_cross(q - p, others - p) for p, q in ((a, b), (b, c), (c, a))]
+    return bool((~own & (np.min(sides, axis=0) >= -_TINY)).any())
+
+
+def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
+    """Closed rings around triangles (T, 3) seen from above: edges that only one of them has.
+
+    `points`: (V, 2) [m]; those within 0.1 mm are one. Empty where the edges make no rings.
+    """
+    _, number = np.unique(np.rint(points * 1e4).astype(np.int64), axis=0, return_inverse=True)
+    place = dict(zip(number.ravel().tolist(), points, strict=True))
+    edges: Counter[tuple[int, int]] = Counter()
+    for corners in number.ravel()[triangles].tolist():
+        a, b, c = (place[k] for k in corners)
+        doubled = float(_cross(b - a, c - b))
+        if abs(doubled) > 1e-8:
+            turned = corners if doubled > 0 else corners[::-1]
+            edges.update(pairwise([*turned, turned[0]]))
+    after: dict[int, list[int]] = {}
+    for (a, b), count in edges.items():
+        for _ in range(count - edges.get((b, a), 0)):
+            after.setdefault(a, []).append(b)
+    rings = []
+    while after:
+        first = at = next(iter(after))
+        way = [first]
+        while at in after:
+            following = after[at]
+            at = following.pop()
+            if not following:
+                del after[way[-1]]
+            way.append(at)
+            if at == first:
+                break
+        if at != first:
+            return []
+        rings.append(_straightened(np.array([place[k] for k in way])))
+    return rings
+
+
+def _straightened(ring: Floats) -> Floats:
+    """Closed ring without the points on straight edges."""
+    loop = ring[:-1]
+    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
+    scale = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    kept = loop[np.abs(_cross(before, after)) > 1e-6 * scale]
+    return np.concatenate([kept, kept[:1]])
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    crossed: Floats = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return crossed
