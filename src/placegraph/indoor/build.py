@@ -59,7 +59,8 @@ def build_scene(
     source
         A mesh with objects (GLB with one node an object; PLY or OBJ with ids or groups), a scan's
         folder of 3RScan or ScanNet, a graph of SceneGraphFusion or Spark-DSG, or an RGB-D capture
-        with poses of any recorder that `open_capture` knows: `docs/sources.md`.
+        with poses of any recorder that `open_capture` knows: `docs/sources.md`. An OpenStreetMap
+        file becomes a rough map of one level of its rooms: `docs/howto-osm-indoor.md`.
     out_path
         Map file to write (atomically); None writes nothing.
     labels
@@ -83,7 +84,7 @@ def build_scene(
         How a capture becomes a mesh.
     reader
         Options of the source's own reader, as `reference_frame` of `read_scan3r`, `label_column` of
-        `read_scannet`, or `scale` and `up` of `read_colmap`.
+        `read_scannet`, `scale` and `up` of `read_colmap`, or `level` of OpenStreetMap's rooms.
     left_out
         Is told what of the source could not be used, by reason.
     notes
@@ -160,6 +161,8 @@ def scene_of(
     height = _floor(model, mesh, labels, floor)
     if progress is not None:
         progress("simplifying", 0, 1)
+    if source.anchors:  # drawn from a plan: there is nothing to leave out
+        detail = detail_named("full")
     coarse, blobs = reduced(mesh, pictures, source.colour_of, detail, left, told)
     _tell_odd(coarse, things, told)
     room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
@@ -176,7 +179,7 @@ def scene_of(
         encoded=blobs,
     )
     seen_from = source.viewpoints[near_box(source.viewpoints, scene.bounds)]
-    return replace(scene, landmarks=source.landmarks, viewpoints=seen_from)
+    return replace(scene, landmarks=source.landmarks, viewpoints=seen_from, anchors=source.anchors)
 
 
 def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:

@@ -29,7 +29,8 @@ def build(
         Path,
         Argument(
             help="Mesh with objects (.glb, .gltf, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph "
-            "of SceneGraphFusion or Spark-DSG, or an RGB-D capture with poses of any known recorder."
+            "of SceneGraphFusion or Spark-DSG, an RGB-D capture with poses of any known recorder, or "
+            "rooms of OpenStreetMap (.osm)."
         ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as house.scene.")],
@@ -94,6 +95,9 @@ def build(
             "views are placed to a centimetre; extra `sift`.",
         ),
     ] = False,
+    level: Annotated[
+        str | None, Option(help="Level of OpenStreetMap's rooms, such as 1 or -1.")
+    ] = None,
     reader: Annotated[
         list[str] | None,
         Option(
@@ -113,6 +117,8 @@ def build(
 
     Example: placegraph scene build house.glb -o house.scene
 
+    Example: placegraph scene build hall.osm -o hall.scene --level 1
+
     Example: placegraph scene build walk/ -o office.scene --segmenter deeplab.tflite
     """
     from time import perf_counter
@@ -128,7 +134,7 @@ def build(
         scene = build_scene(
             source, out, labels=labels, floor=floor, up=up, scale=scale, detail=kept,  # type: ignore[arg-type]  # `up` is checked there
             object_property=object_property, segment="auto" if segment is None else segment,
-            capture=how, reader=_reader(reader or []), left_out=left_out, notes=notes, progress=tell,
+            capture=how, reader=_reader(reader or [], level), left_out=left_out, notes=notes, progress=tell,
         )  # fmt: skip
     seconds = perf_counter() - start
     if as_json:
@@ -199,8 +205,8 @@ def _capture(
     return FromCapture(**given) if given else None
 
 
-def _reader(options: list[str]) -> dict[str, Any]:
-    given: dict[str, Any] = {}
+def _reader(options: list[str], level: str | None) -> dict[str, Any]:
+    given: dict[str, Any] = {} if level is None else {"level": level}
     for option in options:
         name, equals, value = option.partition("=")
         if not (name and equals):

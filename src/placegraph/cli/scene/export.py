@@ -30,7 +30,9 @@ CameraPaths = Annotated[
 
 def export(
     map_file: MapFile,
-    out: Annotated[Path, Argument(help="File to write; .glb, .ply or .json says what.")],
+    out: Annotated[
+        Path, Argument(help="File to write; .glb, .ply, .json, .osm or .osmag says what.")
+    ],
     camera_path: CameraPaths = None,
     force: Annotated[
         bool, Option("--force", help="Replace OUT even if no earlier export wrote it.")
@@ -50,6 +52,9 @@ def export(
 
     .json is a scene graph for Hydra and Spark-DSG: objects with boxes, labels and their part of
     the mesh, relations as edges, and rooms.
+
+    .osm holds rooms and doors of an anchored map, in Simple Indoor Tagging for JOSM; .osmag the
+    same as osmAG, for robots.
 
     Example: placegraph scene export house.scene house.glb --camera-path walk.tum
     """

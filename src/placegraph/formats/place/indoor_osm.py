@@ -187,6 +187,21 @@ def kind_of(tags: Mapping[str, str]) -> str:
     return "door" if "door" in tags or "entrance" in tags else ""
 
 
+def room_names(shapes: Sequence[IndoorShape]) -> list[str]:
+    """Name of each room: its own, its number, or what it is; those that are alike are numbered."""
+    said = []
+    for shape in shapes:
+        tags = shape.tags
+        kind = tags.get("room") or tags.get("osmAG:areaType") or shape.kind
+        said.append((tags.get("name") or tags.get("ref") or kind.replace("_", " ")).strip())
+    count: dict[str, int] = {}
+    names = []
+    for name in said:
+        count[name] = count.get(name, 0) + 1
+        names.append(name if said.count(name) == 1 else f"{name} {count[name]}")
+    return names
+
+
 def _joined(pieces: Sequence[Sequence[int]]) -> list[list[int]]:
     """Member ways of a multipolygon, end to end: as few lines as they make."""
     left, lines = [list(p) for p in pieces if len(p) > 1], []

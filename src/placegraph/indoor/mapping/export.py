@@ -16,29 +16,27 @@ from placegraph.formats.mesh.glb import OWN
 from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
 from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.formats.mesh.spark_dsg_write import MOST_PATHS, encode_spark_dsg
+from placegraph.formats.place.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
 from placegraph.indoor.map.textures import linear_from_srgb
+from placegraph.indoor.mapping.camera_paths import checked, path_lines
+from placegraph.indoor.mapping.osm.export import shapes_of
 from placegraph.indoor.mapping.paint import painted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from os import PathLike
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.scene import Scene
+    from placegraph.indoor.mapping.camera_paths import Paths
 
-    Paths = Mapping[str, ArrayLike]
-
-ENDINGS = (".glb", ".ply", ".json")
+ENDINGS = (".glb", ".ply", ".json", ".osm", *OSMAG_ENDINGS)
 MARK = "placegraph scene export"
 """Stands in the head of every file written here, by which it may be overwritten."""
 QUALITY = 92
 """Of JPEG, for textures that a map has in WebP."""
-EYE = 0.12
-"""Length of the pyramid that shows a camera in a .glb [m]."""
-MOST_EYES = 60
-"""Pyramids along one path."""
 _HEAD = 1 << 12
 
 
@@ -58,6 +56,8 @@ def export(
     - ``.ply``: one mesh with colours by vertex (textures are averaged around each vertex) and
       `objectId` by face; beside it ``NAME.labels.json`` says what the ids are called. An id that is
       no number becomes one, and the attribute ``id`` (or ``map id``) keeps it.
+    - ``.osm``: rooms and doors in Simple Indoor Tagging, of an anchored map, and as osmAG where the
+      ending is ``.osmag``, ``.osmag.osm`` or ``.osmag.xml``.
     - ``.json``: a scene graph as Spark-DSG saves it, for Hydra and its kin: objects with boxes,
       labels and their part of the mesh, rooms (of the attribute ``room``, or the merged scenes).
 
@@ -66,7 +66,7 @@ def export(
     Parameters
     ----------
     scene, path
-        What to write, and the file, ending in .glb, .ply or .json.
+        What to write, and the file, with one of `ENDINGS`.
     camera_paths
         Names and (T, 4, 4) map_from_camera of cameras' ways: lines in a .glb, agents in a .json.
     overwrite
@@ -77,29 +77,39 @@ def export(
     Raises
     ------
     OptionError
-        The ending is another, camera paths do not fit, or `path` holds something else already.
+        The ending is another, camera paths do not fit, `path` holds something else already, or
+        rooms are wanted of a map that has none or is not anchored.
     MapError, MapLockedError
         The file cannot be written.
 
     """
-    path, ending = Path(path), Path(path).suffix.lower()
-    if ending not in ENDINGS:
+    path, ending = Path(path), _ending(path)
+    if not ending:
         raise OptionError(f"{path} has an unknown ending; a map becomes {', '.join(ENDINGS)}.")
-    paths = _checked(camera_paths or {})
+    paths = checked(camera_paths or {})
     files = [path] if ending != ".ply" else [path, path.with_suffix(".labels.json")]
     if not overwrite:
         _check_free(files)
+    if paths and ending not in (".glb", ".json"):
+        raise OptionError(f"camera_paths: a {ending} has no place for them; export .glb or .json.")
     if ending == ".glb":
         write_file(path, [_glb(scene, paths)])
+    elif ending in (".osm", *OSMAG_ENDINGS):
+        shapes, osmag = shapes_of(scene), ending != ".osm"
+        write_file(path, [encode_rooms(shapes, osmag=osmag, generator=MARK)])
     elif ending == ".json":
         if len(paths) > MOST_PATHS:
             raise OptionError(f"camera_paths: {len(paths)}; a .json holds {MOST_PATHS} at most.")
         write_file(path, [_spark_dsg(scene, paths)])
     else:
-        if paths:
-            raise OptionError("camera_paths: a .ply has no place for them; export .glb or .json.")
         _ply(scene, path, files[1])
     return tuple(files)
+
+
+def _ending(path: str | PathLike[str]) -> str:
+    """The ending that says what a map becomes; empty where it is none of `ENDINGS`."""
+    name = Path(path).name.lower()
+    return max((e for e in ENDINGS if name.endswith(e)), key=len, default="")
 
 
 def _check_free(files: Sequence[Path]) -> None:
@@ -113,7 +123,12 @@ def _check_free(files: Sequence[Path]) -> None:
 
 def losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
     """What of a map a file of this ending has no place for, in sentences."""
-    ending, lost = Path(path).suffix.lower(), []
+    ending, lost = _ending(path), []
+    if ending in (".osm", *OSMAG_ENDINGS):
+        lost.append(
+            "Rooms and doors are written; furniture, surfaces and textures have no place in it."
+        )
+        return tuple(lost)
     relations = len(scene.graph.relations)
     if ending == ".ply" and relations:
         lost.append(f"Relations ({relations}) have no place in a .ply; a .glb or .json keeps them.")
@@ -163,18 +178,6 @@ def materials(scene: Scene, *, webp: bool = False) -> list[Material]:
         else:
             made.append(Material(blob))
     return made
-
-
-def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(L, 2, 3) segments [m] of a camera's way (T, 4, 4), with pyramids that look where it does."""
-    at = poses[:, :3, 3]
-    way = np.stack([at[:-1], at[1:]], axis=1)
-    corners = EYE * np.array([(-0.5, -0.4, 1), (0.5, -0.4, 1), (0.5, 0.4, 1), (-0.5, 0.4, 1)])
-    some = np.linspace(0, len(poses) - 1, min(len(poses), MOST_EYES)).round().astype(np.int64)
-    eyes = np.einsum("tij,cj->tci", poses[some, :3, :3], corners) + at[some, None]
-    rims = np.stack([eyes, np.roll(eyes, -1, axis=1)], axis=2)
-    rays = np.stack([np.broadcast_to(at[some, None], eyes.shape), eyes], axis=2)
-    return np.concatenate([way, rims.reshape(-1, 2, 3), rays.reshape(-1, 2, 3)])
 
 
 def _glb(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
@@ -268,20 +271,6 @@ def _numbers(ids: list[str]) -> list[int]:
         last += id_ not in own
         numbers.append(int(id_) if id_ in own else last)
     return numbers
-
-
-def _checked(paths: Paths) -> dict[str, NDArray[np.float64]]:
-    checked = {}
-    for name, values in paths.items():
-        poses = np.asarray(values, np.float64)
-        if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
-            raise OptionError(
-                f"camera_paths: {name!r} has shape {poses.shape}; poses (T, 4, 4) belong."
-            )
-        if not np.isfinite(poses).all():
-            raise OptionError(f"camera_paths: {name!r} holds a pose that is not finite.")
-        checked[str(name)] = poses
-    return checked
 
 
 def _ours(path: Path) -> bool:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.earth import Anchor
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.encode.segmenter import Segmenter
     from placegraph.indoor.map.landmarks import Landmarks
@@ -72,6 +73,8 @@ class Source:
     """Points that its frames show again and again."""
     viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(V, 3) where its frames were taken from, thinned [m]."""
+    anchors: tuple[Anchor, ...] = ()
+    """Where it stands on Earth, where it says so; it is then drawn to be kept as it is."""
 
 
 def captured(

@@ -14,6 +14,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import FORMATS, is_capture
 from placegraph.formats.capture.labels import label_table
 from placegraph.formats.mesh.model import Model, Thing
+from placegraph.formats.place.indoor_osm import is_indoor_osm
 from placegraph.indoor.mapping.from_capture import (
     UNKNOWN,
     FromCapture,
@@ -22,6 +23,7 @@ from placegraph.indoor.mapping.from_capture import (
     captured,
     things_of,
 )
+from placegraph.indoor.mapping.osm import rooms_source
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -126,6 +128,8 @@ def read_source(
 ) -> Source:
     """Read any source; errors as of `placegraph.indoor.build.build_scene`."""
     path = Path(path)
+    if is_indoor_osm(path):
+        return rooms_source(path, how.reader, left_out)
     kind = next((k for k in KINDS if k.fits(path)), None)
     if kind is None:
         return _capture(path, how, left_out, progress)

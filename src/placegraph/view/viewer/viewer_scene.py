@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.formats.mesh.glb_write import Part, encode_glb
-from placegraph.indoor.mapping.export import materials, object_surfaces, path_lines
+from placegraph.indoor.mapping.camera_paths import path_lines
+from placegraph.indoor.mapping.export import materials, object_surfaces
 from placegraph.view.scene.room_style import ROOM_PAINTS, room_paint
 
 if TYPE_CHECKING:

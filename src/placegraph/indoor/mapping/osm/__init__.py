@@ -23,9 +23,15 @@ def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str])
     Raises `InputError` and `OptionError` as `read_indoor_osm` and `level_of` do.
     """
     if strange := set(options) - {"level"}:
-        raise OptionError(f"{', '.join(sorted(strange))}: no option of OpenStreetMap's rooms; it has level.")
+        raise OptionError(
+            f"{', '.join(sorted(strange))}: no option of OpenStreetMap's rooms; it has level."
+        )
     given = options.get("level")
-    wanted = None if given is None else levels_of(f"{given:g}" if isinstance(given, float) else str(given))
+    wanted = (
+        None
+        if given is None
+        else levels_of(f"{given:g}" if isinstance(given, float) else str(given))
+    )
     if wanted is not None and len(wanted) != 1:
         raise OptionError(f"level is {given!r}; give one, as 1 or -1 or 0.5.")
     plan = read_indoor_osm(path)

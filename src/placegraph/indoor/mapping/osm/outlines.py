@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 LEAST_AREA = 0.05
 """Of a ring that is kept [m2]."""
 _TINY = 1e-9
+_FLAT = 1e-4
+"""Twice the area of a triangle that is left out [m2]."""
 _MOST_SPLITS = 200
 
 
@@ -133,7 +135,7 @@ def _ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
         corner = loop[i - 1], loop[i], loop[(i + 1) % len(loop)]
         a, b, c = points[list(corner)]
         doubled = float(_cross(b - a, c - b))
-        flat = abs(doubled) <= _TINY
+        flat = abs(doubled) <= _FLAT
         if flat or (doubled > 0 and not _holds(a, b, c, points[loop])):
             if not flat:
                 ears.append(corner)

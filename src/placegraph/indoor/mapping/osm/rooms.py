@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.earth import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.features import inside
-from placegraph.formats.place.indoor_osm import ROOMS
+from placegraph.formats.place.indoor_osm import ROOMS, room_names
 from placegraph.formats.place.levels import level_text, levels_of
 from placegraph.indoor.mapping.osm.outlines import polygons
 
@@ -98,8 +98,9 @@ def level_of(plan: IndoorOsm, level: float | None) -> Level:
             "km; cut out one building, as with `osmium extract`."
         )
     storey, said = _storey(plan, anchor)
-    notes.append(said)
-    names = _names(held)
+    if not all(_height(shape.tags) for shape in held):
+        notes.append(said)
+    names = room_names(held)
     rooms = []
     for shape, name in zip(held, names, strict=True):
         found = polygons([_plane(anchor, part) for part in shape.parts])
@@ -127,7 +128,9 @@ def _chosen(plan: IndoorOsm, level: float | None) -> tuple[float, list[str]]:
         notes.append(f"{nowhere:,} rooms have no level, and are taken for level 0.")
     known = ", ".join(map(level_text, levels))
     if level is None and len(levels) > 1:
-        raise OptionError(f"{plan.path} has the levels {known}; choose one (--level {levels[0]:g}).")
+        raise OptionError(
+            f"{plan.path} has the levels {known}; choose one (--level {levels[0]:g})."
+        )
     chosen = levels[0] if level is None else float(level)
     if chosen not in levels:
         raise OptionError(f"{plan.path} has no rooms on level {chosen:g}; it has {known}.")
@@ -172,7 +175,10 @@ def _storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
         if tall and levels and levels[-1] > 0:
             height = tall / levels[-1] - SLAB
             if _LOW <= height <= _HIGH:
-                return height, f"Rooms are {height:.1f} m high, by their building's height and levels."
+                return (
+                    height,
+                    f"Rooms are {height:.1f} m high, by their building's height and levels.",
+                )
     return HEIGHT, f"Rooms without a height are taken to be {HEIGHT} m high."
 
 
@@ -183,26 +189,13 @@ def _height(tags: Mapping[str, str]) -> float | None:
     return height if height is not None and _LOW <= height <= _HIGH else None
 
 
-def _names(shapes: list[IndoorShape]) -> list[str]:
-    """Name of each room: its own, its number, or what it is; those that are alike are numbered."""
-    said = []
-    for shape in shapes:
-        tags = shape.tags
-        kind = tags.get("room") or tags.get("osmAG:areaType") or shape.kind
-        said.append((tags.get("name") or tags.get("ref") or kind.replace("_", " ")).strip())
-    count: dict[str, int] = {}
-    names = []
-    for name in said:
-        count[name] = count.get(name, 0) + 1
-        names.append(name if said.count(name) == 1 else f"{name} {count[name]}")
-    return names
-
-
 def _door(anchor: Anchor, shape: IndoorShape) -> Door:
     line = _plane(anchor, shape.parts[0])
     wide = float(np.linalg.norm(line[-1] - line[0]))
     width = length_of(shape.tags.get("width", "")) or (wide if 0.3 < wide < 20.0 else DOOR[0])
-    return Door(shape, line[[0, -1]].mean(axis=0), width, length_of(shape.tags.get("height", "")) or DOOR[1])
+    return Door(
+        shape, line[[0, -1]].mean(axis=0), width, length_of(shape.tags.get("height", "")) or DOOR[1]
+    )
 
 
 def length_of(text: str) -> float | None:
