@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from os import PathLike
     from pathlib import Path
 
+    import geopandas as gpd
     from numpy.typing import ArrayLike
 
     from placegraph.estimate import PoseEstimate
@@ -233,6 +234,23 @@ class SceneMap(Shown, Scene):
         from placegraph.indoor.mapping.export import export
 
         return export(self, path, overwrite=overwrite)
+
+    def to_geojson(self) -> dict[str, Any]:
+        """Footprints of the objects as a GeoJSON FeatureCollection, by the best anchor.
+
+        Properties: `id`, `label`, `name`, `room`, `scene`, `level`, `building`, `height` of its
+        lower end above the ellipsoid and how `tall` it is [m]. Raises `GeoPoseError` where the map
+        is not anchored.
+        """
+        from placegraph.indoor.map.features import features
+
+        return features(self)
+
+    def to_geopandas(self) -> gpd.GeoDataFrame:
+        """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
+        from placegraph.features import geopandas_of
+
+        return geopandas_of(self.to_geojson())
 
     def tracker(self, camera: Camera, *, seed: int = 0, **known: Any) -> Tracker:  # noqa: ANN401
         """Localizer for one frame at a time (`pose.tracker.Tracker`), for frames of a camera.

@@ -387,7 +387,7 @@ def estimate_of(status, *probabilities, evidence=()):
     matrix = pose_matrix(pose, level_from_camera((0.0, 1.0, 0.0)))
     covariance = np.diag([9e-4, 16e-4, 1e-4, 1e-5, 1e-5, np.radians(2.0) ** 2])
     modes = tuple(
-        PoseMode(matrix, pose, covariance, p, "study", matrix, lambda: evidence)
+        PoseMode(matrix, pose, covariance, p, "study", matrix, explain=lambda: evidence)
         for p in probabilities
     )
     return PoseEstimate(status, modes, "Because [of/] that.")

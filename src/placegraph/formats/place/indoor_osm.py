@@ -73,10 +73,12 @@ def read_indoor_osm(path: str | PathLike[str]) -> IndoorOsm:
 
     Raises `InputError` where it is missing, empty, broken, or shows no room.
     """
+    import osmium
+
     path = checked_osm(Path(path))
     try:
         found = _Elements(path)
-    except (RuntimeError, OSError, ValueError) as error:
+    except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         raise InputError(
             f"{path} cannot be read as OpenStreetMap data: {one_line(error)}. "
             "It may be truncated or of another format; download or export it again."

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Text
 from placegraph.view.draw.lettering import Taken, covering
 from placegraph.view.scene.room_style import ROOM_PAINTS, plain_words, room_paint
@@ -199,7 +200,7 @@ class RoomPlan:
         What is `marked`, by row, is named first and in that ink, whatever its size. `small`: what
         is small is named, too, beside its footprint.
         """
-        marked, texts = marked or {}, []
+        marked, texts = marked or {}, self._rooms(frame, face, taken) if small else []
         extents = np.ptp(self.boxes, axis=1)[:, :2]
         areas = np.prod(extents, axis=1)
         for row in sorted(self.rows, key=lambda row: (row not in marked, -areas[row])):
@@ -225,6 +226,21 @@ class RoomPlan:
                 if _inside(text, wide, frame) and taken.claim(covering(text, wide, frame.scale)):
                     texts.append(text)
                     break
+        return texts
+
+    def _rooms(self, frame: Frame, face: Face, taken: Taken) -> list[Text]:
+        """Names of the rooms whose floors bear one, each in the middle of its floor."""
+        texts = []
+        for row in self.rows:
+            room = self.scene.attributes[row].get("room", "")
+            words = face.drawable(room)
+            if self.role(row) != "floor" or not is_floor(self.scene.graph.labels[row]):
+                continue
+            if not words or room.isdecimal():
+                continue
+            text, wide = Text(self.middle(row), words, 13.0, "ink"), face.width(words, 13.0) + 4.0
+            if _inside(text, wide, frame) and taken.claim(covering(text, wide, frame.scale)):
+                texts.append(text)
         return texts
 
 
