@@ -108,13 +108,16 @@ class _Elements:
             self._take(item)
         members = {ref for _, _, held in self.relations for ref, _ in held}
         needed = {ref for _, _, refs in self.tagged for ref in refs}
+        every: Any  # osmium's own types do not know what a filter leaves
         if members:
-            for way in osmium.FileProcessor(osm_file(path), osmium.osm.WAY):
+            every = osmium.FileProcessor(osm_file(path), osmium.osm.WAY)
+            for way in every:
                 if way.id in members:
                     self.ways[way.id] = [node.ref for node in way.nodes]
                     needed.update(self.ways[way.id])
         self.places: dict[int, tuple[float, float]] = {}
-        for node in osmium.FileProcessor(osm_file(path), osmium.osm.NODE):
+        every = osmium.FileProcessor(osm_file(path), osmium.osm.NODE)
+        for node in every:
             if node.id in needed and node.location.valid():
                 self.places[node.id] = (node.lon, node.lat)
 

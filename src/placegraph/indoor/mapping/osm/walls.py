@@ -52,7 +52,7 @@ class Wall:
     def in_line_with(self, other: Wall) -> bool:
         """Whether the two lie in one line, or nearly: the two faces of one thick wall do."""
         off = max(abs(_cross(self.along, p - self.start)) for p in (other.start, other.end))
-        return off < REACH and abs(float(self.along @ other.along)) > 0.97
+        return bool(off < REACH) and abs(float(self.along @ other.along)) > 0.97
 
     def opening(self, door: Door) -> tuple[float, float, float]:
         """Where along it an opening begins and ends, beyond its ends too, and how high it is [m]."""
