@@ -138,7 +138,16 @@ def _walls_at(door: IndoorShape, rooms: Sequence[IndoorShape]) -> tuple[list[int
     """Rows of the rooms whose outlines a door is on, the nearest first, and its ends (2, 2) on it."""
     line = door.parts[0][[0, -1]]
     middle = line.mean(axis=0)
-    found = sorted((_nearest(middle, room.parts), k) for k, room in enumerate(rooms))
+    reach = 1.1 * BESIDE / _METRES / np.array([max(0.01, np.cos(np.radians(middle[1]))), 1.0])
+    near = [
+        (k, room)
+        for k, room in enumerate(rooms)
+        if any(
+            (p.min(axis=0) - reach <= middle).all() and (middle <= p.max(axis=0) + reach).all()
+            for p in room.parts
+        )
+    ]
+    found = sorted((_nearest(middle, room.parts), k) for k, room in near)
     held = [k for (far, *_), k in found if far < BESIDE]
     if not held:
         return [], line

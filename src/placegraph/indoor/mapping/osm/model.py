@@ -8,7 +8,7 @@ import numpy as np
 
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.mapping.osm.outlines import triangulated
-from placegraph.indoor.mapping.osm.walls import REACH, THICK, walls_of
+from placegraph.indoor.mapping.osm.walls import REACH, THICK, distances, walls_of
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -64,13 +64,14 @@ def model_of(level: Level, path: Path, left_out: Counter[str]) -> Model:
     walls = walls_of(level)
     opened: list[list[Door]] = [[] for _ in walls]
     for door in level.doors:
-        nearest = min(walls, key=lambda wall: wall.distance(door.at), default=None)
-        if nearest is None or nearest.distance(door.at) > REACH:
+        far = distances(walls, door.at) if walls else np.full(1, np.inf)
+        if far.min() > REACH:
             left_out["doors that are on no wall"] += 1
             continue
-        for wall, doors in zip(walls, opened, strict=True):
-            if wall.distance(door.at) < REACH + door.width / 2.0 and wall.in_line_with(nearest):
-                doors.append(door)
+        nearest = walls[int(far.argmin())]
+        for row in np.flatnonzero(far < REACH + door.width / 2.0).tolist():
+            if walls[row].in_line_with(nearest):
+                opened[row].append(door)
         _frame(parts, nearest, door)
     for wall, doors in zip(walls, opened, strict=True):
         pieces = wall.solid(doors)

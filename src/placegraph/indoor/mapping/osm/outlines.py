@@ -158,10 +158,11 @@ def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
 
     `points`: (V, 2) [m]; those within 0.1 mm are one. Empty where the edges make no rings.
     """
-    _, number = np.unique(np.rint(points * 1e4).astype(np.int64), axis=0, return_inverse=True)
-    place = dict(zip(number.ravel().tolist(), points, strict=True))
+    used = points[triangles].reshape(-1, 2)
+    _, number = np.unique(np.rint(used * 1e4).astype(np.int64), axis=0, return_inverse=True)
+    place = dict(zip(number.ravel().tolist(), used, strict=True))
     edges: Counter[tuple[int, int]] = Counter()
-    for corners in number.ravel()[triangles].tolist():
+    for corners in number.reshape(-1, 3).tolist():
         a, b, c = (place[k] for k in corners)
         doubled = float(_cross(b - a, c - b))
         if abs(doubled) > 1e-8:

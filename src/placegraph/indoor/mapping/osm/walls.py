@@ -44,11 +44,6 @@ class Wall:
         """From start to end [m]."""
         return float(np.linalg.norm(self.end - self.start))
 
-    def distance(self, at: Floats) -> float:
-        """Of a point (2,) from its line [m]."""
-        share = np.clip((at - self.start) @ self.along, 0.0, self.length)
-        return float(np.linalg.norm(at - self.start - share * self.along))
-
     def in_line_with(self, other: Wall) -> bool:
         """Whether the two lie in one line, or nearly: the two faces of one thick wall do."""
         off = max(abs(_cross(self.along, p - self.start)) for p in (other.start, other.end))
@@ -76,6 +71,16 @@ class Wall:
         return [
             (base + a * self.along, base + b * self.along, z, self.height) for a, b, z in pieces
         ]
+
+
+def distances(walls: list[Wall], at: Floats) -> Floats:
+    """How far (W,) a point (2,) is from the lines of walls [m]."""
+    start, end = (np.array([getattr(w, name) for w in walls]) for name in ("start", "end"))
+    along = end - start
+    share = ((at - start) * along).sum(axis=1) / (along**2).sum(axis=1)
+    off = at - start - np.clip(share, 0.0, 1.0)[:, None] * along
+    far: Floats = np.linalg.norm(off, axis=1)
+    return far
 
 
 def walls_of(level: Level) -> list[Wall]:
