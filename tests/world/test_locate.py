@@ -57,6 +57,9 @@ def test_a_fix_tells_towns_and_twins_apart_but_picks_nothing_alone(world, films)
     alone = world.locate(near=near, radius=15.0)
     assert (alone.status, alone.best.scene) == (Status.AMBIGUOUS, "suite")
     assert world.locate(near=(2.35, 48.85), radius=100.0).status is Status.LOST
+    turned = world.locate(near=near[::-1], radius=15.0)
+    assert turned.status is Status.LOST
+    assert f"longitude comes first, {near[0]},{near[1]}" in turned.reason
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
+from placegraph.estimate import Status
+from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
 from placegraph.world.frames import by_frames
 from placegraph.world.witnesses import hear
 from placegraph.world.words import by_words
@@ -24,6 +26,17 @@ def locate(world: World, known: Known) -> WorldEstimate:
         raise OptionError(f"capture: {NO_SCENES[0].lower()}{NO_SCENES[1:]}")
     witnesses = hear(world, known)
     if known.capture is not None and world.scenes:
-        return by_frames(world, known, witnesses)
-    estimate = by_words(world, known, witnesses)
+        return _swap_told(world, known, by_frames(world, known, witnesses))
+    estimate = _swap_told(world, known, by_words(world, known, witnesses))
     return replace(estimate, notes=(NO_SCENES,)) if known.capture is not None else estimate
+
+
+def _swap_told(world: World, known: Known, estimate: WorldEstimate) -> WorldEstimate:
+    """Estimate that says so where a fix is off every city, and on one with its numbers swapped."""
+    if known.near is None or estimate.status is Status.OK:
+        return estimate
+    cities = world.cities.values()
+    if not all(Whereabouts.around(city, known.near, known.radius).off(city) for city in cities):
+        return estimate
+    hint = next((told for city in cities if (told := swapped(city, known.near))), "")
+    return replace(estimate, reason=f"{estimate.reason}{hint}")

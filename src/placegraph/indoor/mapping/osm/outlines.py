@@ -169,9 +169,9 @@ def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
             turned = corners if doubled > 0 else corners[::-1]
             edges.update(pairwise([*turned, turned[0]]))
     after: dict[int, list[int]] = {}
-    for (a, b), count in edges.items():
-        for _ in range(count - edges.get((b, a), 0)):
-            after.setdefault(a, []).append(b)
+    for (one, other), count in edges.items():
+        for _ in range(count - edges.get((other, one), 0)):
+            after.setdefault(one, []).append(other)
     rings = []
     while after:
         first = at = next(iter(after))
