@@ -383,10 +383,22 @@ def test_demo(run, tmp_path):
     given = {p.name for p in (tmp_path / "new" / "demo" / "world").iterdir()}
     assert given == {
         "hafenstadt.osm",
+        "hafenstadt.city",
+        "homes.library",
         "altbau.glb",
+        "altbau.scene",
+        "altbau_twin.scene",
         "walk",
         *(f"home{i}.scene" for i in range(1, 5)),
     }
     assert "placegraph scene localize" in result.out.partition("The same by hand:")[2]
+    asked = result.out.partition("two flats are the same")[2].partition("Look at")[0]
+    assert [word for word in asked.split() if word in ("AMBIGUOUS:", "OK:")] == (
+        ["AMBIGUOUS:", "OK:", "AMBIGUOUS:", "OK:", "OK:"]
+    )
+    world = tmp_path / "new" / "demo" / "world"
+    told = run("locate", world, "I am in the dining room of Zum Anker", "--json")
+    assert (told.code, told.json["status"]) == (0, "OK")
+    assert told.json["modes"][0]["building"] == "Zum Anker"
     (tmp_path / "file").touch()
     fails(run("demo", "--out", tmp_path / "file"), 3, "file")

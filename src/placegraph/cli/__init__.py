@@ -145,6 +145,7 @@ APP = Group(
     "Where am I? Answered on a map that is a graph of things.",
     {
         "demo": f"{_HERE}.demo:demo",
+        "locate": f"{_HERE}.locate:locate",
         "warm": f"{_HERE}.compiling:warm_up",
         "city": CITY,
         "scene": SCENE,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from placegraph.demo.flat import lost_in_a_flat
+from placegraph.demo.homes import lost_in_the_world
 from placegraph.demo.town import lost_in_a_town
 from placegraph.demo.world import unpack
 
@@ -16,12 +17,14 @@ PAGES = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", 
 
 
 def run_demo(out: Path, say: Callable[[str], None]) -> None:
-    """Locate sentences and a way in the town, a film in the flat; leave maps and pictures in `out`.
+    """Locate sentences and a way in the town, a film in the flat, and both in one world.
 
-    What is built and localized is copied to `out/world` first: ordinary files, as a user's own.
+    Leaves maps and pictures in `out`. What is built and localized is copied to `out/world` first:
+    ordinary files, as a user's own; at the end it holds a world for `open_world`.
     """
     world = unpack(out / "world")
     commands = lost_in_a_town(world, out, say) + lost_in_a_flat(world, out, say)
+    commands += lost_in_the_world(world, out, say)
     say(f"\nLook at {', '.join(f'{out}/{page}' for page in PAGES)}.")
     say("\nThe same by hand:")
     for command in commands:

@@ -1,0 +1,108 @@
+"""`placegraph locate`: where in a world of cities and rooms, from all that is known."""
+
+from __future__ import annotations
+
+from math import degrees, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from placegraph.cli.city.options import KNOWN, Near, Radius, Top, lonlat
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, console, echo_json, progress_of, table
+from placegraph.cli.scene.answer import MOST_OBJECTS, pose_words
+from placegraph.cli.scene.query import Device, Frames, NoProgress, Seed, chosen_frames
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.world import WorldEstimate, WorldMode
+
+
+def locate(
+    world: Annotated[
+        Path, Argument(help="Folder with .city, .scene and .library files; or one of these files.")
+    ],
+    text: Annotated[
+        str | None,
+        Argument(help="What is said of the place, outside and inside: streets, buildings, rooms."),
+    ] = None,
+    capture: Annotated[
+        Path | None,
+        Option(help="Frames: a folder, or a recorder's file, as of `scene localize`.", panel=KNOWN),
+    ] = None,
+    frames: Frames = None,
+    near: Near = None,
+    radius: Radius = 1000.0,
+    heading_deg: Annotated[
+        float | None,
+        Option(help="Where you, and the camera, look, clockwise from north.", panel=KNOWN),
+    ] = None,
+    top: Top = 5,
+    refine: Annotated[
+        bool, Option("--refine/--no-refine", help="Fit the pose to depth and images.")
+    ] = True,
+    seed: Seed = 0,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    quiet: NoProgress = False,
+) -> None:
+    """Find place, room and pose at once, from a text, frames and a fix, or any of them.
+
+    A sentence narrows buildings, buildings narrow scenes, frames give the pose, and a fix (--near)
+    is a prior. Scenes stand in buildings by `placegraph scene anchor`. OK is to be trusted;
+    AMBIGUOUS names several places that fit, or what contradicts the best; LOST says that none fits.
+
+    Examples: placegraph locate town/ "I am in the library on Lange Straße, by the window";
+    placegraph locate town/ "in the library" --capture walk/ --frames :3 --near 9.99,53.55
+    """
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.world import open_world
+
+    if frames is not None and capture is None:
+        raise OptionError("--frames belongs to a capture; name one by --capture.")
+    with progress_of(hidden=quiet or as_json) as tell:
+        shown = None if capture is None else chosen_frames(open_capture(capture), frames)
+        opened = open_world(world)
+        estimate = opened.locate(
+            text, shown, near=lonlat(near, "--near"), radius=radius, seed=seed, top=top,
+            heading=None if heading_deg is None else radians(heading_deg), refine=refine,
+            device=device, progress=tell,
+        )  # fmt: skip
+    question = estimate.next_question(opened)
+    if as_json:
+        echo_json(estimate.to_dict() | {"question": question.text if question else None})
+        return
+    show(estimate)
+    if question is not None:
+        console().print(f"To be sure: {question.text}")
+
+
+def show(estimate: WorldEstimate) -> None:
+    """Print an estimate so that a person can read it."""
+    out = console()
+    out.print(f"{estimate.status.name}: {estimate.reason}")
+    for rank, mode in enumerate(estimate.modes, 1):
+        out.print(f"{rank}. {mode.where}  {mode.probability:6.1%}{_earth(mode)}")
+        if rank == 1 and mode.pose is not None:
+            out.print(f"   {pose_words(mode.pose)}")
+    if estimate.evidence:
+        rows = table("", "evidence", "nat", "served by")
+        for e in estimate.evidence[: MOST_OBJECTS + 4]:
+            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
+            things = ", ".join(o.name or o.label for o in e.objects[:3])
+            rows.add_row(
+                sign, e.statement, f"{e.weight:+.1f}", "; ".join(x for x in (things, e.note) if x)
+            )
+        out.print(rows)
+    told = estimate.understood
+    if told is not None and told.ignored:
+        out.print("Ignored: " + "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in told.ignored))
+    for note in estimate.notes:
+        out.print(note)
+
+
+def _earth(mode: WorldMode) -> str:
+    """Where on Earth a mode's pose is."""
+    if mode.earth is None:
+        return ""
+    heading = f"heading {degrees(mode.earth.heading):.0f}°"
+    return f"  {mode.earth.latitude:.6f}, {mode.earth.longitude:.6f}, {mode.earth.height:.1f} m, {heading}"
