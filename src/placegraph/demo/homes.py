@@ -90,7 +90,7 @@ def standing(scene: SceneMap, city: CityMap, building: str, level: str, heading:
         longitude, latitude, STOREY * float(level), heading, PRECISION, building=building,
         osm=o.osm(row), level=level, method="pose",
     )  # fmt: skip
-    return scene.anchored(there.shifted(-middle))
+    return scene.anchored(there.shifted(middle))
 
 
 def _ask(
