@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -10,7 +10,8 @@ Near = Annotated[
     list[float] | None,
     Field(min_length=2, max_length=2, description="Longitude and latitude [deg], in this order."),
 ]
-Degrees = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class _Body(BaseModel):
@@ -48,12 +49,58 @@ class Locate(_Body):
     map: str | None = Field(None, description="Name of a map; all of them where not given.")
     near: Near = None
     radius: float | None = Field(None, gt=0, le=1e7, description="Radius of `near` [m]; 1000.")
-    heading_deg: Degrees | None = Field(
+    heading_deg: Finite | None = Field(
         None, description="Where the speaker looks, clockwise from north."
     )
     answers: list[Answered] = Field(default=[], max_length=30)
     language: str | None = Field(None, max_length=20)
     top: int | None = Field(None, ge=1, le=50, description="Modes at most; 5.")
+
+
+class Intrinsics(_Body):
+    """Of images as they are shown upright; width and height may be those of larger ones."""
+
+    fx: Positive
+    fy: Positive | None = None
+    cx: Finite | None = None
+    cy: Finite | None = None
+    width: int | None = Field(None, ge=1, le=65536)
+    height: int | None = Field(None, ge=1, le=65536)
+    distortion: list[Finite] = Field(default=[], max_length=8)
+    model: Literal["opencv", "fisheye"] = "opencv"
+
+
+class PriorPose(_Body):
+    """Roughly where the first image was taken, in the map."""
+
+    x: Finite
+    y: Finite
+    z: Finite | None = None
+    yaw_deg: Finite | None = None
+    spread: Positive = 1.0
+    turn_deg: Positive = 17.0
+
+
+class Localize(_Body):
+    """What is known of images, in order of time."""
+
+    map: str | None = Field(None, description="Name of a map; all of them where not given.")
+    intrinsics: Intrinsics | None = Field(None, description="Of EXIF where not given.")
+    gravity: list[list[Finite]] | None = Field(
+        None, max_length=1000, description="Its direction in each camera's axes (x, y, z)."
+    )
+    odometry: list[list[list[Finite]]] | None = Field(
+        None, max_length=1000, description="odometry_from_camera (4, 4) of each image [m]."
+    )
+    stamps: list[Finite] | None = Field(None, max_length=1000)
+    depth_scale: Positive = Field(1000.0, description="Units of the depth images in a metre.")
+    description: str | None = Field(None, max_length=2000)
+    prior: PriorPose | None = None
+    near: Near = None
+    radius: Positive = Field(100.0, le=1e7, description="Radius of `near` [m].")
+    heading_deg: Finite | None = None
+    pictures: list[Literal["plan", "overlay", "animation"]] = Field(default=[], max_length=3)
+    seed: int = Field(0, ge=0)
 
 
 class Live(Locate):

@@ -116,7 +116,7 @@ def _ending(folder: Path) -> str | None:
     return None
 
 
-def _camera(where: str, model: str, size: tuple[int, int], values: list[float]) -> Camera:
+def model_camera(where: str, model: str, size: tuple[int, int], values: list[float]) -> Camera:
     """Camera of a COLMAP model's name and parameters; `InputError` where it is no pinhole."""
     if len(values) != _PARAMETERS.get(model, -1):
         raise InputError(f"{where}: no camera model {model!r} has {len(values)} parameters.")
@@ -182,7 +182,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
             raise InputError(f"{path}: camera {number} is of a model {model} that is not known.")
         name, count = _MODELS[model]
         values = list(reader.take(f"{count}d"))
-        yield number, _camera(f"{path}, camera {number}", name, (width, height), values)
+        yield number, model_camera(f"{path}, camera {number}", name, (width, height), values)
 
 
 def _binary_pictures(path: Path) -> Iterator[Picture]:
@@ -213,7 +213,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
             raise InputError(f"{where}: a row is `CAMERA_ID MODEL WIDTH HEIGHT PARAMS`.")
         number, width, height = (int(v) for v in _floats(where, [words[0], *words[2:4]]))
         values = _floats(where, words[4:]).tolist()
-        yield number, _camera(where, words[1], (width, height), values)
+        yield number, model_camera(where, words[1], (width, height), values)
 
 
 def _text_pictures(path: Path) -> Iterator[Picture]:
