@@ -2,10 +2,13 @@ import threading
 import time
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from placegraph.demo.world import TOWN, unpack
+from placegraph.demo.world import FLAT, TOWN, unpack
+from placegraph.earth import Anchor
+from placegraph.indoor.build import build_scene
 from placegraph.outdoor.city import build_city
 from placegraph.serve.app import create_app
 from placegraph.serve.options import ServeOptions
@@ -22,6 +25,22 @@ def maps(tmp_path_factory):
     for name in ("home1", "home2"):
         (world / f"{name}.scene").rename(folder / "maps" / f"{name}.scene")
     return folder / "maps"
+
+
+@pytest.fixture(scope="session")
+def walk(maps):
+    """A film in the demo's flat, which is not among the maps."""
+    return maps.parent / "raw" / "walk"
+
+
+@pytest.fixture(scope="session")
+def flat(maps):
+    """The demo's flat, which stands on Earth: its y axis points to the east."""
+    scene = build_scene(maps.parent / "raw" / f"{FLAT}.glb", maps.parent / "raw" / f"{FLAT}.scene")
+    anchor = Anchor(8.0, 53.0, 40.0, np.pi / 2, np.diag([1.0, 1.0, 1.0, 1e-4]), "Haus", level="2")
+    file = maps.parent / f"{FLAT}.scene"
+    scene.anchored(anchor).save(file)
+    return file
 
 
 @pytest.fixture(scope="session")

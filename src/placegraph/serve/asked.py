@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, log, radians, sin, sqrt
+from math import cos, log, sin, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,11 +82,14 @@ class Images:
         return groups + tilted
 
 
-def camera_of(given: dict[str, Any] | None, photo: Photo) -> Camera | None:
-    """Camera of intrinsics as JSON has them; None where there are none."""
+def camera_of(given: dict[str, Any] | None, photo: Photo | None) -> Camera | None:
+    """Camera of intrinsics as JSON has them, of a photo's size if they tell none; None of none."""
     if given is None:
         return None
-    width, height = given["width"] or photo.size[0], given["height"] or photo.size[1]
+    width, height = (given["width"], given["height"]) if photo is None else photo.size
+    width, height = given["width"] or width, given["height"] or height
+    if width is None or height is None:
+        raise OptionError("camera: width and height are missing; give those of the images.")
     cx = width / 2.0 if given["cx"] is None else given["cx"]
     cy = height / 2.0 if given["cy"] is None else given["cy"]
     fy = given["fy"] or given["fx"]

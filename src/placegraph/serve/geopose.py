@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Camera
+    from placegraph.serve.desk import Desk
     from placegraph.serve.options import ServeOptions
-    from placegraph.serve.places import Places
 
 GUESS = 20.0
 """Accuracy of a position that does not say how good it is [m]."""
@@ -33,7 +33,7 @@ _IMAGE_HEADS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF")
 _CHANNELS = {1: "GRAY8", 3: "RGB24", 4: "RGBA32"}
 
 
-def geopose(places: Places, options: ServeOptions, asked: dict[str, Any]) -> dict[str, Any]:
+def geopose(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
     """Answer a request; `asked`: `body` and `version`, None where the client does not say.
 
     Where no image can be used, the pose is that of the geolocation reading, with its accuracy and the
@@ -46,9 +46,9 @@ def geopose(places: Places, options: ServeOptions, asked: dict[str, Any]) -> dic
     if not colour:
         why = "No image was sent that could be compared with a map (imageBytes is empty)."
         return _answer(request, [], Status.LOST.name, why)
-    frame, leveled = frame_of(colour[-1], depth, request.accelerometer, options)
+    frame, leveled = frame_of(colour[-1], depth, request.accelerometer, desk.options)
     images = Images((frame,), moved=True, leveled=leveled)
-    estimate, _ = found(places, images, hints)
+    estimate, _ = found(desk.places, images, hints)
     poses = [pose for mode in estimate.modes for pose in poses_of(mode)]
     if estimate.modes and not poses:
         estimate.geopose()  # raises: nobody has placed that map on Earth
@@ -60,9 +60,7 @@ def hints_of(request: Asked) -> Hints:
     if request.poses:
         prior = request.poses[-1]
         at = prior["position"]
-        pose = EarthPose(
-            at["lon"], at["lat"], at["h"], _quaternion(prior["quaternion"]), np.eye(6)
-        )
+        pose = EarthPose(at["lon"], at["lat"], at["h"], _quaternion(prior["quaternion"]), np.eye(6))
         heading = pose.heading if np.isfinite(pose.heading) else None
         return Hints(
             near=_lonlat(at["lon"], at["lat"]), height=at["h"], heading=heading,
@@ -226,7 +224,9 @@ def _quaternion(told: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
 
 def _lonlat(lon: float, lat: float) -> tuple[float, float]:
     if abs(lat) > 90.0 or abs(lon) > 360.0:
-        raise InputError(f"latitude, longitude: {lat:g}, {lon:g} are nowhere on Earth; send degrees.")
+        raise InputError(
+            f"latitude, longitude: {lat:g}, {lon:g} are nowhere on Earth; send degrees."
+        )
     return (lon + 180.0) % 360.0 - 180.0, lat
 
 
@@ -243,5 +243,3 @@ def _size(reading: dict[str, Any], options: ServeOptions) -> tuple[int, int]:
 
 def _is_depth(reading: dict[str, Any]) -> bool:
     return str(reading.get("imageFormat") or "").upper().startswith("DEPTH")
-
-

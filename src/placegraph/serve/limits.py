@@ -6,6 +6,7 @@ import asyncio
 import hmac
 import re
 from dataclasses import dataclass
+from time import perf_counter
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
 
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
 
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+    from placegraph.serve.metrics import Metrics
     from placegraph.serve.options import ServeOptions
 
 LARGE = ("/v1/localize", "/v1/sessions/", "/geopose")
 """Paths whose bodies carry images."""
 OPEN = ("/v1", "/api", "/geopose", "/metrics")
 """Paths that need a key where there are keys; the page and the state of health do not."""
-_TOKENS = re.compile(rb'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+_TOKENS = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"|\\.|[\[\]{}]', re.DOTALL)
 _MOST_BRACKETS = 200_000
 
 
@@ -69,14 +71,28 @@ _HEADERS = (b"x-api-key", b"authorization")
 class Guard:
     """ASGI middleware that refuses what no route should have to look at."""
 
-    def __init__(self, app: ASGIApp, options: ServeOptions, keys: Keys) -> None:
-        self.app, self.options, self.keys = app, options, keys
+    def __init__(self, app: ASGIApp, options: ServeOptions, keys: Keys, metrics: Metrics) -> None:
+        self.app, self.options, self.keys, self.metrics = app, options, keys, metrics
         self.sockets = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request through, or answer it with a problem."""
         if scope["type"] == "lifespan":
             return await self.app(scope, receive, send)
+        start, status = perf_counter(), 0
+
+        async def noted(message: Message) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            await send(message)
+
+        try:
+            return await self._guarded(scope, receive, noted)
+        finally:
+            if scope["type"] == "http":
+                self.metrics.note(scope["path"], status, perf_counter() - start)
+
+    async def _guarded(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             self._check(scope)
             if scope["type"] == "http":
@@ -110,6 +126,8 @@ class Guard:
         headers = dict(scope["headers"])
         large = scope["path"].startswith(LARGE)
         most = self.options.body_bytes if large else self.options.json_bytes
+        if large and scope["path"] != LARGE[0]:  # one image in base64, and its depth
+            most = min(most, 3 * self.options.image_bytes)
         announced = headers.get(b"content-length", b"0")
         if announced.isdigit() and int(announced) > most:
             raise _too_large(int(announced), most)

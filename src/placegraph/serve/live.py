@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from placegraph.errors import PlacegraphError, RequestError
-from placegraph.serve.problem import problem
+from placegraph.serve.problem import problem, refused
 from placegraph.serve.schema import Live
 from placegraph.serve.worker import dumped
 
@@ -58,8 +58,6 @@ def _asked(text: str) -> Live:
     try:
         return Live.model_validate(json.loads(text))
     except ValidationError as error:
-        from placegraph.serve.app import refused
-
         raise refused(error.errors()) from None
     except (ValueError, RecursionError):
         raise RequestError("message: not JSON; send an object with id and text.") from None

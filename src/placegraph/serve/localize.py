@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from importlib import import_module
 from math import radians
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from placegraph.errors import GeoPoseError, OptionError, PlacegraphError, RequestError
+from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.serve.asked import Hints, Images, images_of
+from placegraph.serve.locate import on_earth
 from placegraph.serve.photo import read_depth, read_photo
 from placegraph.serve.unpack import capture_in
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.serve.desk import Desk
     from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Places
 
@@ -25,15 +28,31 @@ MOST_ALONE = 8
 """Images at most that no odometry joins."""
 
 
-def localize(places: Places, options: ServeOptions, asked: dict[str, Any]) -> dict[str, Any]:
+def warm(_desk: Desk, _asked: None) -> dict[str, Any]:
+    """Load what every image needs; a scene is opened when it is asked for."""
+    import_module("placegraph.indoor.localize")
+    return {}
+
+
+def plan(desk: Desk, asked: dict[str, Any]) -> bytes:
+    """Plan of a scene as PNG."""
+    from placegraph.view import draw_scene
+
+    scene = desk.places.scene(asked["map"])
+    with TemporaryDirectory(prefix="placegraph-") as folder:
+        return Path(draw_scene(scene, Path(folder) / "plan.png")).read_bytes()
+
+
+def localize(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
     """Where images were taken; `asked`: `folder` of the files, their names, and `request`."""
-    folder = Path(asked["folder"])
+    places, folder = desk.places, Path(asked["folder"])
     try:
-        images, hints = read(folder, asked, options)
+        images, hints = read(folder, asked, desk.options)
         record = "animation" in asked["request"]["pictures"]
         estimate, frames = found(places, images, hints, record=record)
+        pose, where = pose_estimate(estimate), scene_name(places, hints, estimate)
         pictures = {
-            name: picture(places, hints, estimate, frames, folder, name)
+            name: picture(places, pose, where, frames, folder / f"{name}.png")
             for name in asked["request"]["pictures"]
         }
     except PlacegraphError as error:
@@ -41,7 +60,7 @@ def localize(places: Places, options: ServeOptions, asked: dict[str, Any]) -> di
             raise
         raise type(error)(str(error).replace(f"{folder}/", "")) from error  # nobody's business
     return {
-        "map": scene_name(places, hints, estimate),
+        "map": where,
         "estimate": estimate.to_dict(),
         "geopose": on_earth(estimate.geopose),
         "geojson": on_earth(estimate.geojson),
@@ -114,7 +133,7 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
     if kind == "scene" and name is not None:
         scene = places.scene(name)
         prior = hints.prior_in(scene.anchors)
-        if hints.prior is None and len(frames) > 30:  # those are tracked, from no prior  # noqa: PLR2004
+        if hints.prior is None and len(frames) > 30:  # those are tracked, from no prior
             prior = None
         return scene.localize(
             frames, prior=prior, description=hints.description, seed=hints.seed,
@@ -160,38 +179,27 @@ def scene_name(places: Places, hints: Hints, estimate: Any) -> str | None:  # no
     return estimate.best.scene or None
 
 
-def on_earth(tell: Any) -> dict[str, Any] | None:  # noqa: ANN401  # a method of an estimate
-    """What an estimate says of Earth; None where its map stands nowhere on it."""
-    try:
-        told: dict[str, Any] = tell()
-    except GeoPoseError:
-        return None
-    return told
-
-
 def picture(
-    places: Places, hints: Hints, estimate: Any, frames: list[Frame], folder: Path, name: str
+    places: Places,
+    estimate: PoseEstimate | None,
+    where: str | None,
+    frames: list[Frame],
+    path: Path,
 ) -> str | None:
-    """A picture as a data URL; None where there is nothing to draw."""
+    """A picture, named by the stem of the path, as a data URL; None where there is nothing to draw."""
     from placegraph import view
 
-    pose, where = pose_estimate(estimate), scene_name(places, hints, estimate)
-    if pose is None or not pose.modes or where is None:
+    scenes = {entry.name for entry in places.entries() if entry.kind == "scene"}
+    if estimate is None or not estimate.modes or where not in scenes:
         return None
-    scene: SceneMap
-    if places.has(where, "scene"):
-        scene = places.scene(where)
-    else:  # of a library
-        return None
-    camera = frames[-1].camera
-    kind = "gif" if name == "animation" else "png"
-    path = folder / f"{name}.{kind}"
-    if name == "plan":
-        view.write_plan(scene, pose, path, camera=camera)
-    elif name == "overlay":
-        view.write_overlay(scene, pose, frames, path)
-    elif any(record.steps for record in pose.history):
-        view.write_plan_animation(scene, pose, path, camera=camera)
+    scene, camera = places.scene(where), frames[-1].camera
+    if path.stem == "plan":
+        view.write_plan(scene, estimate, path, camera=camera)
+    elif path.stem == "overlay":
+        view.write_overlay(scene, estimate, frames, path)
+    elif any(record.steps for record in estimate.history):
+        path = path.with_suffix(".gif")
+        view.write_plan_animation(scene, estimate, path, camera=camera)
     else:
         return None
-    return f"data:image/{kind};base64,{b64encode(path.read_bytes()).decode()}"
+    return f"data:image/{path.suffix[1:]};base64,{b64encode(path.read_bytes()).decode()}"

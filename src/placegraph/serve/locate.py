@@ -6,33 +6,37 @@ from contextlib import suppress
 from math import radians
 from typing import TYPE_CHECKING, Any
 
-from placegraph.errors import DescriptionError, OptionError, PlacegraphError
+from placegraph.errors import DescriptionError, GeoPoseError, OptionError, PlacegraphError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.ask import Answer, Question
-    from placegraph.serve.options import ServeOptions
+    from placegraph.serve.desk import Desk
     from placegraph.serve.places import Places
 
 
-def warm(places: Places, options: ServeOptions, _asked: None) -> dict[str, Any]:
+def warm(desk: Desk, _asked: None) -> dict[str, Any]:
     """Open the cities and ask the first, so that the first who asks waits for neither."""
+    places = desk.places
     names = [entry.name for entry in places.entries() if entry.kind == "city"]
     with suppress(PlacegraphError):  # it is told to who asks for that map
         for name in names:
             places.open(name)
         if names:
             asked = {"text": "A bakery is north of me. A church is east of me.", "map": names[0]}
-            locate(places, options, asked)
+            locate(desk, asked)
     return {}
 
 
-def locate(places: Places, options: ServeOptions, asked: dict[str, Any]) -> dict[str, Any]:
+def locate(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
     """Where something was said; `asked` has the fields of `schema.Locate`."""
     text = asked["text"]
-    if len(text) > options.text:
-        raise DescriptionError(f"text: {len(text)} characters; say it in at most {options.text}.")
+    most, places = desk.options.text, desk.places
+    if len(text) > most:
+        raise DescriptionError(f"text: {len(text)} characters; say it in at most {most}.")
     name = asked.get("map") or places.only
     if name is not None and places.entry(name).kind == "city":
         return in_city(places.city(name), name, asked)
@@ -60,13 +64,14 @@ def in_city(city: CityMap, name: str, asked: dict[str, Any]) -> dict[str, Any]:
 def in_world(places: Places, name: str | None, asked: dict[str, Any]) -> dict[str, Any]:
     """Where in all maps something was said, or in one scene."""
     heading = asked.get("heading_deg")
-    estimate = places.world().locate(
+    world = places.world()
+    estimate = world.locate(
         asked["text"],
         near=asked.get("near"),
         radius=asked.get("radius") or 1000.0,
         heading=None if heading is None else radians(heading),
     )
-    return answered(name, estimate, None)
+    return answered(name, estimate, estimate.next_question(world))
 
 
 def answered(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
@@ -75,22 +80,16 @@ def answered(name: str | None, estimate: Any, question: Question | None) -> dict
         "map": name,
         "estimate": estimate.to_dict(),
         "question": None if question is None else told(question),
-        "geojson": estimate.geojson() if hasattr(estimate, "geojson") else features(estimate),
+        "geojson": on_earth(estimate.geojson),
     }
 
 
-def features(estimate: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Modes as GeoJSON."""
-    points = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "Point", "coordinates": [mode.longitude, mode.latitude]},
-            "properties": {"kind": "mode", "rank": rank, "probability": mode.probability},
-        }
-        for rank, mode in enumerate(estimate.modes, 1)
-        if hasattr(mode, "longitude")
-    ]
-    return {"type": "FeatureCollection", "features": points}
+def on_earth(tell: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
+    """What an estimate says of Earth; None where its map stands nowhere on it."""
+    try:
+        return tell()
+    except GeoPoseError:
+        return None
 
 
 def told(question: Question) -> dict[str, Any]:

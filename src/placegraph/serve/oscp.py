@@ -24,7 +24,9 @@ KINDS = {
     "accelerometer": "accelerometerReadings",
 }
 VERSIONS = (1, 2)
-_VERSION = re.compile(r"application/vnd\.oscp\+json[^,]*?;\s*version\s*=\s*\"?\s*v?(\d+)", re.I)
+_VERSION = re.compile(
+    r"application/vnd\.oscp\+json[^,]*?;\s*version\s*=\s*\"?\s*v?(\d+)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +82,11 @@ def read_request(body: bytes, version: int | None) -> Asked:
         sensor = sensors.get(str(reading.get("sensorId")), {})
         reading["params"] = reading.get("params") or sensor.get("params") or {}
         reading["image"] = image_bytes(reading.get("imageBytes") or "")
-    return Asked(
-        str(told.get("id") or ""), told.get("timestamp"), version,
-        *(sorted(kinds[kind], key=lambda r: r["when"]) for kind in KINDS), _poses(told),
-    )  # fmt: skip
+    camera, geolocation, accelerometer = (
+        sorted(kinds[kind], key=lambda r: float(r["when"])) for kind in KINDS
+    )
+    name, stamp = str(told.get("id") or ""), told.get("timestamp")
+    return Asked(name, stamp, version, camera, geolocation, accelerometer, _poses(told))
 
 
 def image_bytes(text: object) -> bytes:

@@ -82,9 +82,7 @@ def read_photo(data: bytes, name: str, options: ServeOptions) -> Photo:
         return Photo(_pixels(image), size, _focal(exif, size), _fix(exif))
 
 
-def read_depth(
-    data: bytes, name: str, scale: float, options: ServeOptions
-) -> NDArray[np.float32]:
+def read_depth(data: bytes, name: str, scale: float, options: ServeOptions) -> NDArray[np.float32]:
     """Depth (h, w) [m], NaN: no reading, of a PNG of 16 bits."""
     with opened(BytesIO(data), name) as image:
         if not image.mode.startswith("I"):
@@ -92,6 +90,12 @@ def read_depth(
         check_size(image.size, name, options)
         units = np.asarray(image).astype(np.float32)
     return np.where(units > 0, units / np.float32(scale), np.float32(np.nan))
+
+
+def fitted(size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height of an image once it is no larger than what is localized."""
+    share = min(1.0, LONGEST / max(size))
+    return max(1, round(size[0] * share)), max(1, round(size[1] * share))
 
 
 def check_size(size: tuple[int, int], name: str, options: ServeOptions) -> None:
@@ -114,9 +118,8 @@ def _pixels(image: Image) -> NDArray[np.uint8]:
     from PIL import ImageOps
     from PIL.Image import Resampling
 
-    share = LONGEST / max(image.size)
-    if share < 1.0:
-        wanted = max(1, round(image.width * share)), max(1, round(image.height * share))
+    wanted = fitted(image.size)
+    if wanted != image.size:
         image.draft("RGB", (2 * wanted[0], 2 * wanted[1]))  # a JPEG is decoded at a fraction
         exif = image.getexif()
         image = image.convert("RGB").resize(wanted, Resampling.BOX)

@@ -18,6 +18,7 @@ _KINDS: dict[type[PlacegraphError], tuple[int, str]] = {
     errors.ServiceError: (502, "A service failed"),
     errors.MapError: (503, "A map cannot be used"),
     errors.StoreError: (503, "A vector store cannot be used"),
+    errors.GeoPoseError: (409, "There is no pose on Earth"),
     errors.RequestError: (400, "The request cannot be taken"),
 }
 
@@ -51,3 +52,12 @@ def mend_of(detail: str) -> str:
     """What to do, as our messages end: after the last semicolon, or in the last sentence."""
     told = re.split(r"; |(?<=[.?!]) (?=[A-Z])", detail.strip())[-1]
     return told[:1].upper() + told[1:]
+
+
+def refused(errors: Any) -> RequestError:  # noqa: ANN401  # pydantic's
+    """What pydantic found wrong with a body, first things first."""
+    first = errors[0]
+    where = ".".join(str(part) for part in first["loc"] if part != "body") or "body"
+    return RequestError(
+        f"{where[:80]}: {first['msg']}; see /docs for the fields.", status=422, code="fields"
+    )

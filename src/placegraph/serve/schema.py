@@ -103,6 +103,37 @@ class Localize(_Body):
     seed: int = Field(0, ge=0)
 
 
+class Begin(_Body):
+    """Whom to follow: somebody in a city, or a camera in a scene."""
+
+    map: str | None = None
+    near: Near = None
+    radius: Positive = 1000.0
+    heading_deg: Finite | None = None
+    camera: Intrinsics | None = None
+    description: str | None = Field(None, max_length=2000)
+    seed: int = Field(0, ge=0)
+
+
+class Step(_Body):
+    """One step: words and way in a city, a frame in a scene."""
+
+    text: str | None = Field(None, max_length=2000)
+    east: Finite | None = None
+    north: Finite | None = None
+    sigma: Finite | None = None
+    distance: Finite | None = None
+    bearing_deg: Finite | None = None
+    image: str | None = Field(None, description="JPEG or PNG in base64.")
+    depth: str | None = Field(None, description="PNG of 16 bits in base64.")
+    depth_scale: Positive = 1000.0
+    odometry: list[list[Finite]] | None = Field(
+        None, description="odometry_from_camera (4, 4) [m]."
+    )
+    gravity: list[Finite] | None = Field(None, description="Its direction in the camera's axes.")
+    stamp: Finite | None = None
+
+
 class Live(Locate):
     """The same while one types; `id` comes back with the answer."""
 

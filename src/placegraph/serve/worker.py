@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from placegraph.errors import PlacegraphError, RequestError
+from placegraph.serve.desk import Desk
 from placegraph.serve.places import Places
 from placegraph.serve.problem import problem
 
@@ -25,7 +26,15 @@ if TYPE_CHECKING:
 
 VERBS = {
     "warm": "locate:warm",
+    "look": "localize:warm",
+    "plan": "localize:plan",
     "locate": "locate:locate",
+    "search": "photon:search",
+    "localize": "localize:localize",
+    "geopose": "geopose:geopose",
+    "begin": "steps:begin",
+    "step": "steps:step",
+    "end": "steps:end",
 }
 """What can be asked, and the function of `placegraph.serve` that answers."""
 
@@ -38,18 +47,18 @@ class Setting(NamedTuple):
 
     paths: tuple[Path, ...]
     options: ServeOptions
+    warm: str
+    """Verb that makes a process ready."""
     compiled: Path | None
     """Folder of compiled code, where one was chosen."""
 
 
-def answer(places: Places, options: ServeOptions, verb: str, asked: Any) -> Answer:  # noqa: ANN401
+def answer(desk: Desk, verb: str, asked: Any) -> Answer:  # noqa: ANN401
     """Answer one request; whatever goes wrong becomes a problem."""
     module, function = VERBS[verb].split(":")
     start = perf_counter()
     try:
-        made = getattr(import_module(f"placegraph.serve.{module}"), function)(
-            places, options, asked
-        )
+        made = getattr(import_module(f"placegraph.serve.{module}"), function)(desk, asked)
     except Exception as error:  # a server goes on
         if not isinstance(error, PlacegraphError | MemoryError):
             logging.getLogger("placegraph.serve").exception("a request failed")
@@ -91,12 +100,12 @@ def run(connection: Connection, setting: Setting) -> None:
     warnings.simplefilter("ignore")
     kept.use_folder(setting.compiled)
     try:
-        places = Places(setting.paths)
-        answer(places, setting.options, "warm", None)
+        desk = Desk(Places(setting.paths), setting.options)
+        answer(desk, setting.warm, None)
         connection.send((b"", None))
         while True:
             verb, asked = connection.recv()
-            connection.send(answer(places, setting.options, verb, asked))
+            connection.send(answer(desk, verb, asked))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass
     except PlacegraphError as error:
