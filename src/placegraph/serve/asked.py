@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, log, sin, sqrt
+from math import cos, hypot, log, sin, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,8 @@ LEVEL = (0.0, 1.0, 0.0)
 """Gravity in the axes of a camera that is held upright."""
 TILTS = (0.17, -0.17)
 """Angles below the horizon that are tried after it, where nobody says how the camera was held [rad]."""
+FAR_OFF, HOUSE = 5.0, 200.0
+"""A fix so many radii and so far [m] from a map says nothing of where in it an image was taken."""
 HALF = sqrt(2.0 * log(2.0))
 """Standard deviations of a round Gaussian in the radius within which half of it lies."""
 
@@ -52,6 +54,8 @@ class Hints:
         anchor = anchors[0]
         height = anchor.height if self.height is None else self.height
         x, y, z = anchor.to_map((*self.near, height)).tolist()
+        if hypot(x, y) > FAR_OFF * self.radius + HOUSE:  # one of the two is wrong; images decide
+            return None
         # the map's y axis points to the anchor's heading, and yaw is counted from x the other way
         yaw = None if self.heading is None else np.pi / 2.0 + anchor.heading - self.heading
         return Prior(

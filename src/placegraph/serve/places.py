@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
+    from placegraph.world import World
 
 SUFFIXES = (".city", ".scene", ".library")
 """Of the maps in a folder."""
@@ -69,7 +69,7 @@ class Places:
     def __init__(self, paths: Sequence[str | PathLike[str]]) -> None:
         self.paths = tuple(Path(path) for path in paths)
         self._open: dict[str, tuple[State, Any]] = {}
-        self._world: tuple[dict[str, State], Any] | None = None
+        self._world: tuple[dict[str, State], World] | None = None
         self._kinds = {p: store.read_header(p).kind for p in self.paths if not p.is_dir()}
         self._entries = self._found()
         if not self._entries:
@@ -132,16 +132,13 @@ class Places:
         """Name of the only map; None where there are several."""
         return next(iter(self._entries)) if len(self._entries) == 1 else None
 
-    def world(self) -> Any:  # noqa: ANN401  # placegraph.world.World
+    def world(self) -> World:
         """All maps as one world; opened anew where a file was replaced."""
+        from placegraph.world import open_world
+
         states = {entry.name: entry.state() for entry in self.entries()}
         if self._world is None or self._world[0] != states:
-            self._world = (
-                states,
-                import_module("placegraph.world").open_world(
-                    [e.path for e in self._entries.values()]
-                ),
-            )
+            self._world = states, open_world([e.path for e in self._entries.values()])
         return self._world[1]
 
     def listed(self) -> list[dict[str, Any]]:
