@@ -47,6 +47,7 @@ SCENE = Group(
         "build": f"{_HERE}.scene.build:build",
         "info": f"{_HERE}.scene.facts:info",
         "check": f"{_HERE}.scene.check:check",
+        "anchor": f"{_HERE}.scene.anchor:anchor",
         "diff": f"{_HERE}.scene.diff:diff",
         "update": f"{_HERE}.scene.diff:update",
         "encode": f"{_HERE}.scene.encode:encode",

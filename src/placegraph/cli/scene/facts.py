@@ -11,6 +11,7 @@ import click
 
 from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, show_facts
+from placegraph.cli.scene.anchor import summary
 from placegraph.cli.scene.query import MapFile
 
 if TYPE_CHECKING:
@@ -58,4 +59,5 @@ def facts(scene: SceneMap) -> dict[str, object]:
         "floor_m": [round(float(f), 3) for f in scene.floors],
         "low_m": [round(float(v), 3) for v in scene.bounds[0]],
         "high_m": [round(float(v), 3) for v in scene.bounds[1]],
+        "anchors": [summary(anchor) for anchor in scene.anchors],
     }

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from placegraph.indoor.mapping.check import objects, space
+from placegraph.indoor.mapping.check.anchors import anchors
 from placegraph.indoor.mapping.check.finding import SEVERITIES, Finding
 from placegraph.indoor.mapping.check.mesh import mesh_findings
 from placegraph.indoor.mapping.check.places import places
@@ -47,6 +48,7 @@ def check(
         space.units(scene), space.up_axis(scene), space.floors(scene), places(scene, options),
         mesh_findings(scene), objects.giant(scene), objects.twins(scene), objects.far(scene),
         objects.words(scene), objects.relations(scene), objects.costs(scene, size, seconds),
+        anchors(scene),
     ):  # fmt: skip
         found += [Finding(*f[:2], tuple(f[2])[:_SHOWN], f[3]) for f in checks]
     return sorted(found, key=lambda f: SEVERITIES.index(f.severity))

@@ -1,0 +1,182 @@
+"""`placegraph scene anchor`: where on Earth a scene map stands, written into the map."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import degrees, radians, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import click
+
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson, Quiet, table
+from placegraph.cli.scene.query import MapFile
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.earth import Anchor
+
+HOW = "How it is found: one of these"
+TOLD = "What is known of the place"
+UNKNOWN = 50.0
+"""A height with a standard deviation above this is called unknown [m]."""
+
+Pairs = Annotated[
+    list[str] | None,
+    Option(
+        "--pair",
+        help="X,Y[,Z]=LON,LAT[,H]: a point of the map [m] and its place [deg], with its height above "
+        "the ellipsoid [m]; three or more.",
+        panel=HOW,
+    ),
+]
+Pose = Annotated[
+    str | None,
+    Option(
+        help="LON,LAT,HEIGHT,HEADING_DEG: of the map's origin, and where its y axis points, clockwise "
+        "from north.",
+        panel=HOW,
+    ),
+]
+
+
+def anchor(
+    map_file: MapFile,
+    pair: Pairs = None,
+    pose: Pose = None,
+    accuracy: Annotated[str, Option(help="M,DEG: how well --pose is known.", panel=TOLD)] = "1,2",
+    height: Annotated[
+        float | None,
+        Option(help="Height of the map's floor above the ellipsoid [m].", panel=TOLD),
+    ] = None,
+    level: Annotated[
+        str, Option(help="OpenStreetMap's level of the map's floor, such as 1.", panel=TOLD)
+    ] = "",
+    building: Annotated[str, Option(help="Name of the building.", panel=TOLD)] = "",
+    remove: Annotated[
+        bool, Option("--remove", help="Take the map off the Earth again.", panel=HOW)
+    ] = False,
+    out: Annotated[
+        Path | None, Option("--out", "-o", help="Map file to write; else the map itself.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Place a scene map on Earth, and write that into the map.
+
+    Example: placegraph scene anchor flat.scene --pair 0,0=7.4201,43.7301 --pair 8,0=7.4202,43.7301
+    --pair 8,6=7.4202,43.73015
+    """
+    from placegraph.indoor.scene_map import SceneMap
+
+    if sum((bool(pair), pose is not None, remove)) != 1:
+        raise OptionError("Give one of --pair (three or more), --pose, --remove.")
+    scene = SceneMap.open(map_file)
+    found: tuple[Anchor, ...] = ()
+    notes: tuple[str, ...] = ()
+    if pair:
+        from placegraph.world.anchor_points import fit_points
+
+        points, places = zip(*map(_pair, pair), strict=True)
+        fitted = fit_points(points, places)
+        found, notes = (fitted.anchor,), fitted.notes
+    elif pose is not None:
+        found = (_posed(pose, accuracy),)
+    floor = float(scene.floors.min())
+    found = tuple(_told(a, floor, height, level, building) for a in found)
+    target = out or map_file
+    scene.anchored(*found).save(target)
+    if as_json:
+        told = {"map": str(target), "anchors": [summary(a) for a in found], "notes": list(notes)}
+        click.echo(json.dumps(told, ensure_ascii=False))
+    elif not quiet:
+        show(found)
+        for note in notes:
+            click.echo(note)
+        click.echo(f"{target}: {'anchored' if found else 'stands nowhere now'}.")
+
+
+def summary(anchor: Anchor) -> dict[str, object]:
+    """What a person wants to know of an anchor, in plain numbers and strings."""
+    east, north, up, turn = (sqrt(v) for v in anchor.covariance.diagonal())
+    worst = max(anchor.residuals, default=None)
+    told: dict[str, object] = {
+        "longitude": round(anchor.longitude, 8),
+        "latitude": round(anchor.latitude, 8),
+        "height_m": round(anchor.height, 2) if up < UNKNOWN else None,
+        "heading_deg": round(degrees(anchor.heading), 2),
+        "sd_m": [round(v, 3) for v in (east, north, up)] if anchor.known else None,
+        "sd_deg": round(degrees(turn), 3) if anchor.known else None,
+        "probability": round(anchor.probability, 4),
+        "building": anchor.building,
+        "osm": anchor.osm,
+        "level": anchor.level,
+        "method": anchor.method,
+        "worst_residual_m": None if worst is None else round(worst, 3),
+    }
+    return told | ({"scene": anchor.scene} if anchor.scene else {})
+
+
+def show(anchors: tuple[Anchor, ...]) -> None:
+    """Print candidates as a table."""
+    if not anchors:
+        return
+    rows = table("probability", "longitude", "latitude", "heading", "off by", "left", "building")
+    for a in anchors:
+        east, north, _, turn = (sqrt(v) for v in a.covariance.diagonal())
+        off = f"{sqrt((east**2 + north**2) / 2):.2f} m, {degrees(turn):.1f}°" if a.known else "?"
+        left = (
+            f"{sqrt(sum(r * r for r in a.residuals) / len(a.residuals)):.2f} m"
+            if a.residuals
+            else "-"
+        )
+        where = " ".join(x for x in (a.building, a.osm and f"({a.osm})") if x) or "-"
+        rows.add_row(
+            f"{a.probability:.0%}", f"{a.longitude:.7f}", f"{a.latitude:.7f}",
+            f"{degrees(a.heading):.1f}°", off, left, where,
+        )  # fmt: skip
+    from placegraph.cli.common import console
+
+    console().print(rows)
+
+
+def _told(anchor: Anchor, floor: float, height: float | None, level: str, building: str) -> Anchor:
+    """An anchor with what was said of the place; `height`, `floor`: of the floor [m]."""
+    if height is not None:
+        covariance = anchor.covariance.copy()
+        covariance[2, :] = covariance[:, 2] = 0.0
+        covariance[2, 2] = 1.0
+        anchor = replace(anchor, height=height - floor, covariance=covariance)
+    return replace(anchor, level=level or anchor.level, building=anchor.building or building)
+
+
+def _posed(text: str, accuracy: str) -> Anchor:
+    import numpy as np
+
+    from placegraph.earth import Anchor
+
+    lon, lat, height, heading = _numbers(text, "--pose", 4)
+    metres, turn = _numbers(accuracy, "--accuracy", 2)
+    spread = np.square([metres, metres, metres, radians(turn)])
+    return Anchor(lon, lat, height, radians(heading), np.diag(spread), method="pose")
+
+
+def _pair(text: str) -> tuple[list[float], list[float]]:
+    """Point (3,) and place (3,), heights NaN where they are not given."""
+    point, _, place = text.partition("=")
+    both = [[*_numbers(side, "--pair", 2, 3), float("nan")][:3] for side in (point, place)]
+    return both[0], both[1]
+
+
+def _numbers(text: str, option: str, *counts: int) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in counts:
+        raise OptionError(
+            f"{option} {text!r}: {' or '.join(map(str, counts))} numbers with commas belong there."
+        )
+    return values

@@ -1,0 +1,202 @@
+"""Anchors from points whose place is known in the map and on Earth: pairs, GPS fixes.
+
+Robust least squares of a heading and a shift; the scale is 1 and upright is upright. Where a point
+lies far off the others it has no say (Tukey's weights, from the best of many two-point starts).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from placegraph.earth import Anchor
+from placegraph.errors import OptionError
+from placegraph.geometry import rotation_z
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from placegraph.geometry import Floats
+
+UNKNOWN_HEIGHT = 100.0
+"""Standard deviation of a height that nobody gave [m]; the map then stands at 0."""
+LEAST = 3
+"""Points that are needed: two fix a heading and a shift, a third checks them."""
+_NARROW = 0.5  # points that lie within so little tell no heading [m]
+_LINE = 0.05  # width by length of points that lie on a line
+_USUAL, _USUALLY = 0.15, 4.0  # of pairs [m], and how many coordinates that is worth
+_FINEST = 0.02  # no pair is better known than this [m]
+_TUKEY = 4.7  # of Tukey's biweight, in deviations
+_STARTS = 400  # pairs of points tried
+_SCALE_OFF = 0.03
+
+
+class Fitted(NamedTuple):
+    """An anchor, and what its fit has to be told of."""
+
+    anchor: Anchor
+    notes: tuple[str, ...]
+
+
+def fit_points(
+    points: ArrayLike,
+    lonlath: ArrayLike,
+    accuracy: ArrayLike | None = None,
+    *,
+    independent: float | None = None,
+    method: str = "pairs",
+) -> Fitted:
+    """Anchor of a map by points of it, at least 3.
+
+    Parameters
+    ----------
+    points
+        (N, 3) in the map [m]; z may be NaN.
+    lonlath
+        (N, 3) longitude, latitude [deg, WGS84], height above the ellipsoid [m]; heights may be NaN.
+    accuracy
+        (N,) standard deviation of each on the ground [m]; None: equal, and told by what is left.
+    independent
+        How many independent points they are worth, where their errors are alike; N if not given.
+    method
+        What the anchor says of how it was found.
+
+    Raises
+    ------
+    OptionError
+        Points are fewer than 3, or no numbers, or lie all at one place.
+
+    """
+    here, there = np.array(points, np.float64), np.array(lonlath, np.float64)
+    if len(here) != len(there) or len(here) < LEAST:
+        raise OptionError(f"{method}: {len(here)} points; at least {LEAST} are needed.")
+    if not (np.isfinite(here[:, :2]).all() and np.isfinite(there[:, :2]).all()):
+        raise OptionError(f"{method}: a coordinate is not a number.")
+    if (np.abs(there[:, :2]) > (180.0, 90.0)).any():
+        raise OptionError(
+            f"{method}: a longitude or latitude is out of range; give longitude first."
+        )
+    base = Anchor(float(there[0, 0]), float(there[0, 1]), 0.0, 0.0)
+    ground = np.where(np.isfinite(there), there, 0.0)
+    targets = base.to_map(ground)[:, :2]
+    sigma = np.ones(len(here)) if accuracy is None else np.maximum(_FINEST, accuracy)
+    sources = here[:, :2]
+    heading, weights = _robust(sources, targets, sigma, told=accuracy is not None, method=method)
+    total = weights.sum()
+    middle, aim = (weights @ side / total for side in (sources, targets))
+    off = _off(sources, targets, heading, weights)
+    freedom = 2.0 * float((weights > 0).sum()) - 3.0
+    left = float(weights @ (off / sigma) ** 2)
+    # few points fit by luck: what they say of their error is joined with what is usual
+    spread = max(1.0, left / max(freedom, 1.0))
+    if accuracy is None:
+        spread = (left + _USUALLY * _USUAL**2) / (freedom + _USUALLY)
+    spread *= 1.0 if independent is None else max(1.0, len(here) / independent)
+    arms = np.square(sources - middle).sum(axis=1)
+    held = weights / weights.max() / sigma**2
+    height, of_height = _height(here[:, 2], there[:, 2], sigma, held)
+    covariance = np.diag([spread / held.sum()] * 2 + [of_height, spread / (held @ arms)])
+    # north is elsewhere at the points' middle than at the first of them
+    start = replace(base, height=height, heading=heading)
+    centred = start.shifted(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
+    centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
+    anchor = replace(centred.shifted([*middle, 0.0]), height=height)
+    return Fitted(anchor, tuple(_notes(sources, targets, sigma, weights, off, here, there)))
+
+
+def _robust(
+    sources: Floats, targets: Floats, sigma: Floats, *, told: bool, method: str
+) -> tuple[float, Floats]:
+    """Heading [rad] and weights (N,) of Tukey's fit."""
+    i, j = np.triu_indices(len(sources), 1)
+    apart = np.linalg.norm(sources[i] - sources[j], axis=1)
+    if apart.max() < _NARROW:
+        raise OptionError(
+            f"{method}: all points lie within {apart.max():.2f} m of the map; they tell no heading. "
+            "Give points that lie farther apart."
+        )
+    order = np.argsort(-apart, kind="stable")
+    best, heading, scale = np.inf, 0.0, 1.0
+    for k in order[np.linspace(0, len(order) // 2, min(_STARTS, len(order))).astype(int)].tolist():
+        if apart[k] < _NARROW:
+            continue
+        pair = np.zeros(len(sources))
+        pair[[i[k], j[k]]] = 1.0
+        turn = _heading(sources, targets, pair)
+        left = np.sort(_off(sources, targets, turn, pair) / sigma)
+        half = float(left[(len(left) + 2) // 2 - 1 if len(left) > LEAST else -1])
+        if half < best:
+            best, heading, scale = half, turn, half / 1.177  # median of a Rayleigh distribution
+            weights = pair
+    floor = 1.0 if told else _FINEST
+    scale = max(scale, floor)
+    # the widest that are still taken for good; a map is rarely wrong by less than this
+    limit = _TUKEY * max(scale, 1.0 if told else 0.1)
+    for _ in range(20):
+        off = _off(sources, targets, heading, weights) / sigma
+        tukey = np.where(off < limit, (1.0 - (off / limit) ** 2) ** 2, 0.0)
+        if (tukey > 0).sum() < 2:
+            break
+        weights = tukey / sigma**2
+        heading = _heading(sources, targets, weights)
+    return heading, weights * sigma**2 / max(float((weights * sigma**2).max()), 1e-12)
+
+
+def _heading(sources: Floats, targets: Floats, weights: Floats) -> float:
+    """Heading [rad] that turns sources onto targets, both (N, 2), about their weighted middles."""
+    a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
+    cross = weights @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    dot = weights @ (a * b).sum(axis=1)
+    return float(-np.arctan2(cross, dot))
+
+
+def _off(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
+    """What is left (N,) [m] under a heading."""
+    a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
+    return np.asarray(np.linalg.norm(a @ rotation_z(-heading)[:2, :2].T - b, axis=1))
+
+
+def _height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[float, float]:
+    """Height of z = 0 [m] and its variance, by the median of what both know."""
+    both = np.isfinite(z) & np.isfinite(heights) & (held > 0)
+    if not both.any():
+        return 0.0, UNKNOWN_HEIGHT**2
+    difference = heights[both] - z[both]
+    height = float(np.median(difference))
+    spread = 1.4826 * float(np.median(np.abs(difference - height)))
+    # heights of GPS are worse than places, by about half
+    sure = max(spread, 1.5 * float(np.median(sigma[both])) if (sigma != 1.0).any() else _FINEST)
+    return height, sure**2 * 1.57 / both.sum()
+
+
+def _notes(
+    sources: Floats, targets: Floats, sigma: Floats, weights: Floats, off: Floats,
+    here: Floats, there: Floats,
+) -> list[str]:  # fmt: skip
+    """What a person should know of the fit."""
+    notes = [
+        f"Point {k + 1} is {off[k]:.1f} m off, and has no say."
+        for k in np.flatnonzero(weights < 0.05).tolist()
+    ]
+    good = weights > 0.05
+    a, b = sources[good], targets[good]
+    width = np.linalg.svd(a - a.mean(axis=0), compute_uv=False)
+    if good.sum() >= 2 and width[1] < max(_LINE * width[0], _FINEST):
+        which = ", ".join(str(k + 1) for k in np.flatnonzero(good).tolist())
+        notes.append(
+            f"Points {which} lie on one line: nothing checks the map across it; add one beside it."
+        )
+    elif good.sum() >= LEAST:
+        size = np.sqrt(np.square(b - b.mean(axis=0)).sum() / np.square(a - a.mean(axis=0)).sum())
+        if abs(size - 1.0) > _SCALE_OFF and width[0] * abs(size - 1.0) > 2 * np.median(sigma) * 0.1:
+            notes.append(f"The points would fit better if the map were {size:.3f} times as large.")
+        mirrored = sources * (-1.0, 1.0)
+        turn = _heading(mirrored, targets, np.ones(len(off)))
+        left = float(np.median(_off(mirrored, targets, turn, np.ones(len(off)))))
+        if left < 0.3 * float(np.median(off)) and np.median(off) > 0.5:
+            notes.append(f"Mirrored they would fit to {left:.2f} m: are x and y exchanged?")
+    if not (np.isfinite(here[:, 2]) & np.isfinite(there[:, 2])).any():
+        notes.append("No point has a height in both: the map stands at height 0 m; give --height.")
+    return notes

@@ -1,0 +1,90 @@
+"""`placegraph scene anchor`: a map on Earth by pairs, by a pose, and what info and check say of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import placegraph as pg
+from placegraph.earth import Anchor
+from placegraph.indoor.map.mesh import Mesh
+
+TRUE = Anchor(7.42, 43.73, 50.0, 1.1)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    corners = np.array([[0, 0, 0], [5, 0, 0], [5, 4, 0], [0, 4, 0]], np.float32)
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    pg.SceneMap.create(Mesh.plain(corners, triangles), ["1"], ["floor"], floor=0.0).save(
+        tmp_path / "a.scene"
+    )
+    return tmp_path / "a.scene"
+
+
+def pairs(points):
+    """Options of points and their places."""
+    for point in points:
+        place = TRUE.to_earth([*point, 0.0][:3])
+        said = ",".join(f"{v:.9f}" for v in place[: len(point)])
+        yield from ("--pair", f"{','.join(map(str, point))}={said}")
+
+
+def test_by_pairs_into_another_file(run, scene, tmp_path):
+    out, before = tmp_path / "b.scene", scene.read_bytes()
+    points = [(0, 0, 0), (5, 0, 0), (5, 4, 1), (0, 4, 1)]
+    result = run("scene", "anchor", scene, *pairs(points), "--level", "2", "-o", out)
+    assert (result.code, result.err) == (0, "")
+    assert "100%" in result.out
+    assert scene.read_bytes() == before
+    (anchor,) = pg.open_map(out).anchors
+    assert np.allclose(anchor.to_earth((5, 4, 1)), TRUE.to_earth((5, 4, 1)), atol=1e-5)
+    assert (anchor.level, anchor.method) == ("2", "pairs")
+    told = json.loads(run("scene", "info", out, "--json").out)["anchors"]
+    assert told[0]["heading_deg"] == pytest.approx(np.degrees(1.1), abs=0.01)
+    assert "anchors" in run("scene", "info", out).out
+
+
+def test_by_a_pose_in_place_and_off_again(run, scene):
+    result = run("scene", "anchor", scene, "--pose", "7.42,43.73,50,90", "--json")
+    told = json.loads(result.out)["anchors"][0]
+    assert (told["height_m"], told["heading_deg"], told["sd_deg"]) == (50, 90, 2)
+    assert pg.open_map(scene).anchors[0].heading == pytest.approx(np.pi / 2)
+    run("scene", "anchor", scene, "--remove", "--quiet")
+    assert pg.open_map(scene).anchors == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ([], "one of"),
+        (["--pose", "7,43,0,0", "--remove"], "one of"),
+        (["--pose", "7,43"], "4 numbers"),
+        (["--pose", "7,99,0,0"], "latitude is 99"),
+        (["--pair", "0,0"], "2 or 3 numbers"),
+        (["--pair", "0,0=7,43"], "at least 3"),
+    ],
+)
+def test_bad_options_leave_the_map_alone(run, scene, options, named):
+    before = scene.read_bytes()
+    result = run("scene", "anchor", scene, *options)
+    assert result.code == 7
+    assert named in result.err
+    assert scene.read_bytes() == before
+
+
+def test_check_says_what_is_odd_of_an_anchor(run, scene):
+    likely = Anchor(
+        7.42, 43.73, 0, 1, np.diag([1, 1, 1e4, 0.01]), probability=0.6, residuals=(2.0, 4.0)
+    )
+    map_ = pg.open_map(scene)
+    map_.anchored(likely, Anchor(7.42, 43.73, 0, 4, probability=0.4)).save(scene)
+    said = run("scene", "check", scene).out
+    for words in (
+        "likeliest of 2 candidates has 60%",
+        "off by 3.2 m",
+        "height on Earth is unknown",
+    ):
+        assert words in " ".join(said.split())
+    map_.anchored(Anchor(7.42, 43.73, 0, 1)).save(scene)
+    assert "Nobody said how well" in run("scene", "check", scene).out
