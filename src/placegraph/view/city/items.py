@@ -71,10 +71,12 @@ def map_items(city: CityMap, bounds: Bounds, scale: float) -> list[MapItem]:
     return [Area(water, "sea"), *items] if water else items
 
 
-def item_of(objects: CityObjects, row: int, bounds: Bounds) -> MapItem | None:
+def item_of(
+    objects: CityObjects, row: int, bounds: Bounds, paint: str | None = None
+) -> MapItem | None:
     """One object, cut to a rectangle; None where nothing of it is to be drawn there."""
     kind = int(objects.kind[row])
-    paint = paint_of(labels_of(objects, row), kind)
+    paint = paint_of(labels_of(objects, row), kind) if paint is None else paint
     if not paint:
         return None
     if kind == AREA:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from html import escape
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -131,6 +132,8 @@ PAINTS: dict[str, Paint] = {
 }
 """Paints by name, in the order in which they are laid: the later lies on top."""
 
+CASING = 1.4
+"""Casings of roads are this much wider than roads [m]."""
 LAYER = {name: layer for layer, name in enumerate(PAINTS)}
 CASED = frozenset(name for name, paint in PAINTS.items() if paint.form == "line" and paint.edge)
 """Paints of roads: their edges lie below the surface of all of them, so that junctions are open."""
@@ -225,3 +228,21 @@ def paint_of(labels: Iterable[str], kind: int) -> str:
     rules = _rules(kind)
     found = [rules.get(label) or rules.get(label.partition("=")[0] + "=*") for label in labels]
     return min(filter(None, found), default=(0, ""))[1]
+
+
+def style_sheet() -> str:
+    """CSS variables of the palette, light and dark: as the system has it, or as `data-theme` says."""
+    light, dark = (
+        "".join(f"--{name}:{colors[k]};" for name, colors in PALETTE.items()) for k in (0, 1)
+    )
+    return (
+        f":root{{color-scheme:light;{light}}}\n"
+        f"@media (prefers-color-scheme:dark){{:root:not([data-theme=light]){{color-scheme:dark;{dark}}}}}\n"
+        f":root[data-theme=dark]{{color-scheme:dark;{dark}}}"
+    )
+
+
+def clean(text: str) -> str:
+    """Escape a text, and leave out what is not to be printed (controls, changes of direction)."""
+    joiners = "\u200c\u200d"
+    return escape("".join(c if c.isprintable() or c in joiners else " " for c in text))

@@ -1,0 +1,127 @@
+// What an estimate says, in words and bars.
+
+import { button, commonName, el, factor, osmLink, osmPlace, spread, tidy } from "./base.js";
+
+const FULL_BAR = 5;
+const WINDS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
+const VERDICTS = { for: ["✓", "speaks for it"], against: ["✕", "speaks against it"] };
+const RELATIONS = { visible: "in sight of", same: "at", across: "across from", direction: "in some direction from" };
+export const STATUS = { OK: "Found", AMBIGUOUS: "Not sure yet", LOST: "Lost" };
+
+const link = (href, ...children) =>
+  href && el("a", { href, target: "_blank", rel: "noopener noreferrer", class: "osm" }, ...children);
+
+/** The text as it was said; what was ignored is struck out. */
+export function said(understood) {
+  if (!understood?.text?.trim()) return null;
+  const quote = el("blockquote");
+  let rest = 0;
+  for (const { text } of understood.ignored) {
+    const start = text ? understood.text.indexOf(text, rest) : -1;
+    if (start < 0) continue;
+    quote.append(tidy(understood.text.slice(rest, start)), el("s", {}, text));
+    rest = start + text.length;
+  }
+  quote.append(tidy(understood.text.slice(rest)));
+  return quote;
+}
+
+export function verdict({ status, reason }) {
+  return el("p", { class: "reason" }, el("span", { class: `status ${status}`, title: status }, STATUS[status] ?? status),
+    " ", reason);
+}
+
+export function places({ estimate, ranked }, selected, select) {
+  if (!estimate.modes.length) return null;
+  const rows = estimate.modes.map((mode, k) => el("li", {},
+    button(null, { class: "mode", "data-mode": k, "aria-pressed": String(k === selected), onclick: () => select(k) },
+      el("span", { class: "number", "aria-hidden": "true" }, String(k + 1)),
+      ranked ? null : share(mode.probability),
+      el("span", { class: "where" }, `${mode.latitude.toFixed(5)}, ${mode.longitude.toFixed(5)} · ± ${spread(mode.covariance).toFixed(0)} m`)),
+    link(osmPlace(mode.latitude, mode.longitude), el("span", { "aria-hidden": "true" }, "OSM ↗"), el("span", { class: "hidden" }, `Place ${k + 1} on OpenStreetMap`))));
+  return el("section", { "aria-label": "Places" }, el("h2", {}, "Places"), el("ol", { class: "modes" }, rows));
+}
+
+export function share(probability) {
+  const percent = probability >= 0.01 ? (100 * probability).toFixed(0) : "<1";
+  return el("span", { class: "share" }, el("b", {}, `${percent} %`), bar(probability));
+}
+
+function bar(probability) {
+  return el("span", { class: "bar" }, el("i", { style: { width: `${100 * Math.min(1, probability)}%` } }));
+}
+
+/** Why a mode: each statement with its verdict, weight and objects. `light(ids)` shows them on the map. */
+export function evidence(mode, k, { light, go, linked = true }) {
+  const rows = mode.evidence.map((e) => {
+    const [mark, words] = VERDICTS[e.verdict] ?? ["–", "says nothing about it"];
+    const title = `${words}: ${factor(e.weight)} than anywhere`, ids = e.objects.map((object) => object.id);
+    const touch = ids.length ? { onpointerenter: () => light(ids), onpointerleave: () => light([]) } : {};
+    return el("li", { class: VERDICTS[e.verdict] ? e.verdict : "silent", "data-ids": ids.join(" "), ...touch },
+      el("span", { class: "verdict", role: "img", "aria-label": words }, mark),
+      el("span", { class: "statement" }, e.statement),
+      el("span", { class: "weight", role: "img", "aria-label": title, title },
+        el("i", { style: { [e.weight >= 0 ? "left" : "right"]: "50%", width: `${50 * Math.min(1, Math.abs(e.weight) / FULL_BAR)}%` } })),
+      e.note ? el("p", { class: "note" }, e.note) : null,
+      ids.length ? el("ul", {}, e.objects.map((object) => thing(object, { light, go, linked }))) : null);
+  });
+  return el("section", { class: "evidence", "aria-label": `Why place ${k + 1}` },
+    el("h2", {}, `Why place ${k + 1}`),
+    rows.length ? el("ul", {}, rows) : el("p", { class: "note" }, "Nothing was said that can be compared."));
+}
+
+function thing(object, { light, go, linked }) {
+  const name = object.name || commonName(object.label ?? "");
+  return el("li", {},
+    button(null, { class: "object", onclick: () => { light([object.id]); go(object); }, onfocus: () => light([object.id]), onblur: () => light([]) },
+      el("bdi", {}, name), " ", el("small", {}, object.label)),
+    linked ? link(osmLink(object.id), el("span", { class: "hidden" }, "OpenStreetMap: "), object.id) : null);
+}
+
+/** How the text was read, and what was left. */
+export function understanding(understood, open = false) {
+  if (!understood) return null;
+  const mentions = new Map(understood.mentions.map((mention) => [mention.id, mention]));
+  const blocks = [
+    ["Contradictions", (understood.conflicts ?? []).map((sentence) => el("li", {}, sentence))],
+    ["Statements", understood.statements.map((s) => el("li", {}, reading(s, mentions)))],
+    ["Things", understood.mentions.filter(({ id }) => id > 1).map(mention)],
+    ["Ignored", understood.ignored.map((i) => el("li", {}, el("q", {}, i.text), " ", el("small", {}, i.reason)))],
+  ].filter(([, rows]) => rows.length);
+  return el("details", { class: "understood", open }, el("summary", {}, "What was understood"),
+    blocks.length ? blocks.flatMap(([head, rows]) => [el("h3", {}, head), el("ul", {}, rows)]) : el("p", {}, "Nothing."));
+}
+
+function mention({ words, name, senses }) {
+  const shown = senses.slice(0, 6).map((sense) => el("span", { class: "sense" },
+    sense.label, sense.weight < 0.995 ? ` ${(100 * sense.weight).toFixed(0)} %` : ""));
+  return el("li", {}, el("q", {}, words), " ", name ? el("span", { class: "sense name" }, name) : null, shown,
+    senses.length > 6 ? el("small", {}, `and ${senses.length - 6} more`) : null,
+    name || senses.length ? null : el("small", {}, "unknown"));
+}
+
+/** Words for a statement as it was read: "a bakery: north of me, about 30 m". */
+export function reading(statement, mentions) {
+  const words = (node) => {
+    if (node === 0) return "me";
+    if (node === 1) return "you";
+    const known = mentions.get(node);
+    return known ? known.name || known.words : "something";
+  };
+  let target = words(statement.target);
+  if (statement.target2 !== null) target += ` and ${words(statement.target2)}`;
+  let relation = RELATIONS[statement.relation] ?? statement.relation;
+  if (statement.bearing !== null) relation = `${WINDS[(Math.round(statement.bearing / (Math.PI / 4)) + 8) % 8]} of`;
+  const about = statement.distance !== null ? `, about ${statement.distance.toFixed(0)} m` : "";
+  return `${words(statement.source)}: ${statement.negated ? "not " : ""}${relation} ${target}${about}`;
+}
+
+/** The question that would help most, with its answers as buttons where one can answer. */
+export function question(asked, answer) {
+  if (!asked) return null;
+  const options = answer ? [...asked.options, "don't know"] : [];
+  return el("section", { class: "ask", "aria-label": "Question" },
+    el("h2", {}, answer ? "To be sure" : "To tell more, I would ask"), el("p", {}, asked.text),
+    options.length ? el("div", { class: "options" }, options.map((option) =>
+      button(null, { onclick: () => answer(option) }, el("bdi", {}, option)))) : null);
+}
