@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
 
 from placegraph import __version__
 from placegraph.errors import PlacegraphError, RequestError
+from placegraph.serve.drawing import drawing_router, page_files
 from placegraph.serve.limits import Guard, Keys
 from placegraph.serve.options import ServeOptions
 from placegraph.serve.problem import problem, refused
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from placegraph.serve.places import Places
-
-PAGE = Path(__file__).parent / "page"
 
 
 def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
@@ -51,7 +48,9 @@ def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
     app.add_middleware(
         Guard, options=server.options, keys=Keys.of(server.options.keys), metrics=server.metrics
     )
-    app.mount("/", StaticFiles(directory=PAGE, html=True), name="page")
+    app.include_router(drawing_router(places))
+    for path, files in page_files().items():
+        app.mount(path, files)
     return app
 
 

@@ -76,9 +76,13 @@ def in_world(places: Places, name: str | None, asked: dict[str, Any]) -> dict[st
 
 def answered(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
     """The body of an answer."""
+    from placegraph.estimate import CityEstimate
+    from placegraph.view.city.page import told as as_drawn
+
+    of_city = isinstance(estimate, CityEstimate)
     return {
         "map": name,
-        "estimate": estimate.to_dict(),
+        **(as_drawn(estimate) if of_city else {"estimate": estimate.to_dict()}),
         "question": None if question is None else told(question),
         "geojson": on_earth(estimate.geojson),
     }

@@ -16,6 +16,7 @@ import numpy as np
 
 from placegraph.outdoor.map.objects import simplify
 from placegraph.view.city.coast import sea
+from placegraph.view.city.examples import examples
 from placegraph.view.city.items import city_bounds, extents, item_of, labels_of
 from placegraph.view.draw.canvas import Area, Bounds, Dot, Line, in_painters_order
 from placegraph.view.draw.clip import clip_ring
@@ -34,7 +35,7 @@ SIDE = 1024.0
 """Side of a tile of level 0 [m]."""
 UNIT = 0.5
 """Metres in a unit of level 0; coordinates are whole units from the tile's south-west corner."""
-FINEST = 0.35
+FINEST = 0.5
 """Level 0 is drawn from this scale on [px/m]."""
 MARGIN = 0.04
 """A tile holds what lies so far beyond its border, so that wide roads are whole [sides]."""
@@ -106,6 +107,7 @@ class CityTiles:
             "source": self.city.source,
             "objects": len(self.city.objects),
             "cells": len(self.city.cells),
+            "examples": examples(self.city, self._paints),
         }
 
     def within(self, bounds: Bounds, level: int) -> list[tuple[int, int, int]]:

@@ -58,11 +58,13 @@ export function covering(text, scale) {
   return discs;
 }
 
-/** Names for the tiles of a map at a scale [px/m], around what is taken. */
-export function lettered(tiles, [west, south, east, north], scale, taken, skip) {
+/** Names for the tiles of a map at a scale [px/m], around what is taken; yields now and then. */
+export function* lettered(tiles, [west, south, east, north], scale, taken, skip) {
   const wanted = [], seen = new Map();
+  let steps = 0;
   for (const { tile, rect } of tiles) {
     for (const item of tile.named()) {
+      if (++steps % 200 === 0) yield;
       const { paint } = item;
       if (skip.has(item.osm) || paint.since > scale || (NAMED_SINCE[paint.rank] ?? 0) > scale) continue;
       item.size ??= SIZES[paint.rank] ?? 11;
@@ -84,6 +86,7 @@ export function lettered(tiles, [west, south, east, north], scale, taken, skip) 
   wanted.sort((a, b) => a.paint.rank - b.paint.rank || b.extent - a.extent || (a.name < b.name ? -1 : 1));
   const placed = [], streets = new Map();
   for (const item of wanted) {
+    if (++steps % 40 === 0) yield;
     if (item.paint.form !== "line" && seen.get(item.osm) !== item) continue;
     const width = widthOf(item.name, item.size), line = item.paint.form === "line";
     if (line && item.extent * scale < width) continue;

@@ -6,7 +6,7 @@ import { covering, lettered, Taken, write } from "./letters.js";
 import { gestures } from "./gestures.js";
 import { painted, Tiles } from "./tiles.js";
 
-const PAD = 0.3, SLICE = 7, LARGEST = 12;
+const PAD = 0.25, SLICE = 7, LARGEST = 12;
 
 export class MapView {
   /** `canvas` fills its parent; `on` has `view()`, `hover(shape, event)`, `tap(point, shape, event)`. */
@@ -209,7 +209,7 @@ export class MapView {
     const canvas = this.spare ?? document.createElement("canvas");
     this.spare = null;
     [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
-    const ctx = canvas.getContext("2d", { alpha: false });
+    const ctx = canvas.getContext("2d", { alpha: false, willReadFrequently: true });
     ctx.fillStyle = this.colour("land");
     ctx.fillRect(0, 0, canvas.width, canvas.height);
     const k = view.scale * ratio, frame = { scale: view.scale, ratio, x0: canvas.width / 2 - view.x * k, y0: canvas.height / 2 + view.y * k };
@@ -217,7 +217,7 @@ export class MapView {
     for (const tile of tiles) yield* painted(ctx, tile, frame, this.colour, this.index);
     const taken = new Taken();
     for (const text of this.reserved?.(view.scale) ?? []) taken.claim(text.discs ?? covering(text, view.scale), true);
-    const names = lettered(tiles, bounds, view.scale, taken, this.lettered?.() ?? new Set());
+    const names = yield* lettered(tiles, bounds, view.scale, taken, this.lettered?.() ?? new Set());
     this.used = tiles.map(({ tile }) => tile);
     return { front: { canvas, x: view.x, y: view.y, scale: view.scale, width: canvas.width / ratio, height: canvas.height / ratio }, names };
   }

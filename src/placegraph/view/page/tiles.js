@@ -2,7 +2,7 @@
 
 import { tidy } from "./base.js";
 
-const MOST = 240, AT_ONCE = 6;
+const MOST = 240, AT_ONCE = 6, HANDFUL = 400;
 const THIN = { motorway: 2.4, "main-road": 1.7, river: 1.4, rail: 0.8, shore: 0.8, street: 0.9 };
 
 /** One tile: its shapes become paths and names when they are first needed. */
@@ -13,7 +13,6 @@ class Tile {
     [this.west, this.south] = [x * this.side, y * this.side];
     this.data = data;
     this.paints = index.paints;
-    this.layers = null;
   }
 
   /** Points of a part [m]. */
@@ -27,19 +26,20 @@ class Tile {
     return out;
   }
 
-  /** Layers as paths in units: one of simple shapes, and one for each shape with holes. */
-  paths() {
-    if (this.layers) return this.layers;
-    this.layers = this.data.layers.map((layer) => {
-      const paint = this.paints[layer.paint], all = new Path2D(), holed = [];
-      for (const parts of layer.shapes) {
-        const path = parts.length > 1 && paint.form === "area" ? new Path2D() : all;
+  /** A layer as paths in units: simple shapes by the handful, and each shape with holes. */
+  paths(layer) {
+    const paint = this.paints[layer.paint];
+    if (!layer.all) {
+      layer.all = [];
+      layer.holed = [];
+      layer.shapes.forEach((parts, i) => {
+        if (i % HANDFUL === 0) layer.all.push(new Path2D());
+        const path = parts.length > 1 && paint.form === "area" ? new Path2D() : layer.all.at(-1);
         for (const part of parts) trace(path, part, paint.form);
-        if (path !== all) holed.push(path);
-      }
-      return { name: layer.paint, paint, all, holed };
-    });
-    return this.layers;
+        if (path !== layer.all.at(-1)) layer.holed.push(path);
+      });
+    }
+    return { name: layer.paint, paint, all: layer.all, holed: layer.holed };
   }
 
   /** What may be lettered: rank, length, name, geometry [m]. */
@@ -221,7 +221,7 @@ export function* painted(ctx, { tile, rect: [west, south, side] }, frame, colour
   const k = scale * ratio, unit = k * tile.unit;
   const left = Math.round(x0 + west * k), top = Math.round(y0 - (south + side) * k);
   const right = Math.round(x0 + (west + side) * k), bottom = Math.round(y0 - south * k);
-  const layers = tile.paths().filter((layer) => layer.paint.since <= scale);
+  const layers = tile.data.layers.filter((layer) => index.paints[layer.paint].since <= scale);
   const enter = () => {
     ctx.save();
     ctx.beginPath();
@@ -231,19 +231,21 @@ export function* painted(ctx, { tile, rect: [west, south, side] }, frame, colour
     ctx.lineJoin = "round";
   };
   const px = ratio / unit; // a CSS pixel, in units
-  let cased = layers.filter((layer) => index.cased.includes(layer.name));
-  enter();
+  let cased = layers.filter((layer) => index.cased.includes(layer.paint));
   for (const layer of layers) {
-    if (index.cased.includes(layer.name) && cased.length) {
-      for (const road of cased) casing(ctx, road, tile, px, colour, index);
+    enter();
+    if (index.cased.includes(layer.paint) && cased.length) {
+      for (const road of cased) casing(ctx, tile.paths(road), tile, px, colour, index);
       cased = [];
     }
-    paintLayer(ctx, layer, tile, px, colour);
+    const { paint, name, holed, all } = tile.paths(layer);
+    for (const path of [...all, ...holed]) {
+      paintPath(ctx, path, holed.includes(path), name, paint, tile, px, colour);
+      ctx.getImageData(0, 0, 1, 1); // painted now, not all at once when the picture is shown
+      yield;
+    }
     ctx.restore();
-    yield;
-    enter();
   }
-  ctx.restore();
 }
 
 function casing(ctx, { name, paint, all }, tile, px, colour, index) {
@@ -252,19 +254,18 @@ function casing(ctx, { name, paint, all }, tile, px, colour, index) {
   ctx.lineCap = "round";
   ctx.strokeStyle = colour(paint.edge);
   ctx.lineWidth = width + Math.max(index.casing / tile.unit, px);
-  ctx.stroke(all);
+  for (const path of all) ctx.stroke(path);
 }
 
-function paintLayer(ctx, { name, paint, all, holed }, tile, px, colour) {
+function paintPath(ctx, path, holed, name, paint, tile, px, colour) {
   const fill = colour(paint.fill);
   if (paint.form === "area") {
     ctx.fillStyle = fill;
-    ctx.fill(all);
-    for (const path of holed) ctx.fill(path, "evenodd");
+    ctx.fill(path, holed ? "evenodd" : "nonzero");
     if (!paint.edge) return;
     ctx.strokeStyle = colour(paint.edge);
     ctx.lineWidth = px;
-    for (const path of [all, ...holed]) ctx.stroke(path);
+    ctx.stroke(path);
     return;
   }
   const symbol = paint.form !== "line" && paint.form !== "crown";
@@ -274,7 +275,7 @@ function paintLayer(ctx, { name, paint, all, holed }, tile, px, colour) {
     if (paint.edge) {
       ctx.strokeStyle = colour(paint.edge);
       ctx.lineWidth = width + 2.5 * px;
-      ctx.stroke(all);
+      ctx.stroke(path);
     }
     ctx.lineWidth = width;
   } else {
@@ -282,6 +283,6 @@ function paintLayer(ctx, { name, paint, all, holed }, tile, px, colour) {
     ctx.setLineDash((paint.dash ?? []).map((length) => length / tile.unit));
   }
   ctx.strokeStyle = fill;
-  ctx.stroke(all);
+  ctx.stroke(path);
   ctx.setLineDash([]);
 }
