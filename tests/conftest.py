@@ -21,7 +21,7 @@ import placegraph as pg
 from placegraph import cli
 from placegraph_lab.worlds.flat.flat import Flat
 
-pytest_plugins = ["tests.cities"]
+pytest_plugins = ["tests.browser", "tests.cities"]
 
 _SLOW = [HealthCheck.too_slow]  # beside other load
 settings.register_profile(

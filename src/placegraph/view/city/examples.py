@@ -12,16 +12,16 @@ from placegraph.view.city.items import common_name
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 
 KEYS = ("shop", "amenity", "leisure", "tourism", "railway", "highway")
 """Things of these kinds are spoken of."""
 DULL = frozenset(
-    "amenity=parking amenity=parking_entrance amenity=vending_machine amenity=waste_basket "
-    "highway=crossing highway=street_lamp highway=traffic_signals highway=give_way highway=stop "
-    "highway=turning_circle highway=motorway_junction shop=yes railway=switch railway=level_crossing "
-    "railway=crossing railway=signal railway=buffer_stop".split()
-)
+    ("parking", "parking entrance", "vending machine", "waste basket", "crossing", "street lamp",
+     "give way", "turning circle", "motorway junction", "shop", "switch", "level crossing", "signal",
+     "buffer stop", "vacant")
+)  # fmt: skip
 NEAR, FAR = 12.0, 120.0
 """What is spoken of is so far away [m]."""
 WINDS = ("north", "east", "south", "west")
@@ -31,7 +31,7 @@ def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
     """Sentences that are true somewhere in a city, of two or three things in as many directions."""
     objects = city.objects
     rows = np.flatnonzero(objects.kind == POINT)
-    rows = np.array([row for row in rows if _worth(objects.label(row), paints[row])], np.int64)
+    rows = np.array([row for row in rows.tolist() if _worth(objects.label(row), paints[row])])
     found: list[str] = []
     if not len(rows):
         return found
@@ -39,7 +39,7 @@ def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
     # from all over the city, the same each time
     for start in range(0, len(rows), max(1, len(rows) // 40)):
         here = at[start] - (0.0, 20.0)
-        sentence = _said(here, at, [objects.label(row) for row in rows])
+        sentence = _said(here, at, [objects.label(row) for row in rows.tolist()])
         if sentence and sentence not in found:
             found.append(sentence)
         if len(found) == most:
@@ -49,10 +49,11 @@ def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
 
 def _worth(label: str, paint: str) -> bool:
     plain = not label.endswith(("s", "water"))  # a toilets, a drinking water
-    return plain and bool(paint) and label.partition("=")[0] in KEYS and label not in DULL
+    spoken = label.partition("=")[0] in KEYS and common_name(label) not in DULL
+    return plain and bool(paint) and spoken
 
 
-def _said(here: np.ndarray, at: np.ndarray, labels: list[str]) -> str:
+def _said(here: Floats, at: Floats, labels: list[str]) -> str:
     """What is seen from a place to the four winds; empty where there is too little."""
     delta = at - here
     distance = np.hypot(*delta.T)

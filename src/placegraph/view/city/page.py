@@ -96,7 +96,7 @@ def _chosen(
     tiles: CityTiles, city: CityMap, estimate: CityEstimate
 ) -> Iterator[tuple[tuple[int, int, int], Tile]]:
     """Tiles of a page: the whole city coarsely, then each level around what is shown first."""
-    wanted = {key: None for key in tiles.within(tiles.bounds, tiles.top)}
+    wanted = dict.fromkeys(tiles.within(tiles.bounds, tiles.top))
     shown = rivals(estimate, len(estimate.modes))
     for level in range(tiles.top - 1, -1, -1):
         reach = AROUND * 2**level

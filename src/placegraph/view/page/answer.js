@@ -16,7 +16,8 @@ export class AnswerMap {
     const find = (name) => root.querySelector(name);
     this.parts = { tip: find(".tip"), pins: find(".pins"), scale: find(".scale span") };
     this.map = new MapView(find("canvas"), {
-      view: () => { this.follow(); viewed(); }, made: () => this.locate(), hover: (shape, at) => this.tell(shape, at),
+      view: () => { root.dataset.state = "moving"; this.follow(); viewed(); },
+      still: () => { root.dataset.state = "still"; }, made: () => this.locate(), hover: (shape, at) => this.tell(shape, at),
       tap: (point, shape, at) => { this.tell(shape, at); this.touch(shape); tapped(point, shape); },
     });
     this.map.under.push((ctx, map) => this.heat.paint(ctx, map));
@@ -108,6 +109,7 @@ export class AnswerMap {
   /** Light up objects, or none. */
   light(ids) {
     this.lit = new Set(ids);
+    this.root.dataset.lit = ids.join(" ");
     this.map.draw();
   }
 

@@ -1,0 +1,47 @@
+"""A real browser for tests of pages: Debian's Chromium, driven by Playwright."""
+
+import shutil
+from contextlib import contextmanager
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE = 60_000
+"""Beside other load things take their time [ms]."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium; the test is skipped where it or Playwright is not installed."""
+    path = next(filter(None, map(shutil.which, NAMES)), None)
+    if path is None:
+        pytest.skip("needs a browser: apt install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright (pip)")
+    with playwright.sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@contextmanager
+def opened(browser, url, **options):
+    """A page whose scripts must not fail, with the addresses it asked for in `page.asked`."""
+    context = browser.new_context(reduced_motion="reduce", **options)
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.asked, troubles = [], []
+    page.on("request", lambda request: page.asked.append(request.url))
+    page.on("websocket", lambda socket: page.asked.append(socket.url))
+    page.on("pageerror", lambda error: troubles.append(str(error)))
+    page.on("console", lambda m: troubles.append(m.text) if m.type == "error" else None)
+    page.goto(url)
+    try:
+        yield page
+        assert troubles == []
+    finally:
+        context.close()
+
+
+def still(page):
+    """Wait until the map has come to rest."""
+    page.wait_for_selector('.map[data-state="still"]')

@@ -1,0 +1,193 @@
+"""The page in a real browser, with a real server behind it."""
+
+import re
+import threading
+from contextlib import contextmanager
+
+import pytest
+import uvicorn
+from tests.browser import opened, still
+
+from placegraph.outdoor.city import build_city
+from placegraph.serve.app import create_app
+from placegraph.serve.options import ServeOptions
+from placegraph.serve.places import Places
+from placegraph_lab.worlds.town.town import Town
+
+SENTENCE = "I am standing on a square. There is a fountain north of me and a café to my east."
+HOSTILE = """
+[town]
+name = Hostile
+center = 7.42 43.73
+
+[drawing]
+ ####   |  \"\"\"\"\"\"   ####
+ #K##   |  \"\"\"F\"\"\"   #  #
+ ####   |  \"\"\"\"\"\"   ####
+-----1--+------------------
+        |   R   b    L
+
+[legend]
+K: shop=bakery name=<script>window.hacked=1</script>
+F: amenity=fountain name="><img/src=x/onerror=window.hacked=1>
+R: amenity=cafe name=\u202eمقهى البحر\u202c ${window.hacked=1}
+b: amenity=bench name='"`\\
+L: tourism=museum name=Museum LONG
+1 road: highway=primary name=</textarea><svg/onload=window.hacked=1>
+""".replace("LONG", "of everything that is very long " * 12)
+
+
+@contextmanager
+def running(paths):
+    """Address of a server of some maps, in a thread."""
+    app = create_app(Places(paths), ServeOptions(sentence_workers=1))
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="error", ws="websockets-sansio"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        while not (server.started and app.state.server.sentences.ready):
+            assert thread.is_alive()
+            threading.Event().wait(0.05)
+        [socket] = server.servers[0].sockets
+        yield f"http://127.0.0.1:{socket.getsockname()[1]}/"
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def url(maps, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    build_city(Town.parse(HOSTILE).write_osm(folder / "hostile.osm"), folder / "hostile.city")
+    with running([*maps.iterdir(), folder / "hostile.city"]) as url:
+        yield url
+
+
+def typed(page, text):
+    page.wait_for_selector("#city option", state="attached")
+    page.focus("#text")
+    page.keyboard.type(text)
+    page.wait_for_selector(".status")
+
+
+def test_typing_asking_and_sharing(browser, url):
+    with opened(browser, url + "#map=hafenstadt") as page:
+        page.wait_for_selector(".examples button")
+        typed(page, SENTENCE)
+        page.wait_for_selector(".pin >> nth=1")
+        assert page.inner_text(".status") == "Not sure yet"
+        page.get_by_role("button", name="Fischmarkt", exact=True).first.click()
+        page.wait_for_selector(".status.OK")
+        assert page.locator(".chip").count() == 1
+        page.wait_for_url("**answers**")
+        assert {a.split("/")[2] for a in page.asked} == {url.split("/")[2]}  # no other host
+        assert any(a.startswith("ws:") for a in page.asked)
+        assert sum("/v1/locate" in a for a in page.asked) == 0
+        link = page.url
+    with opened(browser, link) as page:
+        page.wait_for_selector(".status.OK")
+        assert page.input_value("#text") == SENTENCE
+        page.click(".chip")  # the answer is taken back
+        page.wait_for_selector(".status.AMBIGUOUS")
+
+
+def test_evidence_lights_up_both_ways(browser, url):
+    with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE) as page:
+        page.wait_for_selector(".evidence .object")
+        still(page)
+        row = page.locator(".evidence [data-ids]").nth(2)
+        row.hover()
+        assert page.get_attribute(".map", "data-lit") == row.get_attribute("data-ids")
+        row.locator(".object").click()
+        page.wait_for_selector('.map[data-state="still"]')
+        box = page.locator(".map canvas").bounding_box()
+        page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.wait_for_selector(".evidence li.on")
+        assert "on" in row.get_attribute("class").split()
+        assert page.is_visible(".tip")
+
+
+def test_hostile_names_are_only_names(browser, url):
+    with opened(browser, url + "#map=hostile") as page:
+        still(page)
+        typed(page, "A bakery is to my west. A fountain is to my east. A café is south of me.")
+        page.wait_for_selector(".evidence .object")
+        assert "onerror=" in page.inner_text("#answer")
+        assert "\u202e" not in page.inner_text("body")
+        assert page.evaluate("window.hacked === undefined")
+        assert page.locator("#answer img, #answer script, .map svg").count() == 0
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone(browser, url, scheme):
+    phone = {"width": 360, "height": 640}
+    options = {"viewport": phone, "has_touch": True, "is_mobile": True, "color_scheme": scheme}
+    with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE, **options) as page:
+        page.wait_for_selector(".evidence .object")
+        still(page)
+        assert page.evaluate("document.documentElement.scrollWidth") == 360
+        sizes = page.eval_on_selector_all(
+            ".senses button:not([hidden]), .tools button, .options button, [role=tab]",
+            "all => all.map(b => b.getBoundingClientRect()).map(r => Math.min(r.width, r.height))",
+        )
+        assert min(sizes) >= 32
+        page.tap(".options button >> nth=0")
+        page.wait_for_selector(".chip")
+        paper = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert paper == {"light": "rgb(255, 255, 255)", "dark": "rgb(28, 33, 40)"}[scheme]
+
+
+def test_keys_and_labels_suffice(browser, url):
+    with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE) as page:
+        page.wait_for_selector(".pin")
+        still(page)
+        nameless = page.eval_on_selector_all(
+            "button, select, textarea, a, canvas, [role=tab], [role=img]",
+            """all => all.filter(e => !e.closest("[hidden]") && !(e.getAttribute("aria-label")
+               || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)""",
+        )
+        assert nameless == []
+        page.focus("#tab-here")
+        page.keyboard.press("ArrowRight")
+        assert page.get_attribute("#tab-walk", "aria-selected") == "true"
+        page.keyboard.press("ArrowLeft")
+        page.wait_for_selector(".pin")
+        seen = []
+        for _ in range(40):
+            page.keyboard.press("Tab")
+            seen.append(
+                page.evaluate("document.activeElement.id || document.activeElement.tagName")
+            )
+            if seen[-1] == "CANVAS":
+                break
+        assert seen[0] == "text"  # then what is found, and the map at last
+        assert seen[-1] == "CANVAS"
+        before = page.get_attribute(".pin >> nth=0", "style")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_selector(f".pin >> nth=0 >> css=:scope:not([style='{before}'])")
+        page.wait_for_selector("#live:has-text('places')", state="attached")
+
+
+def test_tiles_are_checked_and_kept(client):
+    index = client.get("/v1/maps/hafenstadt/drawing").json()
+    assert len(index["examples"]) == 3
+    path = f"/v1/maps/hafenstadt/drawing/{index['top']}/0/0"
+    tile = client.get(path)
+    assert tile.json()["layers"]
+    assert tile.json() == client.get(path, headers={"Accept-Encoding": "identity"}).json()
+    far = client.get("/v1/maps/hafenstadt/drawing/99/0/0")
+    assert far.status_code == 404
+    assert far.json()["code"] == "tile_unknown"
+    assert client.get("/v1/maps/nowhere/drawing").status_code == 404
+
+
+def test_the_page_trusts_nobody_else(client):
+    for path in ("/", "/app.js", "/parts/map.js"):
+        answer = client.get(path)
+        assert answer.status_code == 200
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self';")
+        assert not re.search(r"https?:", policy)
+    assert client.get("/parts/../app.py").status_code == 404
+    assert client.get("/parts/nothing.js").status_code == 404
