@@ -54,7 +54,7 @@ export class Inside {
     form.append("request", JSON.stringify({
       map: this.chosen.name, pictures: ["plan", "overlay", "animation"],
       ...(this.words?.trim() ? { description: this.words.trim() } : {}),
-      ...(near && this.chosen.anchored ? { prior: { longitude: near[0], latitude: near[1], radius } } : {}),
+      ...(near && this.chosen.anchored ? { near, radius } : {}),
     }));
     this.busy = true;
     this.error = this.result = null;
