@@ -41,7 +41,9 @@ def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
             for lane in server.lanes:
                 await lane.end()
 
-    app = FastAPI(title="placegraph", version=__version__, lifespan=lifespan)
+    app = FastAPI(
+        title="placegraph", version=__version__, lifespan=lifespan, docs_url=None, redoc_url=None
+    )
     app.state.server = server
     _add_errors(app)
     add_routes(app, server)

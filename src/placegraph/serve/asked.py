@@ -54,13 +54,27 @@ class Hints:
         anchor = anchors[0]
         height = anchor.height if self.height is None else self.height
         x, y, z = anchor.to_map((*self.near, height)).tolist()
-        if hypot(x, y) > FAR_OFF * self.radius + HOUSE:  # one of the two is wrong; images decide
+        if self.is_far(hypot(x, y)):  # one of the two is wrong; images decide
             return None
         # the map's y axis points to the anchor's heading, and yaw is counted from x the other way
         yaw = None if self.heading is None else np.pi / 2.0 + anchor.heading - self.heading
         return Prior(
             x, y, None if self.height is None else z, yaw, spread=max(self.radius / HALF, 0.05)
         )
+
+    def notes(self, name: str, anchors: Sequence[Anchor]) -> list[str]:
+        """What of it could not be used in a map, and why."""
+        if self.prior is not None or self.near is None or not anchors:
+            return []
+        x, y, _ = anchors[0].to_map((*self.near, anchors[0].height)).tolist()
+        if not self.is_far(hypot(x, y)):
+            return []
+        away = f"The given position lies {hypot(x, y) / 1000.0:.1f} km from map {name!r}"
+        return [f"{away} and was left out; check it, or how the map was placed on Earth."]
+
+    def is_far(self, distance: float) -> bool:
+        """Whether a fix is so far from a map [m] that it says nothing of where in it one is."""
+        return distance > FAR_OFF * self.radius + HOUSE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

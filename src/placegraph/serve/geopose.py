@@ -14,7 +14,7 @@ from placegraph.formats.dataset.colmap_files import model_camera
 from placegraph.geojson import poses_of
 from placegraph.geopose import EarthPose
 from placegraph.serve.asked import LEVEL, Hints, Images
-from placegraph.serve.localize import found
+from placegraph.serve.localize import found, notes
 from placegraph.serve.oscp import Asked, number, read_request
 from placegraph.serve.photo import SMALLEST, Photo, check_size, read_photo
 
@@ -52,7 +52,8 @@ def geopose(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
     poses = [pose for mode in estimate.modes for pose in poses_of(mode)]
     if estimate.modes and not poses:
         estimate.geopose()  # raises: nobody has placed that map on Earth
-    return _answer(request, poses, estimate.status.name, estimate.reason)
+    told = _answer(request, poses, estimate.status.name, estimate.reason)
+    return told | {"notes": notes(desk.places, hints, estimate)}
 
 
 def hints_of(request: Asked) -> Hints:

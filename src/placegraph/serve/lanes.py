@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from contextlib import suppress
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnProcess
 
+QUERIES = logging.getLogger("placegraph.queries")
 STARTING = 60.0
 """A process that is not ready after so long is given up [s]."""
 _PAUSE = 1.0
@@ -98,6 +100,10 @@ class Lane:
         Raises `RequestError` (503) where too many wait already. Who is cancelled while waiting costs
         nothing; a request that runs is let run, for nobody.
         """
+        if self.setting.options.log_queries and isinstance(asked, dict):
+            told = asked.get("request") or asked
+            said = {k: told[k] for k in ("text", "q", "description", "near", "map") if told.get(k)}
+            QUERIES.info("%s %s", verb, said)
         if self.waiting >= self.setting.options.queue:
             raise self._busy()
         self.waiting += 1

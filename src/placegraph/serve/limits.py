@@ -68,12 +68,30 @@ class Keys:
 _HEADERS = (b"x-api-key", b"authorization")
 
 
+class _Held:
+    """Bytes of one body that are held in memory."""
+
+    def __init__(self, guard: Guard) -> None:
+        self._guard, self.bytes = guard, 0
+
+    def more(self, count: int) -> None:
+        """Hold some more; `RequestError` (503) where all bodies together would be too much."""
+        self.bytes += count
+        self._guard.held += count
+        if self._guard.held > self._guard.options.held_bytes:
+            raise RequestError(
+                "Too much is sent at once by all who ask; ask again in a moment.",
+                status=503, code="busy", retry_after=2,
+            )  # fmt: skip
+
+
 class Guard:
     """ASGI middleware that refuses what no route should have to look at."""
 
     def __init__(self, app: ASGIApp, options: ServeOptions, keys: Keys, metrics: Metrics) -> None:
         self.app, self.options, self.keys, self.metrics = app, options, keys, metrics
         self.sockets = 0
+        self.held = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request through, or answer it with a problem."""
@@ -95,17 +113,26 @@ class Guard:
     async def _guarded(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             self._check(scope)
-            if scope["type"] == "http":
-                receive = await self._body(scope, receive)
         except RequestError as error:
             return await refuse(scope, receive, send, error)
-        if scope["type"] != "websocket":
-            return await self.app(scope, receive, send)
+        if scope["type"] == "http":
+            return await self._answered(scope, receive, send)
         self.sockets += 1
         try:
             return await self.app(scope, receive, send)
         finally:
             self.sockets -= 1
+
+    async def _answered(self, scope: Scope, receive: Receive, send: Send) -> None:
+        holds = _Held(self)
+        try:
+            try:
+                receive = await self._body(scope, receive, holds)
+            except RequestError as error:
+                return await refuse(scope, receive, send, error)
+            return await self.app(scope, receive, send)
+        finally:
+            self.held -= holds.bytes
 
     def _check(self, scope: Scope) -> None:
         if not self.keys.let_in(scope):
@@ -121,7 +148,7 @@ class Guard:
                 )  # fmt: skip
             check_origin(scope)
 
-    async def _body(self, scope: Scope, receive: Receive) -> Receive:
+    async def _body(self, scope: Scope, receive: Receive, holds: _Held) -> Receive:
         """Check a small body whole, and count a large one while it is read."""
         headers = dict(scope["headers"])
         large = scope["path"].startswith(LARGE)
@@ -140,6 +167,7 @@ class Guard:
         while True:
             message = await counted()
             body += message.get("body", b"")
+            holds.more(len(message.get("body", b"")))
             if message["type"] != "http.request" or not message.get("more_body", False):
                 break
         check_depth(body, self.options.depth)

@@ -65,6 +65,7 @@ def localize(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
         "geopose": on_earth(estimate.geopose),
         "geojson": on_earth(estimate.geojson),
         "pictures": pictures,
+        "notes": notes(places, hints, estimate),
     }
 
 
@@ -177,6 +178,14 @@ def scene_name(places: Places, hints: Hints, estimate: Any) -> str | None:  # no
     if isinstance(estimate, PoseEstimate) or estimate.best is None:
         return hints.map or places.only
     return estimate.best.scene or None
+
+
+def notes(places: Places, hints: Hints, estimate: Any) -> list[str]:  # noqa: ANN401
+    """What of a question could not be used, and why."""
+    name = hints.map or places.only
+    if name is None or places.entry(name).kind != "scene":
+        return list(getattr(estimate, "notes", ()))
+    return hints.notes(name, places.scene(name).anchors)
 
 
 def picture(

@@ -70,6 +70,9 @@ def in_world(places: Places, name: str | None, asked: dict[str, Any]) -> dict[st
         near=asked.get("near"),
         radius=asked.get("radius") or 1000.0,
         heading=None if heading is None else radians(heading),
+        top=asked.get("top") or 5,
+        answers=[given(answer) for answer in asked.get("answers") or ()],
+        language=asked.get("language"),
     )
     return answered(name, estimate, estimate.next_question(world))
 

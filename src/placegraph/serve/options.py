@@ -25,6 +25,8 @@ class ServeOptions:
     """After so long a sentence is given up [s]."""
     capture_seconds: float = 120.0
     """The same of images [s]."""
+    head_seconds: float = 20.0
+    """A request whose head takes longer to arrive is given up [s]."""
     body_seconds: float = 30.0
     """A body that takes longer to arrive is given up [s]."""
     text: int = 2000
@@ -33,6 +35,8 @@ class ServeOptions:
     """Of a JSON body, but for those that carry images."""
     body_bytes: int = 1 << 28
     """Of a body that carries images, or a capture."""
+    held_bytes: int = 1 << 28
+    """Of all JSON bodies at one time, which are held in memory."""
     image_bytes: int = 1 << 25
     """Of one image."""
     pixels: int = 24_000_000

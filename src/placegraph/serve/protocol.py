@@ -9,24 +9,44 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 if TYPE_CHECKING:
     import asyncio
 
-HEAD_SECONDS = 20.0
-"""A head that takes longer to arrive is given up [s]."""
+    from h11 import Request
 
 
 class Patient(H11Protocol):
-    """Ends a connection whose first request has no whole head after a while."""
+    """Ends a connection whose request has no whole head after some seconds, be it the first or not."""
+
+    def __init__(self, *args: Any, seconds: float, **more: Any) -> None:  # noqa: ANN401  # uvicorn's
+        super().__init__(*args, **more)
+        self._seconds = seconds
+        self._end: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin, and look again later."""
+        """Begin, and wait for a head."""
         super().connection_made(transport)
-        self._transport = transport
-        self._look: Any = self.loop.call_later(HEAD_SECONDS, self._end_if_silent)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; those before a head is whole let nobody wait longer."""
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._rest()
+        elif self.cycle is not None and self._end is None:
+            self._wait()
+
+    def handle_websocket_upgrade(self, event: Request) -> None:
+        """Hand the connection on; from now on it may be silent."""
+        self._rest()
+        super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End, and do not look again."""
-        self._look.cancel()
+        """End, and wait no more."""
+        self._rest()
         super().connection_lost(exc)
 
-    def _end_if_silent(self) -> None:
-        if getattr(self, "cycle", None) is None and not self._transport.is_closing():
-            self._transport.close()
+    def _wait(self) -> None:
+        self._end = self.loop.call_later(self._seconds, self.transport.close)
+
+    def _rest(self) -> None:
+        if self._end is not None:
+            self._end.cancel()
+            self._end = None

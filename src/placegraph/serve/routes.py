@@ -8,6 +8,7 @@ from fastapi import FastAPI, Query, Request, Response, WebSocket
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from placegraph.serve import metrics
+from placegraph.serve.listing import listing
 from placegraph.serve.live import live
 from placegraph.serve.oscp import version_of
 from placegraph.serve.schema import Begin, Localize, Locate, Step
@@ -61,6 +62,10 @@ def _add_state(app: FastAPI, server: Server) -> None:
         """Whether all that is asked can be answered yet."""
         ready = all(lane.ready for lane in server.lanes)
         return JSONResponse({"status": "ok" if ready else "starting"}, 200 if ready else 503)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> Response:
+        return listing(app)
 
     @app.get("/metrics")
     async def counts() -> Response:
@@ -120,6 +125,7 @@ def _add_questions(app: FastAPI, server: Server) -> None:
 
     @app.websocket("/v1/live")
     async def while_typing(socket: WebSocket) -> None:
+        """The posterior while one types: messages as bodies of /v1/locate, each with an `id`."""
         await live(socket, server.sentences)
 
 
@@ -144,4 +150,5 @@ def _add_sessions(app: FastAPI, server: Server) -> None:
 
     @app.websocket("/v1/sessions/{session}")
     async def follow(socket: WebSocket, session: str) -> None:
+        """The steps of a session: messages as bodies of POST, answered one after the other."""
         await sessions.follow(socket, session)

@@ -6,6 +6,7 @@ import errno
 import logging
 import signal
 import socket
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -44,13 +45,19 @@ def serve(
         raise MissingExtraError(
             f"{error.name} is not installed; install the extra: pip install 'placegraph[serve]'."
         ) from error
+    from placegraph.serve.lanes import QUERIES
     from placegraph.serve.protocol import Patient
 
     app = create_app(places, options)
     listening = listen(host, port)
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
+    if options.log_queries:
+        logging.basicConfig(format="%(asctime)s %(message)s")
+        QUERIES.setLevel(logging.INFO)
     config = uvicorn.Config(
-        app, http=Patient, ws="websockets-sansio", log_config=None, access_log=False,
+        app,
+        http=partial(Patient, seconds=options.head_seconds),  # type: ignore[arg-type]  # makes one
+        ws="websockets-sansio", log_config=None, access_log=False,
         timeout_graceful_shutdown=GRACE, server_header=False, ws_max_size=options.image_bytes,
         ws_per_message_deflate=False,
     )  # fmt: skip

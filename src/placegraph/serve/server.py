@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import TYPE_CHECKING, Any
 
 from starlette.responses import JSONResponse, Response
@@ -17,8 +16,6 @@ from placegraph.serve.worker import Setting
 if TYPE_CHECKING:
     from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Places
-
-QUERIES = logging.getLogger("placegraph.queries")
 
 
 class Server:
@@ -43,10 +40,6 @@ class Server:
 
     async def ask(self, lane: Lane, verb: str, asked: dict[str, Any]) -> Response:
         """Answer of a lane as a response."""
-        if self.options.log_queries:
-            told = asked.get("request") or asked
-            said = {k: told[k] for k in ("text", "q", "description", "near", "map") if told.get(k)}
-            QUERIES.info("%s %s", verb, said)
         return response_of(*await lane.ask(verb, asked))
 
     def now(self) -> dict[str, float]:

@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+import traceback
 import warnings
 from importlib import import_module
 from math import isfinite
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from placegraph.serve.options import ServeOptions
 
+LOG = logging.getLogger("placegraph.serve")
 VERBS = {
     "warm": "locate:warm",
     "look": "localize:warm",
@@ -59,9 +61,11 @@ def answer(desk: Desk, verb: str, asked: Any) -> Answer:  # noqa: ANN401
     start = perf_counter()
     try:
         made = getattr(import_module(f"placegraph.serve.{module}"), function)(desk, asked)
-    except Exception as error:  # a server goes on
+    except Exception as error:  # noqa: BLE001  # a server goes on
         if not isinstance(error, PlacegraphError | MemoryError):
-            logging.getLogger("placegraph.serve").exception("a request failed")
+            # without its message, whose words may be the asker's
+            where = "".join(traceback.format_tb(error.__traceback__))
+            LOG.error("a request failed: %s\n%s", type(error).__name__, where)  # noqa: TRY400
         if isinstance(error, MemoryError):
             error = RequestError(
                 "This takes more memory than there is; send less.", status=413, code="memory"

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.pose.query import Progress
+    from placegraph.outdoor.search.ask import Answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,8 @@ class Known:
     most: int = 8
     refine: bool = True
     device: str = "auto"
+    answers: Sequence[Answer] = ()
+    language: str | None = None
     progress: Progress | None = None
 
     def __post_init__(self) -> None:

@@ -73,6 +73,7 @@ def understand(
     things: Sequence[str],
     heading: float | None = None,
     names: Collection[str] = (),
+    language: str | None = None,
 ) -> Understood:
     """Read a text for all cities and for rooms.
 
@@ -88,6 +89,8 @@ def understand(
         Where the speaker looks [rad], clockwise from north.
     names
         Names of scenes and buildings, which no city needs to know.
+    language
+        Of the text, as of `CityMap.locate`.
 
     Raises
     ------
@@ -97,7 +100,7 @@ def understand(
     """
     check(text, "I am in the library on Main Street, by the window.")
     whole = {
-        name: addressed(read_outside(city, text, heading=heading), city)
+        name: addressed(read_outside(city, text, heading=heading, language=language), city)
         for name, city in cities.items()
     }
     own = {" ".join(_words(name)) for name in names}

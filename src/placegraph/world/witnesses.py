@@ -101,8 +101,10 @@ def hear(world: World, known: Known) -> Witnesses:
         buildings = {s.anchor.building for found in scenes.values() for s in found}
         things = things_of(world.library) if scenes else ()
         names = {*scenes, *buildings} - {""}
-        understood = understand(known.text, world.cities, things, known.heading, names)
-        hints = Hints(known.near, known.radius, known.heading)
+        understood = understand(
+            known.text, world.cities, things, known.heading, names, known.language
+        )
+        hints = Hints(known.near, known.radius, known.heading, answers=known.answers)
         for city, said in understood.outside.items():
             told = Outside.hear(world.cities[city], said, hints, known.top)
             if told is not None:

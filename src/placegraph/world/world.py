@@ -100,7 +100,8 @@ class World:
             Of all randomness.
         options
             `top`: modes at most (5); `most`: scenes in which a pose is sought, at most (8);
-            `refine`, `device`, `progress`: as of `SceneMap.localize`.
+            `refine`, `device`, `progress`: as of `SceneMap.localize`; `answers` to questions, and the
+            `language` of the text: as of `CityMap.locate`.
 
         Returns
         -------
