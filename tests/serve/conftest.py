@@ -1,7 +1,12 @@
+import re
+import shutil
+import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
 
+import httpx
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
@@ -9,6 +14,7 @@ from starlette.testclient import TestClient
 from placegraph.demo.world import FLAT, TOWN, unpack
 from placegraph.earth import Anchor
 from placegraph.indoor.build import build_scene
+from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.serve.app import create_app
 from placegraph.serve.options import ServeOptions
@@ -48,14 +54,20 @@ def town(maps):
     return maps / f"{TOWN}.city"
 
 
+def ready(asked, status=200):
+    """Ask until the answer has a status, and return that answer."""
+    end = time.monotonic() + 120
+    while (answer := asked()).status_code != status:
+        assert time.monotonic() < end, answer.text
+        threading.Event().wait(0.05)
+    return answer
+
+
 @contextmanager
 def serving(*paths, **options):
     """Client of an application whose processes have started."""
     with TestClient(create_app(Places(paths), ServeOptions(**options))) as client:
-        end = time.monotonic() + 120
-        while client.get("/healthz").status_code != 200:
-            assert time.monotonic() < end
-            threading.Event().wait(0.05)
+        ready(lambda: client.get("/healthz"))
         yield client
 
 
@@ -64,3 +76,40 @@ def client(town):
     """One server of the town alone, for all tests that do not change it."""
     with serving(town, sentence_workers=1) as client:
         yield client
+
+
+class Running:
+    """A server as `placegraph serve` starts it, in a process of its own."""
+
+    def __init__(self, *words):
+        self.process = subprocess.Popen(  # noqa: S603  # our own interpreter
+            [sys.executable, "-m", "placegraph", "serve", *map(str, words)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        said = self.process.stdout.readline()
+        assert "http://" in said, self.process.communicate(timeout=30)[1]
+        self.url = re.search(r"http://[^ ;]+", said)[0]
+        self.port = int(self.url.rpartition(":")[2])
+        ready(lambda: httpx.get(f"{self.url}/healthz"))
+
+    def end(self):
+        """Exit code, and what it said at the error output, after SIGTERM."""
+        self.process.terminate()
+        said = self.process.communicate(timeout=60)[1]
+        return self.process.returncode, said
+
+
+@pytest.fixture(scope="session")
+def running(maps, flat, tmp_path_factory):
+    """A server of the town and the flat, which stands in the town's hotel."""
+    folder = tmp_path_factory.mktemp("town")
+    shutil.copy(maps / f"{TOWN}.city", folder)
+    hotel = Anchor(
+        9.99884, 53.55015, 6.4, 0.3, np.diag([1.0, 1, 1, 1e-4]), "Hotel Hansa", level="2"
+    )
+    open_map(flat).anchored(hotel).save(folder / f"{FLAT}.scene")
+    server = Running(folder, "--port", "0")
+    server.folder = folder
+    yield server
+    code, said = server.end()
+    assert (code, said) == (0, "")

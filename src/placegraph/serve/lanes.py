@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
 
 QUERIES = logging.getLogger("placegraph.queries")
-STARTING = 60.0
+STARTING = 600.0
 """A process that is not ready after so long is given up [s]."""
 _PAUSE = 1.0
 """Before a process that did not start is tried again [s]."""

@@ -19,15 +19,17 @@ if TYPE_CHECKING:
 
 
 def warm(desk: Desk, _asked: None) -> dict[str, Any]:
-    """Open the cities and ask the first, so that the first who asks waits for neither."""
+    """Open all maps and ask something, so that the first who asks waits for neither."""
     places = desk.places
     names = [entry.name for entry in places.entries() if entry.kind == "city"]
+    said = {"text": "A bakery is north of me. A church is east of me. I am in the kitchen."}
     with suppress(PlacegraphError):  # it is told to who asks for that map
         for name in names:
             places.open(name)
         if names:
-            asked = {"text": "A bakery is north of me. A church is east of me.", "map": names[0]}
-            locate(desk, asked)
+            locate(desk, said | {"map": names[0]})
+        if places.only is None:  # the world's scenes are compared with each other once
+            locate(desk, said)
     return {}
 
 
