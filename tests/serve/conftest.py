@@ -81,14 +81,15 @@ def client(town):
 class Running:
     """A server as `placegraph serve` starts it, in a process of its own."""
 
-    def __init__(self, *words):
+    def __init__(self, *words, program=None, cwd=None):
+        start = ["-m", "placegraph", "serve"] if program is None else [program]
         self.process = subprocess.Popen(  # noqa: S603  # our own interpreter
-            [sys.executable, "-m", "placegraph", "serve", *map(str, words)],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            [sys.executable, *start, *map(str, words)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,
         )  # fmt: skip
         said = self.process.stdout.readline()
         assert "http://" in said, self.process.communicate(timeout=30)[1]
-        self.url = re.search(r"http://[^ ;]+", said)[0]
+        self.url = re.search(r"http://[^\s;]+", said)[0]
         self.port = int(self.url.rpartition(":")[2])
         ready(lambda: httpx.get(f"{self.url}/healthz"))
 

@@ -129,8 +129,9 @@ class Places:
 
     @property
     def only(self) -> str | None:
-        """Name of the only map; None where there are several."""
-        return next(iter(self._entries)) if len(self._entries) == 1 else None
+        """Name of the only map that is there now; None where there are several."""
+        there = self.entries()
+        return there[0].name if len(there) == 1 else None
 
     def world(self) -> World:
         """All maps as one world; opened anew where a file was replaced."""
