@@ -149,6 +149,15 @@ def test_near(real_city, rng):
             assert (np.diff(delta[found]) >= -1e-6).all(), "nearest first"
 
 
+def test_nearest_is_what_near_finds_first(real_city, rng):
+    views = real_city.views
+    low, high = views.positions.min(axis=0), views.positions.max(axis=0)
+    places = np.concatenate([rng.uniform(low - 50, high + 50, (300, 2)), views.positions[::40]])
+    one_by_one = [next(iter(views.near(p, STRIDE)), -1) for p in places]
+    assert views.nearest(places).tolist() == one_by_one
+    assert -1 in one_by_one
+
+
 def test_fade_falls_from_one_to_nothing():
     d = np.arange(0, 200, 5, dtype=np.float32)
     sight = fade(d)

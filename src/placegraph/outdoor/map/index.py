@@ -50,6 +50,10 @@ SECOND_LABEL = (1.0, 0.35, 0.2)
 """How readily a thing is called by its first, second, third ... label."""
 
 
+_MOST = 4
+"""Viewpoints of a line, and lines, within `STRIDE` of a place to both sides; one is to spare."""
+
+
 class ViewColumns(NamedTuple):
     """Columns of `ViewIndex` under the same names, for compiled code."""
 
@@ -148,9 +152,22 @@ class ViewIndex:
     def near(self, position: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
         """Viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
         first, last = self.rows_near(position, reach)
-        delta = np.abs(self.positions[first:last] - position).max(axis=1, initial=0.0)
+        delta = _farther(self.positions[first:last] - position)
         found = np.flatnonzero(delta <= reach)
         return first + found[np.argsort(delta[found], kind="stable")]
+
+    def nearest(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
+        """First (K,) of what `near` finds within `STRIDE` of positions (K, 2); -1 where it is none."""
+        norths, low, width, order = self._lines
+        line = np.searchsorted(norths, positions[:, 1] - STRIDE)[:, None] + np.arange(_MOST)
+        east = np.clip(positions[:, :1] - STRIDE - low, -STRIDE, width - 2.0 * STRIDE)
+        first = np.searchsorted(order, line * width + east)
+        found = first[:, :, None] + np.arange(_MOST)
+        found = np.sort(np.minimum(found.reshape(len(positions), _MOST**2), len(order) - 1))
+        delta = _farther(self.positions[found] - positions[:, None])
+        best = np.argmin(delta, axis=1)[:, None]
+        there = np.take_along_axis(delta, best, 1) <= STRIDE
+        return np.where(there, np.take_along_axis(found, best, 1), -1)[:, 0]
 
     def rows_near(self, position: NDArray[np.floating[Any]], reach: float) -> tuple[int, int]:
         """First and last + 1 of the viewpoints within `reach` [m] of a position (2,) in north."""
@@ -163,9 +180,27 @@ class ViewIndex:
         return np.ascontiguousarray(self.positions[:, 1])  # ascending: viewpoints are row-major
 
     @cached_property
+    def _lines(self) -> tuple[NDArray[np.float32], float, float, NDArray[np.float64]]:
+        """Lines of viewpoints from west to east.
+
+        Their norths, their west end, a length that no line has [m], and how far (W,) each viewpoint
+        is along all lines laid end to end.
+        """
+        norths, line = np.unique(self._north, return_inverse=True)
+        east = self.positions[:, 0].astype(np.float64)
+        low = float(east.min(initial=0.0))
+        width = float(east.max(initial=0.0)) - low + 4.0 * STRIDE
+        return norths, low, width, line * width + (east - low)
+
+    @cached_property
     def _token_share(self) -> NDArray[np.float64]:
         mass = np.concatenate(([0.0], np.cumsum(self.posting_mass, dtype=np.float64)))
         return np.diff(mass[self.posting_starts]) / float(self.total.sum())
+
+
+def _farther(delta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The larger of the distances in east and in north of differences (..., 2)."""
+    return np.maximum(np.abs(delta[..., 0]), np.abs(delta[..., 1]))
 
 
 def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -6,7 +6,6 @@ less the entropy that the answer would have if the place were known.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,6 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
-from placegraph.outdoor.map.index import STRIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -166,99 +164,111 @@ def possible_questions(
 
 @dataclass(frozen=True)
 class _Around:
-    """What is around K places: expected numbers by label and wind, and by name."""
+    """What is around K places: expected numbers by wind and label, and by name."""
 
-    labels: dict[tuple[str, str], NDArray[np.float64]]
-    """(K,) of (label, wind); the wind is empty for any direction."""
-    names: dict[str, NDArray[np.float64]]
-    """(K,)"""
+    labels: list[str]
+    """(L,)"""
+    expected: NDArray[np.float64]
+    """(5, L, K), for any direction and for each of `WINDS`."""
+    names: list[str]
+    """(N,)"""
+    named: NDArray[np.float64]
+    """(N, K)"""
 
     @classmethod
     def of(cls, city: City, positions: NDArray[np.float64]) -> _Around:
         """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
         views, objects = city.views, city.objects
-        nearest = [int(next(iter(views.near(p, STRIDE)), 0)) for p in positions]
-        counts = np.array([views.starts[v + 1] - views.starts[v] for v in nearest])
-        entries = np.concatenate([np.arange(views.starts[v], views.starts[v + 1]) for v in nearest])
+        nearest = np.maximum(views.nearest(positions), 0)
+        counts = views.starts[nearest + 1] - views.starts[nearest]
         place = np.repeat(np.arange(len(positions)), counts)
+        ends = np.cumsum(counts)
+        entries = np.arange(len(place)) + np.repeat(views.starts[nearest] + counts - ends, counts)
         rows = views.objects[entries]
-        delta = (
-            views.positions[np.repeat(nearest, counts)] + views.offsets[entries] - positions[place]
-        )
+        delta = views.positions[nearest[place]] + views.offsets[entries] - positions[place]
         distance = np.hypot(*delta.T)
         sure = 1.0 / (1.0 + np.exp((distance - ASKED_WITHIN) / 6.0))
-        label = objects.label_values[objects.label_starts[rows]]
-        shares = {"": sure}
-        for wind, angle in WINDS.items():
+        shares = [sure]
+        for angle in WINDS.values():
             cosine = (delta @ (np.sin(angle), np.cos(angle))) / np.maximum(distance, 1e-3)
             clear = distance > 5.0  # nearer than that a direction is a guess [m]
-            shares[wind] = sure * clear / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1))
-        size = (len(objects.labels), len(positions))
-        labels: dict[tuple[str, str], NDArray[np.float64]] = {}
-        for wind, share in shares.items():
-            table = np.bincount(label * size[1] + place, share, size[0] * size[1]).reshape(size)
-            for k in np.flatnonzero(table.any(axis=1)):
-                labels[objects.labels[k], wind] = table[k]
-        names: dict[str, NDArray[np.float64]] = defaultdict(lambda: np.zeros(len(positions)))
-        for row, at, share in zip(rows.tolist(), place.tolist(), sure.tolist(), strict=True):
-            if name := objects.name(row):
-                names[name][at] += share
-        return cls(labels, dict(names))
+            shares.append(sure * clear / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1)))
+        labels, label = np.unique(
+            objects.label_values[objects.label_starts[rows]], return_inverse=True
+        )
+        first = objects.name_starts[rows]
+        has = first < objects.name_starts[rows + 1]
+        names, name = np.unique(objects.name_values[first[has]], return_inverse=True)
+        k = len(positions)
+        return cls(
+            [objects.labels[i] for i in labels],
+            np.stack([_summed(label, place, share, len(labels), k) for share in shares]),
+            [objects.names[i] for i in names],
+            _summed(name, place[has], sure[has], len(names), k),
+        )
+
+
+def _summed(
+    kind: NDArray[np.int64], place: NDArray[np.int64], share: NDArray[np.float64], n: int, k: int
+) -> NDArray[np.float64]:
+    """Sums (n, k) of shares by kind and place."""
+    return np.asarray(np.bincount(kind * k + place, share, n * k).reshape(n, k), np.float64)
 
 
 def _yes_or_no(
     weights: NDArray[np.float64], around: _Around, vocabulary: Vocabulary
 ) -> list[Question]:
+    yes = MISTAKE + (1.0 - 2.0 * MISTAKE) * -np.expm1(-2.0 * around.expected)
+    gains = _gain(weights, np.stack([yes, 1.0 - yes], axis=-2))
+    there = np.asarray(around.expected.any(axis=-1))
     questions = []
-    for (label, wind), expected in sorted(around.labels.items(), key=lambda item: item[0]):
+    for i, label in enumerate(around.labels):
         if label.endswith("*"):
             continue
-        yes = MISTAKE + (1.0 - 2.0 * MISTAKE) * -np.expm1(-2.0 * expected)
         words = vocabulary.spoken(label)
         article = "an" if words[:1].lower() in "aeiou" else "a"
-        where = f"within sight to your {wind}" if wind else "within sight"
-        questions.append(
-            Question(
-                f"Is there {article} {words} {where}?",
-                (YES, NO),
-                (Thing(words, label, wind),),
-                _gain(weights, np.stack([yes, 1.0 - yes])),
-            )
-        )
-    return questions
+        for j, wind in enumerate(("", *WINDS)):
+            if there[j, i]:
+                where = f"within sight to your {wind}" if wind else "within sight"
+                text = f"Is there {article} {words} {where}?"
+                thing = Thing(words, label, wind)
+                questions.append(Question(text, (YES, NO), (thing,), float(gains[j, i])))
+    return sorted(questions, key=lambda q: (q.things[0].label, q.things[0].wind))
 
 
 def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
     """At most one choice question: names that together cover the likeliest places."""
     left = weights.copy()
-    chosen: list[str] = []
+    sure = np.minimum(around.named, 1.0)
+    chosen: list[int] = []
     while len(chosen) < MOST_NAMES and around.names:
-        share = {name: float(left @ np.minimum(sure, 1.0)) for name, sure in around.names.items()}
-        telling = max(share, key=lambda name: (share[name], name))
+        share = sure @ left
+        telling = max(range(len(share)), key=lambda i: (share[i], around.names[i]))
         if share[telling] < 0.02:  # the rest is too unlikely to be asked about
             break
         chosen.append(telling)
-        left = left * (1.0 - np.minimum(around.names[telling], 1.0))
+        left = left * (1.0 - sure[telling])
     if len(chosen) < 2:  # that would be a yes/no question
         return []
-    present = np.minimum(1.0, np.stack([around.names[name] for name in chosen]))
+    present = sure[chosen]
     none = np.prod(1.0 - 0.95 * present, axis=0)
     said = np.vstack([present / np.maximum(present.sum(axis=0), 1e-9) * (1.0 - none), none])
     said = MISTAKE / len(said) + (1.0 - MISTAKE) * said
+    names = tuple(around.names[i] for i in chosen)
     return [
         Question(
-            f"Which of these is within sight: {', '.join(chosen)}?",
-            (*chosen, NONE),
-            tuple(Thing(name) for name in chosen),
-            _gain(weights, said),
+            f"Which of these is within sight: {', '.join(names)}?",
+            (*names, NONE),
+            tuple(Thing(name) for name in names),
+            float(_gain(weights, said)),
         )
     ]
 
 
-def _gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> float:
-    """Mutual information [nat] of the place (K,) and the answer (O, K)."""
+def _gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mutual information (...) [nat] of the place (K,) and the answer (..., O, K)."""
 
-    def entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return -(p * np.log(np.maximum(p, 1e-12))).sum(axis=0)
+    def entropy(p: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        return np.asarray(-(p * np.log(np.maximum(p, 1e-12))).sum(axis=axis))
 
-    return float(entropy(options @ weights) - weights @ entropy(options))
+    return np.asarray(entropy(options @ weights, -1) - entropy(options, -2) @ weights)
