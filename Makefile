@@ -7,6 +7,11 @@ TOOLS := $(VENV)/.tools
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
+# Debian's browser for the tests of pages, where it may be installed without a password.
+AS_ROOT := $$(test "$$(id -u)" = 0 || echo "sudo -n")
+CHROMIUM := command -v chromium || { command -v apt-get && $(AS_ROOT) apt-get update && \
+  $(AS_ROOT) env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends chromium; }
+
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test test-all lint docs bench clean
 
@@ -52,6 +57,7 @@ $(TOOLS): pyproject.toml lab/pyproject.toml $(BIN)/python
 	$(PIP) torch==2.13.0 torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
 	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
 	$(PIP) --editable '.[dev,docs]' --editable ./lab
+	@$(CHROMIUM) >/dev/null 2>&1 || echo "No chromium: tests of pages will be skipped" >&2
 	@touch $(CORE) $@
 
 # Debian ships venv apart from Python: fall back on virtualenv, or say what to install.
