@@ -57,7 +57,7 @@ $(TOOLS): pyproject.toml lab/pyproject.toml $(BIN)/python
 	$(PIP) torch==2.13.0 torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
 	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
 	$(PIP) --editable '.[dev,docs]' --editable ./lab
-	@$(CHROMIUM) >/dev/null 2>&1 || echo "No chromium: tests of pages will be skipped" >&2
+	@{ $(CHROMIUM); } >/dev/null 2>&1 || echo "No chromium: tests of pages will be skipped" >&2
 	@touch $(CORE) $@
 
 # Debian ships venv apart from Python: fall back on virtualenv, or say what to install.
