@@ -137,3 +137,31 @@ def test_an_answer_is_short_and_travels(world, films):
     sent = pickle.dumps(estimate)
     assert len(sent) < 100_000
     assert pickle.loads(sent).to_dict() == estimate.to_dict()  # noqa: S301 - our own
+
+
+def test_questions_tell_twins_apart_and_a_no_is_no_yes(world, films):
+    alone = world.locate(None, films["parlour"], refine=False)
+    question = alone.next_question(world)
+    asked = question.things[0].words
+    assert question.text == f"Are you in {asked}?"
+    for option, there in (("yes", True), ("no", False)):
+        told = world.locate(None, films["parlour"], refine=False, answers=[question.answer(option)])
+        assert (told.best.building == asked) == there
+        assert told.next_question(world) is None or told.status is Status.AMBIGUOUS
+    unknown = world.locate(
+        None, films["parlour"], refine=False, answers=[question.answer("don't know")]
+    )
+    assert unknown.status is Status.AMBIGUOUS
+    assert unknown.next_question(world).text != question.text
+
+
+def test_rooms_are_asked_for_where_the_building_is_known(world):
+    told = World(world.cities, {"suite": world.scenes["suite"]}).locate("I am in the hotel")
+    question = told.next_question(world)
+    assert question is None or "Hotel Hansa" not in question.text
+
+
+def test_contradictions_are_told_of_what_is_ambiguous_too(world, films):
+    estimate = world.locate("I am in the bakery", films["parlour"], refine=False)
+    assert estimate.status is Status.AMBIGUOUS
+    assert "what was said of the outside is not so there" in estimate.reason

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.estimate import Estimate, Status
 from placegraph.evidence import Explained
+from placegraph.world.ask import question_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -87,12 +88,16 @@ class WorldEstimate(Estimate[WorldMode]):
     """What the frames say in each scene looked into."""
     notes: tuple[str, ...] = ()
     """What of the question could not be used, and why."""
+    answered: tuple[str, ...] = ()
+    """Questions that were answered; they are not asked again."""
 
     def next_question(self, world: World) -> Question | None:
-        """Question whose answer is expected to tell the places in a city apart; None where none would."""
+        """Question that is expected to tell buildings, rooms or places of a city apart; None: none would."""
         best = self.best
-        if self.status is not Status.AMBIGUOUS or best is None or best.place is None:
+        if self.status is not Status.AMBIGUOUS or best is None:
             return None
+        if best.place is None:
+            return question_of(self.modes, self.answered)
         for name, estimate in self.cities.items():
             if best.place in estimate.modes:
                 return world.cities[name].ask(estimate)

@@ -168,9 +168,10 @@ def _judged(
     w = witnesses.scenes[mode.scene]
     where = f"In {mode.where}: {best.reason}"
     against = contradictions(w, mode, known)
-    if best.status is Status.OK and against:
-        return Status.AMBIGUOUS, f"{where} But {' and '.join(against)}."
-    return best.status, where
+    if not against or "not what was said" in best.reason:
+        return best.status, where
+    also = "But" if best.status is Status.OK else "And"
+    return Status.AMBIGUOUS, f"{where} {also} {' and '.join(against)}."
 
 
 def contradictions(w: Witness, mode: WorldMode, known: Known) -> list[str]:

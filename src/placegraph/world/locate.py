@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
+from placegraph.world.ask import with_answers
 from placegraph.world.frames import by_frames
 from placegraph.world.witnesses import hear
 from placegraph.world.words import by_words
@@ -20,8 +21,14 @@ if TYPE_CHECKING:
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 
-def locate(world: World, known: Known) -> WorldEstimate:
+def locate(world: World, asked: Known) -> WorldEstimate:
     """One posterior over place, room and pose; parameters and errors: `World.locate`."""
+    known = with_answers(asked)
+    answered = tuple(answer.question.text for answer in asked.answers)
+    return replace(_located(world, known), answered=answered)
+
+
+def _located(world: World, known: Known) -> WorldEstimate:
     if known.capture is not None and not world.scenes and known.text is None:
         raise OptionError(f"capture: {NO_SCENES[0].lower()}{NO_SCENES[1:]}")
     witnesses = hear(world, known)
@@ -36,7 +43,9 @@ def _swap_told(world: World, known: Known, estimate: WorldEstimate) -> WorldEsti
     if known.near is None or estimate.status is Status.OK:
         return estimate
     cities = world.cities.values()
-    if not all(Whereabouts.around(city, known.near, known.radius).off(city) for city in cities):
+    if not cities or not all(
+        Whereabouts.around(city, known.near, known.radius).off(city) for city in cities
+    ):
         return estimate
     hint = next((told for city in cities if (told := swapped(city, known.near))), "")
-    return replace(estimate, reason=f"{estimate.reason}{hint}")
+    return replace(estimate, reason=f"{estimate.reason} The fix is on none of the maps.{hint}")

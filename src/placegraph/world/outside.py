@@ -94,9 +94,9 @@ class Outside:
         weights, meant = [], False
         for i, s in enumerate(self.asked.query.used):
             own = s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
-            own &= not (s.negated or self._road(served[:, i]))
+            own &= not self._road(served[:, i])
             told = float((ratios[: len(inner)] if own else ratios)[:, i].max())
-            if own:
+            if own and not s.negated:
                 there = self._away(served[: len(inner), i], middle) < THERE
                 meant |= there
                 told = told if there else min(told, MISSED)

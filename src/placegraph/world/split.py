@@ -115,6 +115,9 @@ def understand(
     ignored = tuple(dict.fromkeys(i for d in whole.values() for i in d.ignored))
     if not cities and inside is not None:
         ignored = inside.ignored
+    if sentence is not None:  # what the other wing could use
+        used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.things}
+        ignored = tuple(i for i in ignored if _plain(i.text) not in used)
     return Understood(text, outside, sentence, ignored)
 
 
@@ -142,7 +145,9 @@ def _outside(
         if m.name:
             is_out = bool(city.name_index.named(m.name)) or words not in own
         elif room_kind(words):
-            is_out = known and room_kind(words) not in {room_kind(thing) for thing in things}
+            held = {room_kind(thing) for thing in things}
+            whole = " " in words and words in {_plain(s.label.partition("=")[2]) for s in m.senses}
+            is_out = known and (whole or room_kind(words) not in held)  # a post office is no office
         else:
             is_out = not _in_rooms(words, things)
         if is_out:
@@ -224,6 +229,10 @@ def _english(read: Mapping[str, Description]) -> bool:
 def _words(text: str) -> list[str]:
     words = "".join(c if c.isalnum() else " " for c in text.casefold()).split()
     return [w for w in words if w not in _ARTICLES]
+
+
+def _plain(text: str) -> str:
+    return " ".join(_words(text))
 
 
 def _parts(names: Collection[str]) -> set[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.evidence import Evidence
+from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.locate import Hints
 from placegraph.world.inside import Inside, things_of
@@ -112,7 +113,13 @@ def hear(world: World, known: Known) -> Witnesses:
         if understood.inside is not None and scenes:
             inside = Inside.hear(world.library, understood.inside)
     spoken = f" {' '.join(tokens(known.text or ''))} "
-    witness = partial(_witness, known=known, towns=towns, inside=inside, spoken=spoken)
+    refused = [f" {' '.join(tokens(name))} " for name in _denied(understood)]
+    for name in refused:
+        spoken = spoken.replace(name, " | ")
+    denied = "|".join(refused)
+    witness = partial(
+        _witness, known=known, towns=towns, inside=inside, spoken=spoken, denied=denied
+    )
     near = None if known.near is None else (float(known.near[0]), float(known.near[1]))
     return Witnesses(understood, towns, inside, {n: witness(n, s) for n, s in scenes.items()}, near)
 
@@ -125,13 +132,18 @@ def _witness(
     towns: dict[str, Outside],
     inside: Inside | None,
     spoken: str,
+    denied: str,
 ) -> Witness:
     """What words and the fix say of one scene and the candidates of its place."""
-    called = _called(name, spoken)
+    names = {name, *(s.anchor.building for s in standings)}
+    called = any(_called(n, spoken) for n in names)
+    refused = CALLED * any(_called(n, denied) for n in names)
     said = inside.scenes[name] if inside else 0.0
     if not standings:
         fits = 1.0 if known.near is None else UNANCHORED
-        return Witness(name, outside=CALLED * called, inside=said, near=fits, meant=called)
+        return Witness(
+            name, outside=CALLED * called - refused, inside=said, near=fits, meant=called
+        )
     priors = np.array([s.anchor.probability for s in standings])
     told = [_told(s, towns) for s in standings]
     ratios = np.array([t.ratio if t else 0.0 for t in told])
@@ -143,14 +155,13 @@ def _witness(
     shares /= shares.sum()
     order = np.argsort(-shares, kind="stable")
     best = int(order[0])
-    called |= any(_called(s.anchor.building, spoken) for s in standings)
     unknown = max(0.0, 1.0 - float(priors.sum()))
     outside = float(np.log(priors @ np.exp(ratios) + unknown))
     return Witness(
         name,
         tuple(standings[i] for i in order),
         shares[order],
-        outside + CALLED * (called and told[best] is None),
+        outside + CALLED * (called and told[best] is None) - refused,
         said,
         float(priors @ nears + unknown * UNANCHORED),
         called or any(t is not None and t.meant for t in told),
@@ -165,6 +176,17 @@ def _told(standing: Standing, towns: dict[str, Outside]) -> Told | None:
         if town.holds(corners.mean(axis=0)):
             return town.of_building(corners)
     return None
+
+
+def _denied(understood: Understood | None) -> tuple[str, ...]:
+    """Names of what the speaker was said not to be in: "I am not in the Grand Hotel"."""
+    said = understood.outside.values() if understood else ()
+    return tuple(dict.fromkeys(
+        d.mentions[s.target].name
+        for d in said for s in d.statements
+        if d.mentions[s.target].name and s.negated and s.source == SPEAKER
+        and s.relation in (Relation.INSIDE, Relation.SAME)
+    ))  # fmt: skip
 
 
 def _called(name: str, spoken: str) -> bool:

@@ -261,3 +261,13 @@ def test_maps_localized_in_are_kept_until_a_scene_goes(maps, rooms, monkeypatch)
     library.remove("parlour")
     library.localize(rooms["study"].film(21, 8), refine=False)
     assert len(merged) == 2
+
+
+def test_one_of_two_identical_flats_is_never_sure(maps, rooms):
+    """The second is looked into though the first is certain."""
+    film = rooms["study"].film(21, 8, depth=True)
+    twins = library_of({"here": maps["study"], "there": maps["study"]}, encoders="labels")
+    assert library_of({"here": maps["study"]}, encoders="labels").localize(film).status is Status.OK
+    estimate = twins.localize(film)
+    assert estimate.status is Status.AMBIGUOUS
+    assert "another fits nearly as well" in estimate.reason
