@@ -59,6 +59,7 @@ def test_by_a_pose_in_place_and_off_again(run, scene):
     [
         ([], "one of"),
         (["--pose", "7,43,0,0", "--remove"], "one of"),
+        (["--in", "town.osm"], "--in needs --building"),
         (["--pose", "7,43"], "4 numbers"),
         (["--pose", "7,99,0,0"], "latitude is 99"),
         (["--pair", "0,0"], "2 or 3 numbers"),

@@ -54,7 +54,18 @@ def anchor(
     level: Annotated[
         str, Option(help="OpenStreetMap's level of the map's floor, such as 1.", panel=TOLD)
     ] = "",
-    building: Annotated[str, Option(help="Name of the building.", panel=TOLD)] = "",
+    building: Annotated[
+        str, Option(help="Name of the building, its address or id (way/12).", panel=TOLD)
+    ] = "",
+    place: Annotated[
+        Path | None,
+        Option(
+            "--in",
+            help="Extract of OpenStreetMap or .city: the map's outer walls are fitted to the footprint "
+            "of --building, and all ways that fit are kept.",
+            panel=HOW,
+        ),
+    ] = None,
     remove: Annotated[
         bool, Option("--remove", help="Take the map off the Earth again.", panel=HOW)
     ] = False,
@@ -71,8 +82,10 @@ def anchor(
     """
     from placegraph.indoor.scene_map import SceneMap
 
-    if sum((bool(pair), pose is not None, remove)) != 1:
-        raise OptionError("Give one of --pair (three or more), --pose, --remove.")
+    if sum((bool(pair), pose is not None, place is not None, remove)) != 1:
+        raise OptionError("Give one of --pair (three or more), --pose, --in, --remove.")
+    if place is not None and not building:
+        raise OptionError("--in needs --building: the name of the building that the map is of.")
     scene = SceneMap.open(map_file)
     found: tuple[Anchor, ...] = ()
     notes: tuple[str, ...] = ()
@@ -84,6 +97,10 @@ def anchor(
         found, notes = (fitted.anchor,), fitted.notes
     elif pose is not None:
         found = (_posed(pose, accuracy),)
+    elif place is not None:
+        from placegraph.world.anchor_building import fit_building
+
+        found, notes = fit_building(scene, place, building, level)
     floor = float(scene.floors.min())
     found = tuple(_told(a, floor, height, level, building) for a in found)
     target = out or map_file

@@ -10,14 +10,13 @@ from placegraph.errors import OptionError
 from placegraph.formats.place.indoor_osm import ROOMS, IndoorShape
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words
 from placegraph.indoor.map.rooms import rooms_of
-from placegraph.indoor.mapping.osm.outlines import LEAST_AREA, area, outlines_of
+from placegraph.indoor.mapping.osm.outlines import LEAST_AREA, area, outlines_of, rings_of_cells
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.earth import Anchor
     from placegraph.geometry import Floats
-    from placegraph.indoor.map.rooms import Rooms
     from placegraph.indoor.map.scene import Scene
 
 _DOORS = frozenset({"door", "doorway", "doors"})
@@ -75,7 +74,7 @@ def _rooms(scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor) -> lis
         inside = [scene.attributes[row].get("room", "") for row in rows[rooms.room_of[rows] == k]]
         name = max(set(inside), key=inside.count) if inside else ""
         tags = {"name": "" if name.isdecimal() else name, "ref": name if name.isdecimal() else ""}
-        rings = _of_cells(rooms, k)
+        rings = rings_of_cells(rooms.cells == k, rooms.origin, rooms.cell)
         if rings:
             found.append(_room(anchor, f"way/{k}", "room", rings, tags, (floor, None)))
     return found
@@ -132,45 +131,13 @@ def _ceiling(scene: Scene, rows: NDArray[np.int64], room: str, floor: float) -> 
     return float(np.median(heights)) if heights else None
 
 
-def _of_cells(rooms: Rooms, k: int) -> list[Floats]:
-    """Outline of a room's cells, straightened to a cell's width."""
-    x, y = np.nonzero(rooms.cells == k)
-    corners = np.stack([x, y], axis=1)[:, None] + [(0, 0), (1, 0), (1, 1), (0, 1)]
-    points = rooms.origin + rooms.cell * corners.reshape(-1, 2)
-    first = 4 * np.arange(len(x))[:, None]
-    triangles = np.concatenate([first + np.array(half) for half in ((0, 1, 2), (0, 2, 3))])
-    rings = [_simplified(ring, rooms.cell) for ring in outlines_of(points, triangles)]
-    large = [ring for ring in rings if len(ring) > 3 and abs(area(ring)) > 0.5]
-    return sorted(large, key=lambda ring: -abs(area(ring)))
-
-
-def _simplified(ring: Floats, tolerance: float) -> Floats:
-    """Closed ring without the points that lie within a tolerance [m] of it (Douglas, Peucker)."""
-    far = int(np.linalg.norm(ring - ring[0], axis=1).argmax())
-    kept = np.zeros(len(ring), np.bool_)
-    kept[[0, far, -1]] = True
-    spans = [(0, far), (far, len(ring) - 1)]
-    while spans:
-        a, b = spans.pop()
-        if b - a < 2:
-            continue
-        along = (ring[b] - ring[a]) / max(float(np.linalg.norm(ring[b] - ring[a])), 1e-9)
-        away = ring[a + 1 : b] - ring[a]
-        off = np.abs(along[0] * away[:, 1] - along[1] * away[:, 0])
-        k = int(off.argmax())
-        if off[k] > tolerance:
-            kept[a + 1 + k] = True
-            spans += [(a, a + 1 + k), (a + 1 + k, b)]
-    return ring[kept]
-
-
 def _doors(scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor) -> list[IndoorShape]:
     graph, floor, found = scene.graph, float(scene.floors[s]), []
     for row in rows.tolist():
         words = label_words(graph.labels[row])
         if not words or words[-1] not in _DOORS or graph.extents is None:
             continue
-        ends = _ends(scene, row)
+        ends = ends_of(scene, row)
         width, height = float(np.linalg.norm(ends[1] - ends[0])), float(graph.extents[row, 2])
         said = {
             k: scene.attributes[row][k]
@@ -183,8 +150,8 @@ def _doors(scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor) -> lis
     return found
 
 
-def _ends(scene: Scene, row: int) -> Floats:
-    """Ends (2, 2) of a door seen from above [m, map]: along what it is widest."""
+def ends_of(scene: Scene, row: int) -> Floats:
+    """Ends (2, 2) of a door or window seen from above [m, map]: along what it is widest."""
     mesh = scene.mesh
     corners = mesh.vertices[mesh.triangles[mesh.object_of == row], :2].reshape(-1, 2)
     points = np.unique(corners.astype(np.float64), axis=0)

@@ -172,7 +172,38 @@ def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
     for (one, other), count in edges.items():
         for _ in range(count - edges.get((other, one), 0)):
             after.setdefault(one, []).append(other)
-    rings = []
+    return [_straightened(np.array([place[k] for k in way])) for way in _ways(after)]
+
+
+def rings_of_cells(mask: NDArray[np.bool_], origin: Floats, cell: float) -> list[Floats]:
+    """Closed rings (n, 2) [m] around the set cells (nx, ny) of a grid, straightened to a cell's width.
+
+    The largest first, counter-clockwise around cells, clockwise around holes; those below 0.5 m2
+    are left out.
+    """
+    ny = mask.shape[1] + 1
+    padded = np.pad(mask, 1)
+    after: dict[int, list[int]] = {}
+    # which neighbour is not set, and the side towards it, with the cell to its left
+    for step, start, end in (
+        ((0, -1), (0, 0), (1, 0)), ((1, 0), (1, 0), (1, 1)),
+        ((0, 1), (1, 1), (0, 1)), ((-1, 0), (0, 1), (0, 0)),
+    ):  # fmt: skip
+        x, y = np.nonzero(mask & ~np.roll(padded, (-step[0], -step[1]), (0, 1))[1:-1, 1:-1])
+        one, other = ((x + dx) * ny + y + dy for dx, dy in (start, end))
+        for a, b in zip(one.tolist(), other.tolist(), strict=True):
+            after.setdefault(a, []).append(b)
+    rings = [
+        _simplified(origin + cell * np.stack(np.divmod(np.array(way), ny), axis=1), cell)
+        for way in _ways(after)
+    ]
+    large = [ring for ring in rings if len(ring) > 3 and abs(area(ring)) > 0.5]
+    return sorted(large, key=lambda ring: -abs(area(ring)))
+
+
+def _ways(after: dict[int, list[int]]) -> list[list[int]]:
+    """Closed ways along directed edges; empty where they make none."""
+    ways = []
     while after:
         first = at = next(iter(after))
         way = [first]
@@ -186,8 +217,28 @@ def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
                 break
         if at != first:
             return []
-        rings.append(_straightened(np.array([place[k] for k in way])))
-    return rings
+        ways.append(way)
+    return ways
+
+
+def _simplified(ring: Floats, tolerance: float) -> Floats:
+    """Closed ring without the points that lie within a tolerance [m] of it (Douglas, Peucker)."""
+    far = int(np.linalg.norm(ring - ring[0], axis=1).argmax())
+    kept = np.zeros(len(ring), np.bool_)
+    kept[[0, far, -1]] = True
+    spans = [(0, far), (far, len(ring) - 1)]
+    while spans:
+        a, b = spans.pop()
+        if b - a < 2:
+            continue
+        along = (ring[b] - ring[a]) / max(float(np.linalg.norm(ring[b] - ring[a])), 1e-9)
+        away = ring[a + 1 : b] - ring[a]
+        off = np.abs(along[0] * away[:, 1] - along[1] * away[:, 0])
+        k = int(off.argmax())
+        if off[k] > tolerance:
+            kept[a + 1 + k] = True
+            spans += [(a, a + 1 + k), (a + 1 + k, b)]
+    return ring[kept]
 
 
 def _straightened(ring: Floats) -> Floats:
