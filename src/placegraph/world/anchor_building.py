@@ -1,8 +1,7 @@
 """Anchors of a map by itself: its outer walls fitted to the footprint of a named building.
 
-Headings come from the directions of walls, shifts from a correlation with the footprint's walls,
-and what is left is least squares. Windows belong to walls that no neighbour shares, doors of the
-outer walls to entrances. All fits are told, with what speaks for each.
+Headings come from the directions of walls, shifts from a correlation with the footprint's, the rest
+from least squares. Windows belong to walls that no neighbour shares, outer doors to entrances.
 """
 
 from __future__ import annotations
@@ -22,6 +21,8 @@ from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls, off_segments,
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from placegraph.earth import Anchor
     from placegraph.geometry import Floats
@@ -114,8 +115,8 @@ def fits(walls: OuterWalls, footprint: Footprint) -> list[Fit]:
     sigma = float(np.hypot(_ROUGH, footprint.grain / 2.0))
     found: list[Fit] = []
     for heading in _headings(walls, footprint):
-        for shift in _shifts(walls, footprint, heading, sigma):
-            found.append(_refined(walls, footprint, heading, shift, sigma))
+        shifts = _shifts(walls, footprint, heading, sigma)
+        found += [_refined(walls, footprint, heading, shift, sigma) for shift in shifts]
     found.sort(key=lambda fit: -fit.score)
     kept: list[Fit] = []
     middle = walls.points.mean(axis=0)
@@ -190,7 +191,8 @@ def _shifts(walls: OuterWalls, footprint: Footprint, heading: float, sigma: floa
     at = np.floor((turned - centre) / cell).astype(int)
     np.add.at(stamp, (at[:, 0] % nx, at[:, 1] % ny), walls.weights)
     score = np.fft.irfft2(np.conj(np.fft.rfft2(stamp)) * np.fft.rfft2(field - worst), s=(nx, ny))
-    best, apart, found = float(score.max()), max(1, round(0.75 / cell)), []
+    best, apart = float(score.max()), max(1, round(0.75 / cell))
+    found: list[Floats] = []
     while len(found) < _SHIFTS and score.max() > best - _NATS:
         i, j = np.unravel_index(int(score.argmax()), score.shape)
         found.append(low + cell * (np.array([i, j]) + 0.5) - centre)
@@ -207,11 +209,9 @@ def _refined(
         moved = _moved(walls.points, heading, shift)
         inwards, normal, matched, _ = _against(walls, footprint, moved, heading)
         left = inwards - thick
-        # what is far off is another wall (Geman and McClure)
         trust = weights * matched / sigma**2 / (1.0 + (left / (2 * sigma)) ** 2) ** 2
         lever = moved - shift
         turning = normal[:, 0] * lever[:, 1] - normal[:, 1] * lever[:, 0]
-        # how far inwards a point lies falls as it moves along the outward normal
         rows = np.column_stack([-normal, -turning, -np.ones(len(left))])
         prior = np.diag([1e-6, 1e-6, 1e-4, 1.0 / VARIES**2])
         hessian = (rows * trust[:, None]).T @ rows + prior
@@ -220,12 +220,13 @@ def _refined(
         shift, heading, thick = shift + step[:2], heading + float(step[2]), thick + float(step[3])
         if np.abs(step).max() < 1e-4:
             break
-    return _judged(walls, footprint, (heading, shift, thick), sigma, np.linalg.inv(hessian)[:3, :3])
+    covariance: Floats = np.linalg.inv(hessian)[:3, :3]
+    return _judged(walls, footprint, (heading, shift, thick), sigma, covariance)
 
 
 def _against(
     walls: OuterWalls, footprint: Footprint, moved: Floats, heading: float
-) -> tuple[Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.int64]]:
     """How far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
     facing = (walls.normals @ rotation_z(-heading)[:2, :2].T) @ footprint.normals.T
     distance = off_segments(moved, footprint.starts, footprint.ends)
@@ -248,7 +249,6 @@ def _judged(
     inside = within(moved, footprint.rings)
     far = off_segments(moved, footprint.starts, footprint.ends).min(axis=1)
     depth = np.where(near, inwards - thick + THICK, np.where(inside, np.maximum(far, 0.01), -far))
-    # what lies far inside belongs to no wall, however it is turned
     lost = near | (far > 3 * sigma) | ~inside
     log = np.where(lost, _log_wall(depth, sigma), np.log((1 - _OUTER) * _WITHIN))
     outer = near & (np.abs(inwards - thick) < 2.5 * sigma)
