@@ -220,7 +220,7 @@ def _refined(
         shift, heading, thick = shift + step[:2], heading + float(step[2]), thick + float(step[3])
         if np.abs(step).max() < 1e-4:
             break
-    covariance: Floats = np.linalg.inv(hessian)[:3, :3]
+    covariance = np.asarray(np.linalg.inv(hessian)[:3, :3], np.float64)
     return _judged(walls, footprint, (heading, shift, thick), sigma, covariance)
 
 
