@@ -168,3 +168,10 @@ def test_a_refinement_as_json(posed):
         {"n": 1},
     )
     assert got["coarse"] == strict(posed)["modes"][1]
+
+
+def test_a_place_has_one_spread_in_whatever_axes():
+    """Along the north-east axis 12 m, across it 5 m: neither east nor north alone says so."""
+    axes = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)
+    place = Place(0.0, 0.0, 1.0, "c", axes.T @ np.diag([144.0, 25.0]) @ axes)
+    assert place.spread == pytest.approx(12.0)

@@ -49,6 +49,11 @@ class Place(Explained):
     covariance: NDArray[np.float64] = field(repr=False)
     """(2, 2) float64, east-north [m^2]."""
 
+    @property
+    def spread(self) -> float:
+        """Standard deviation in the direction in which the place is least sure [m]."""
+        return float(np.linalg.eigvalsh(self.covariance)[-1] ** 0.5)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
         return {

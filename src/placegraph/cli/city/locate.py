@@ -143,9 +143,9 @@ def _show(estimate: CityEstimate, question: Question | None) -> None:
     out.print(f"{estimate.status.name}: {estimate.reason}")
     for rank, mode in enumerate(estimate.modes, 1):
         share = "" if estimate.ranked else f"{mode.probability:6.1%}  "
-        sigma = max(mode.covariance[0, 0], mode.covariance[1, 1]) ** 0.5
         out.print(
-            f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {share}±{sigma:.0f} m  cell {mode.cell}"
+            f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {share}±{mode.spread:.0f} m  "
+            f"cell {mode.cell}"
         )
     if estimate.evidence:
         rows = table("", "statement", "nat", "served by")

@@ -97,8 +97,7 @@ def _told(estimate: CityEstimate) -> str:
     best = estimate.best
     if best is None:
         return f"{estimate.status.name}: {estimate.reason}"
-    sigma = max(best.covariance[0, 0], best.covariance[1, 1]) ** 0.5
     return (
         f"{estimate.status.name:9} {best.latitude:.5f}, {best.longitude:.5f} "
-        f"{best.probability:6.1%}  ±{sigma:.0f} m  {estimate.reason}"
+        f"{best.probability:6.1%}  ±{best.spread:.0f} m  {estimate.reason}"
     )
