@@ -29,11 +29,10 @@ def question_of(modes: Sequence[WorldMode], answered: Sequence[str]) -> Question
         buildings[m.building or m.scene] += m.probability
         rooms[m.room] += m.probability
     for label, shares, words in ((BUILDING, buildings, "{}"), (ROOM, rooms, "the {}")):
-        total = sum(shares.values())
-        asked = [
+        asked = [  # shares of everything: where no mode is, one is elsewhere
             Question(f"Are you in {words.format(name)}?", (YES, NO), (Thing(name, label),), gain)
             for name, p in shares.items()
-            if name and total and (gain := _entropy(p / total)) > WORTH
+            if name and (gain := _entropy(p)) > WORTH
         ]
         left = [q for q in asked if q.text not in answered]
         if left:
