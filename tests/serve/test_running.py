@@ -38,6 +38,7 @@ def small(town, tmp_path_factory):
         "    serve(Places(['hafenstadt.city']), options, '127.0.0.1', 0, say)\n"
     )
     server = Running(program="serve.py", cwd=folder)
+    httpx.post(f"{server.url}/v1/locate?key=secret", json=SAID, timeout=60).raise_for_status()
     yield server
     code, said = server.end()
     assert code == 0
