@@ -143,6 +143,7 @@ class Anchor:
         *,
         probability: float = 1.0,
         room: str = "",
+        storey: int = 0,
     ) -> EarthPose:
         """Pose on Earth of a camera in the map.
 
@@ -155,8 +156,9 @@ class Anchor:
             None: it is exact. What is not known of the anchor is added to it.
         probability
             Of the pose in the map; the anchor's is multiplied.
-        room
-            Where it is.
+        room, storey
+            Where it is; how many storeys above the map's floor, which counts for a level that is a
+            number.
 
         """
         pose = np.asarray(map_from_camera, np.float64)
@@ -177,8 +179,20 @@ class Anchor:
         body = there @ ecef_from_camera[:3, :3] @ CAMERA_FROM_BODY
         return EarthPose(
             lon, lat, height, quaternion_from_rotation(body), total,
-            self.probability * probability, self.level, room, self.building, self.osm,
+            self.probability * probability, _raised(self.level, storey), room, self.building,
+            self.osm,
         )  # fmt: skip
+
+    def somewhere(self, box: ArrayLike, *, probability: float = 1.0) -> EarthPose:
+        """Place on Earth of somebody anywhere in a box (2, 3) of the map [m], who looks anywhere."""
+        low, high = np.asarray(box, np.float64)
+        middle, spread = np.eye(4), np.zeros((6, 6))
+        middle[:3, 3] = (low + high) / 2.0
+        np.fill_diagonal(spread[:3, :3], (high - low) ** 2 / 12.0)
+        there = self.pose(middle, spread, probability=probability)
+        covariance = there.covariance.copy()
+        covariance[3:] = covariance[:, 3:] = np.nan
+        return replace(there, quaternion=np.full(4, np.nan), covariance=covariance)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, as the map file holds them."""
@@ -195,6 +209,15 @@ class Anchor:
         if wrong := [name for name in texts & given.keys() if not isinstance(given[name], str)]:
             raise OptionError(f"anchor: {wrong[0]} is no text.")
         return cls(**given)
+
+
+def _raised(level: str, storeys: int) -> str:
+    """OpenStreetMap's level so many storeys up; as it is where it is no number."""
+    try:
+        number = float(level)
+    except ValueError:
+        return level
+    return f"{number + storeys:g}" if storeys and np.isfinite(number) else level
 
 
 def ranked(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anchor, ...]:

@@ -110,6 +110,8 @@ class SceneMode(Explained):
     score: float
     """Log-likelihood ratio of the query in this scene against anywhere [nat]; under the paper's
     sum (Sec. 4) the sum over frames of the mean best cosine."""
+    earth: tuple[EarthPose, ...] = ()
+    """Where on Earth, for somebody anywhere in it: as of a `PoseMode`."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -118,6 +120,7 @@ class SceneMode(Explained):
             "probability": self.probability,
             "score": self.score,
             "evidence": [e.to_dict() for e in self.evidence],
+            "earth": [pose.to_dict() for pose in self.earth],
         }
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from placegraph.geometry import rotation_from_quaternion, split_pose
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import ArrayLike
 
     from placegraph.geometry import Floats
@@ -48,6 +50,20 @@ class EarthPose:
         whole = np.full((6, 6), np.nan)
         whole[:2, :2] = covariance
         return cls(longitude, latitude, np.nan, np.full(4, np.nan), whole, probability)
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> EarthPose:
+        """Pose of `to_dict`; `KeyError`, `TypeError` or `ValueError` where it is none."""
+        numbers = {
+            name: float(np.nan if plain[name] is None else plain[name])
+            for name in ("longitude", "latitude", "height", "probability")
+        }
+        return cls(
+            numbers["longitude"], numbers["latitude"], numbers["height"],
+            np.array(plain["quaternion"], np.float64).reshape(4),
+            np.array(plain["covariance"], np.float64).reshape(6, 6), numbers["probability"],
+            *(str(plain[name]) for name in ("level", "room", "building", "osm")),
+        )  # fmt: skip
 
     @property
     def heading(self) -> float:

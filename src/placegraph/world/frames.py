@@ -24,6 +24,7 @@ from placegraph.indoor.library.localize import (
     scene_of,
 )
 from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms.naming import room_at
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.world.estimate import WorldEstimate, WorldMode
@@ -126,7 +127,8 @@ def _modes(
     scene, w = world.scenes[name], witnesses.scenes[name]
     out = []
     for mode in answer.modes[:POSES]:
-        room = room_at(scene, mode.map_from_camera[:3, 3])
+        at = mode.map_from_camera[:3, 3]
+        room = room_at(scene, at)
         explain = partial(_evidence, witnesses, name, mode)
         if not w.standings:
             out.append(WorldMode(
@@ -139,7 +141,9 @@ def _modes(
         )
         k = int(shares.argmax())
         chance = float(shares[k] / shares.sum())
-        earth = w.standings[k].anchor.pose(mode.map_from_camera, mode.covariance, room=room)
+        earth = w.standings[k].anchor.pose(
+            mode.map_from_camera, mode.covariance, room=room, storey=storey_at(scene, at)[0]
+        )
         earth = replace(earth, probability=share * mode.probability * chance)
         out.append(WorldMode(
             earth.longitude, earth.latitude, share * mode.probability, earth.covariance[:2, :2],

@@ -1,6 +1,8 @@
 """Libraries come and go, are saved and opened, and localize."""
 
+import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import placegraph as pg
+from placegraph.earth import Anchor
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode, Status
 from placegraph.indoor.library import SceneLibrary, library_of, localize
@@ -60,6 +63,30 @@ def test_a_file_holds_what_was_saved(folder, by_labels, rooms):
     told, wanted = (lib.search(film) for lib in (opened, by_labels))
     assert [m.scene for m in told.modes] == [m.scene for m in wanted.modes]
     assert told.best.probability == pytest.approx(wanted.best.probability, abs=0.02)
+
+
+def test_scenes_that_stand_on_earth_are_found_there(maps, tmp_path):
+    """By a text: somebody is anywhere in the map, at its level, and looks anywhere."""
+    anchor = Anchor(9.99, 53.55, 6.0, 0.4, np.eye(4) * 0.01, "Haus", "way/7", "1", 0.75)
+    turned = replace(anchor, heading=3.5, probability=0.25)
+    maps["study"].anchored(anchor, turned).save(tmp_path / "study.scene")
+    maps["bedroom"].save(tmp_path / "bedroom.scene")
+    SceneLibrary.open(tmp_path, encoders="labels").save(tmp_path / "a.library")
+    found = pg.open_map(tmp_path / "a.library").search("a study with two desks")
+    here, there = found.best.earth
+    assert here.probability == pytest.approx(0.75 * found.best.probability)
+    low, high = maps["study"].bounds
+    assert (here.longitude, here.latitude, here.height) == pytest.approx(
+        tuple(anchor.to_earth((low + high) / 2))
+    )
+    width = max(high - low)
+    assert np.linalg.eigvalsh(here.covariance[:2, :2])[-1] > width**2 / 12
+    assert (here.level, here.building, here.unknown) == ("1", "Haus", ("orientation",))
+    assert there.probability == pytest.approx(here.probability / 3)
+    assert found.geopose()["unknown"] == ["orientation"]
+    json.dumps(found.to_dict(), allow_nan=False)
+    kinds = [f["properties"]["kind"] for f in found.geojson()["features"]]
+    assert kinds[:4] == ["mode", "ellipse"] * 2
 
 
 def test_a_folder_is_a_library(folder):

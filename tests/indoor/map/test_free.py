@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.earth import Anchor
 from placegraph.errors import MapError
+from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.geometry import split_pose
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.visibility import build_table
@@ -17,6 +19,7 @@ from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save
 from placegraph.indoor.mapping import merge
 from placegraph.indoor.mapping.from_capture import thinned
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.store import write_map
 
@@ -55,6 +58,21 @@ def test_storeys_are_floors_with_rooms_above(room, flat, stacked, boxes):
     assert len(storeys(room, 0)) == 1, "a roof is no storey"
     shelves = {f"shelf {i}": ((0, i, 2.2), (5, i + 0.3, 2.25)) for i in range(3)}
     assert len(storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
+
+
+def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):
+    sofa = flat.graph.positions[flat.graph.labels.index("sofa")]
+    for up, at, level, room in (
+        (0, (1.0, 1.0, 1.6), "2", "study"),
+        (1, sofa + SHIFT, "3", flat.attributes[flat.graph.labels.index("sofa")]["room"]),
+    ):
+        pose = np.eye(4)
+        pose[:3, 3] = at
+        mode = PoseMode(pose, np.zeros(4), np.eye(6), 1.0, stacked.scenes[0], pose)
+        for said, told in (("2", level), ("mezzanine", "mezzanine")):
+            anchored = stacked.anchored(Anchor(7.4, 43.7, 50.0, 0.3, level=said))
+            (earth,) = placed(anchored, PoseEstimate(Status.OK, (mode,), "")).best.earth
+            assert (earth.level, earth.room) == (told, room), up
 
 
 @pytest.mark.all

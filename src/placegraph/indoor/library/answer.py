@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -80,18 +81,28 @@ def search_capture(
     probability, elsewhere = posterior(found, said)
     order = np.argsort(-probability, kind="stable")[:most]
     modes = tuple(
-        SceneMode(
-            scene=names[row],
-            probability=float(probability[row]),
-            score=float(found.total[row]),
-            explain=partial(_explain_capture, library, names[row], query, options),
+        _mode(
+            library, names[row], float(probability[row]), float(found.total[row]),
+            partial(_explain_capture, library, names[row], query, options),
         )
         for row in order
-    )
+    )  # fmt: skip
     status, reason = judge(modes, elsewhere)
     seconds = {"encoding": encoding} | found.seconds
     stats = {"seconds": {k: round(v, 5) for k, v in seconds.items()}, "frames": len(query)}
     return SceneEstimate(status, modes, reason, elsewhere, stats)
+
+
+def _mode(
+    library: Scenes,
+    name: str,
+    probability: float,
+    score: float,
+    explain: Callable[[], tuple[Evidence, ...]],
+) -> SceneMode:
+    poses = library.entry(name).earth
+    earth = tuple(replace(p, probability=p.probability * probability) for p in poses)
+    return SceneMode(name, probability, score, earth, explain=explain)
 
 
 def posterior(found: Scores, said: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -183,14 +194,12 @@ def search_text(library: Scenes, text: str, most: int) -> SceneEstimate:
     share /= share.sum()
     names = library.names
     modes = tuple(
-        SceneMode(
-            scene=names[row],
-            probability=float(share[row]),
-            score=float(scores[row]),
-            explain=partial(_explain_text, library, names[row], sentence),
+        _mode(
+            library, names[row], float(share[row]), float(scores[row]),
+            partial(_explain_text, library, names[row], sentence),
         )
         for row in np.argsort(-scores, kind="stable")[:most]
-    )
+    )  # fmt: skip
     status, reason = judge(modes, float(share[-1]))
     left = "; ".join(f"{i.text!r} ({i.reason})" for i in sentence.ignored)
     return SceneEstimate(

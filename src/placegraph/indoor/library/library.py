@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.answer import search
@@ -101,6 +102,7 @@ class SceneLibrary(Shown, Scenes):
         meta = {
             "encoders": [{"name": e.name, "key": e.key} for e in self.encoders],
             "digests": [e.digest for e in entries],
+            "earth": [[pose.to_dict() for pose in e.earth] for e in entries],
             "height": self.height,
             "grain": GRAIN,
         }
@@ -147,14 +149,17 @@ class SceneLibrary(Shown, Scenes):
             library = cls(made, height=file.meta["height"])
             names, places = file.strings("names"), file.strings("paths")
             digests = [str(digest) for digest in file.meta["digests"]]
+            poses = [
+                tuple(map(EarthPose.from_dict, found))
+                for found in file.meta.get("earth", [[]] * len(names))
+            ]
             signatures = signatures_in(file, [e.key for e in library.encoders])
             folder = Path(path).resolve().parent
-            for name, place, signature, digest in zip(
-                names, places, signatures, digests, strict=True
+            for name, place, signature, digest, earth in zip(
+                names, places, signatures, digests, poses, strict=True
             ):
-                library.insert(
-                    name, Entry(signature, Path(os.path.normpath(folder / place)), digest)
-                )
+                at = Path(os.path.normpath(folder / place))
+                library.insert(name, Entry(signature, at, digest, earth))
         except (OptionError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise MapError(
                 f"{path}: its columns contradict each other ({error}). Make the library again."

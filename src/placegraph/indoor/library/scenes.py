@@ -16,12 +16,14 @@ from placegraph.indoor.language import TextIndex
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.signature import Signature, signature_of
 from placegraph.indoor.library.signature_file import decoys
+from placegraph.indoor.pose.placed import whereabouts
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Hashable, Iterator, Sequence
 
+    from placegraph.earth import EarthPose
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.map.scene import Scene
 
@@ -38,6 +40,8 @@ class Entry:
     """Map file; None where the map is only in memory."""
     digest: str = ""
     """SHA-256 of the file."""
+    earth: tuple[EarthPose, ...] = ()
+    """Where its map stands on Earth: one a candidate, likeliest first, for somebody anywhere in it."""
 
 
 class Scenes:
@@ -108,7 +112,8 @@ class Scenes:
         path = None if isinstance(scene, SceneMap) else Path(scene)
         opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
         signature = signature_of(opened, self.encoders, captures, self.height)
-        self.insert(name, Entry(signature, path, "" if path is None else digest_of(path)))
+        digest = "" if path is None else digest_of(path)
+        self.insert(name, Entry(signature, path, digest, whereabouts(opened)))
         if path is None:
             self._open[name] = opened
 

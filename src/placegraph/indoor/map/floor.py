@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.scene import Scene
@@ -83,6 +83,18 @@ def storeys(scene: Scene, part: int) -> list[float]:
     The first is the scene's own. Above it a storey begins where a level surface that looks up is as
     wide as a room, with walls above it and a room's height below.
     """
+    return scene.derived(("storeys", part), lambda s: _storeys(s, part))
+
+
+def storey_at(scene: Scene, point: ArrayLike) -> tuple[int, float]:
+    """Storey, from 0 on, in which a point (3,) x, y, z [m] lies, and the height of its floor [m]."""
+    x, y, z = np.asarray(point, np.float64).tolist()
+    floors = storeys(scene, scene.scene_at((x, y)))
+    storey = sum(floor <= z for floor in floors[1:])
+    return storey, floors[storey]
+
+
+def _storeys(scene: Scene, part: int) -> list[float]:
     found = [float(scene.floors[part])]
     normals = scene.mesh.normals()
     own = scene.scene_of[scene.mesh.object_of] == part

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms.naming import room_at
 
 if TYPE_CHECKING:
+    from placegraph.earth import EarthPose
     from placegraph.estimate import PoseEstimate, PoseMode
     from placegraph.indoor.map.scene import Scene
 
@@ -20,10 +22,24 @@ def placed(scene: Scene, estimate: PoseEstimate) -> PoseEstimate:
 
 
 def _placed(scene: Scene, mode: PoseMode) -> PoseMode:
-    anchors = scene.anchors_of(mode.scene)
-    room = room_at(scene, mode.map_from_camera[:3, 3]) if anchors else ""
+    at = mode.map_from_camera[:3, 3]
+    room, (storey, _) = room_at(scene, at), storey_at(scene, at)
     poses = [
-        a.pose(mode.map_from_camera, mode.covariance, probability=mode.probability, room=room)
-        for a in anchors
-    ]
+        a.pose(
+            mode.map_from_camera, mode.covariance, probability=mode.probability, room=room,
+            storey=storey,
+        )
+        for a in scene.anchors_of(mode.scene)
+    ]  # fmt: skip
     return replace(mode, earth=tuple(poses))
+
+
+def whereabouts(scene: Scene) -> tuple[EarthPose, ...]:
+    """Where somebody may be who is anywhere in a map: each candidate of its anchor, likeliest first."""
+    share = 1.0 / len(scene.scenes)
+    found = [
+        anchor.somewhere(box, probability=share)
+        for name, box in zip(scene.scenes, scene.scene_bounds, strict=True)
+        for anchor in scene.anchors_of(name)
+    ]
+    return tuple(sorted(found, key=lambda pose: -pose.probability))

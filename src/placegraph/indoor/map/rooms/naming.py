@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.structure import structure
 
@@ -26,7 +27,7 @@ def room_at(scene: Scene, point: ArrayLike) -> str:
     A room has the name that most things in it say.
     """
     x, y, z = np.asarray(point, np.float64).tolist()
-    floor = float(scene.floors[scene.scene_at((x, y))])
+    _, floor = storey_at(scene, point)
     if not -0.5 <= z - floor <= _STOREY or not any("room" in a for a in scene.attributes):
         return ""
     rooms, names = scene.derived(("rooms", floor), lambda s: _named(s, floor))
