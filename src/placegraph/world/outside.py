@@ -11,7 +11,6 @@ import numpy as np
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.locate import Hints
 from placegraph.outdoor.locate import understand as asked_of
-from placegraph.outdoor.map.objects import LINE
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.outdoor.search.answer import estimate
 from placegraph.outdoor.search.confidence import Claim, claim_of
@@ -19,6 +18,7 @@ from placegraph.outdoor.search.evidence import TELLING, evidence_at, looked_at
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.outdoor.search.request import Matching
 from placegraph.outdoor.search.viewpoints import search
+from placegraph.world.streets import AROUND_IT, on_street, roads_called
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,6 +73,17 @@ class Outside:
         ratio = (here + 1e-9) / (off + 1e-9) * ELSEWHERE / (1.0 - ELSEWHERE)
         return self.claim.whole.slope * float(np.log(ratio))
 
+    @cached_property
+    def streets(self) -> dict[int, NDArray[np.int64]]:
+        """Of each statement that names the street one is on: rows of that street."""
+        query = self.asked.query
+        named = {
+            i: roads_called(self.city, query.description.mentions[s.target].name)
+            for i, s in enumerate(query.used)
+            if s.relation is Relation.ALONG and s.source == SPEAKER
+        }
+        return {i: rows for i, rows in named.items() if len(rows)}
+
     def holds(self, position: NDArray[np.float64]) -> bool:
         """Whether a position (2,) [m] is on the map."""
         return len(self.city.views.near(position, BESIDE)) > 0
@@ -80,8 +91,8 @@ class Outside:
     def of_building(self, footprint: NDArray[np.float64]) -> Told:
         """What was said of a building, by its corners (4, 2) east and north [m].
 
-        What one is said to be *in* is told of the building itself, all else of what lies around it,
-        too.
+        What one is said to be *in* is told of the building itself, on which street one is said to be
+        of its address, all else of what lies around it, too.
         """
         middle = footprint.mean(axis=0)
         inner = np.concatenate([middle[None], (footprint + middle) / 2.0])
@@ -94,14 +105,31 @@ class Outside:
         weights, meant = [], False
         for i, s in enumerate(self.asked.query.used):
             own = s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
-            own &= not self._road(served[:, i])
             told = float((ratios[: len(inner)] if own else ratios)[:, i].max())
+            if i in self.streets:
+                told = self._of_street(i, footprint)
             if own and not s.negated:
                 there = self._away(served[: len(inner), i], middle) < THERE
                 meant |= there
                 told = told if there else min(told, MISSED)
             weights.append(told)
         return Told(self, middle, self.claim.whole.slope * sum(weights), meant, tuple(weights))
+
+    def _of_street(self, i: int, footprint: NDArray[np.float64]) -> float:
+        """Log-likelihood ratio of a statement about the street that one is on, for who is in a building.
+
+        Against the other streets around; and so far as it is on that street, as for who stands there.
+        """
+        asked = self.asked.query
+        noise, negated = asked.statements.noise[i], asked.used[i].negated
+        on = on_street(self.city, self.streets[i], footprint)
+        p = on.probability if on is not None else 0.0
+        odds = 1.0 - p if negated else p / AROUND_IT
+        gain = float(np.log((1.0 - noise) * odds + noise))
+        if on is None or negated:
+            return gain
+        there, _ = looked_at(on.position[None], self.city, asked)
+        return gain + p * max(0.0, float(there[0, i]) - gain)
 
     def _away(self, rows: NDArray[np.int32], position: NDArray[np.float64]) -> float:
         """How far what serves a statement is from a position [m]; infinity where nothing does."""
@@ -111,11 +139,6 @@ class Outside:
             for r in np.unique(rows[rows >= 0])
         ]
         return min((float(np.hypot(*d)) for d in deltas), default=np.inf)
-
-    def _road(self, rows: NDArray[np.int32]) -> bool:
-        """Whether what serves a statement is a line, such as a street."""
-        known = rows[rows >= 0]
-        return len(known) > 0 and bool((self.city.objects.kind[known] == LINE).mean() > 0.5)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from placegraph.language.check import Ignored, check
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.world.streets import roads_called
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -122,16 +123,28 @@ def understand(
 
 
 def addressed(description: Description, city: CityMap) -> Description:
-    """A description with addresses as the map writes them, number first: "5 Gartenweg"."""
+    """A description with addresses as the map writes them, number first: "5 Gartenweg".
+
+    One is along what the map knows as a street, whatever its name: "on Fischergang".
+    """
     mentions = []
     for m in description.mentions:
         words = m.name.split()
         turned = (
             " ".join([words[-1], *words[:-1]]) if len(words) > 1 and words[-1][0].isdigit() else ""
         )
-        known = turned and city.name_index.named(turned).values()
-        mentions.append(replace(m, name=turned) if known and max(known) >= 1.0 else m)
-    return replace(description, mentions=tuple(mentions))
+        street = " ".join(words[:-1])
+        if turned and not city.name_index.named(turned):  # the map may lack the house
+            turned = street if len(roads_called(city, street)) else ""
+        mentions.append(replace(m, name=turned) if turned else m)
+    streets = {m.id for m in mentions if m.name and len(roads_called(city, m.name))}
+    statements = tuple(
+        replace(s, relation=Relation.ALONG)
+        if s.source == SPEAKER and s.relation in _WITHIN and s.target in streets
+        else s
+        for s in description.statements
+    )
+    return replace(description, mentions=tuple(mentions), statements=statements)
 
 
 def _outside(
