@@ -5,6 +5,9 @@ import shutil
 import pytest
 
 from placegraph.errors import InputError, MapError, RequestError
+from placegraph.serve.desk import Desk
+from placegraph.serve.locate import locate
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Places
 
 
@@ -35,6 +38,29 @@ def test_a_map_is_opened_once_and_anew_when_replaced(maps, tmp_path):
     with pytest.raises(RequestError, match="gone from the server") as gone:
         places.open("home")
     assert (gone.value.status, gone.value.code) == (503, "map_gone")
+
+
+def test_worlds_share_what_is_open_and_outlive_its_file(maps, tmp_path):
+    file = tmp_path / "home.scene"
+    shutil.copy(maps / "home1.scene", file)
+    shutil.copy(maps / "home2.scene", tmp_path)
+    places = Places([tmp_path])
+    world, alone = places.world(), places.world("home")
+    assert world.scenes["home"] is places.scene("home") is alone.scenes["home"]
+    assert (set(alone.scenes), len(alone.library)) == ({"home"}, 1)
+    file.unlink()  # between two steps of a worker that warms up
+    assert len(world.library) == 2
+    with pytest.raises(RequestError, match="'home' is gone"):
+        places.world("home")
+    assert set(places.world().scenes) == {"home2"}
+
+
+def test_one_scene_is_asked_alone(maps):
+    desk = Desk(Places([maps]), ServeOptions())
+    asked = {"text": "A bakery is north of me. I am in the kitchen."}
+    assert {m["scene"] for m in locate(desk, asked)["estimate"]["modes"]} > {"home1"}
+    told = locate(desk, asked | {"map": "home1"})
+    assert {m["scene"] for m in told["estimate"]["modes"]} == {told["map"]} == {"home1"}
 
 
 def test_maps_of_one_stem_keep_their_endings(maps, tmp_path):

@@ -64,9 +64,9 @@ def in_city(city: CityMap, name: str, asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def in_world(places: Places, name: str | None, asked: dict[str, Any]) -> dict[str, Any]:
-    """Where in all maps something was said, or in one scene."""
+    """Where in all maps something was said, or in one scene alone."""
     heading = asked.get("heading_deg")
-    world = places.world()
+    world = places.world(name)
     estimate = world.locate(
         asked["text"],
         near=asked.get("near"),

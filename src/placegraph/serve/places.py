@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph import store
-from placegraph.errors import InputError, PlacegraphError, RequestError
+from placegraph.errors import PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
 from placegraph.maps import open_map
+from placegraph.world.maps import checked, find
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,9 +22,6 @@ if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
     from placegraph.world import World
-
-SUFFIXES = (".city", ".scene", ".library")
-"""Of the maps in a folder."""
 
 State = tuple[int, int, int]
 
@@ -34,19 +34,6 @@ class Entry:
     kind: str
     """``city``, ``scene`` or ``library``."""
     path: Path
-
-    def state(self) -> State:
-        """What changes when the file is replaced; `RequestError` where it is gone."""
-        try:
-            stat = self.path.stat()
-        except OSError:
-            raise RequestError(
-                f"The file of map {self.name!r} is gone from the server; ask another map, or put it "
-                "back.",
-                status=503,
-                code="map_gone",
-            ) from None
-        return stat.st_mtime_ns, stat.st_size, stat.st_ino
 
 
 class Places:
@@ -62,21 +49,16 @@ class Places:
     InputError
         A path does not exist, or there is no map.
     MapError
-        A file that was named is no map.
+        A file is no map.
 
     """
 
     def __init__(self, paths: Sequence[str | PathLike[str]]) -> None:
         self.paths = tuple(Path(path) for path in paths)
-        self._open: dict[str, tuple[State, Any]] = {}
-        self._world: tuple[dict[str, State], World] | None = None
-        self._kinds = {p: store.read_header(p).kind for p in self.paths if not p.is_dir()}
+        self._held: dict[Path, tuple[State, Any]] = {}
+        self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
+        checked(self.paths)
         self._entries = self._found()
-        if not self._entries:
-            listed = ", ".join(map(str, self.paths)) or "nothing"
-            raise InputError(
-                f"{listed} holds no map; name files that `placegraph city build` or `scene build` made."
-            )
 
     def entries(self) -> tuple[Entry, ...]:
         """All maps that are there now."""
@@ -98,11 +80,14 @@ class Places:
 
     def open(self, name: str) -> CityMap | SceneMap | SceneLibrary:
         """A map, as its file is now; raises as `open_map`, and `RequestError` where it is gone."""
-        entry = self.entry(name)
-        state = entry.state()
-        held = self._open.get(name)
+        opened: CityMap | SceneMap | SceneLibrary = self._opened(self.entry(name).path)
+        return opened
+
+    def _opened(self, path: Path) -> Any:  # noqa: ANN401  # any map
+        state = state_of(path)
+        held = self._held.get(path)
         if held is None or held[0] != state:
-            held = self._open[name] = state, open_map(entry.path)
+            held = self._held[path] = state, open_map(path)
         return held[1]
 
     def city(self, name: str) -> CityMap:
@@ -133,14 +118,16 @@ class Places:
         there = self.entries()
         return there[0].name if len(there) == 1 else None
 
-    def world(self) -> World:
-        """All maps as one world; opened anew where a file was replaced."""
+    def world(self, name: str | None = None) -> World:
+        """All maps as one world, or one of them alone; made anew where a file was replaced."""
         from placegraph.world import open_world
 
-        states = {entry.name: entry.state() for entry in self.entries()}
-        if self._world is None or self._world[0] != states:
-            self._world = states, open_world([e.path for e in self._entries.values()])
-        return self._world[1]
+        entries = self.entries() if name is None else (self.entry(name),)
+        states = {entry.path: state_of(entry.path) for entry in entries}
+        held = self._worlds.get(name)
+        if held is None or held[0] != states:
+            held = self._worlds[name] = states, open_world(list(states), opener=self._opened)
+        return held[1]
 
     def listed(self) -> list[dict[str, Any]]:
         """What `GET /v1/maps` says of each; of a map that cannot be opened the reason."""
@@ -168,20 +155,24 @@ class Places:
 
     def _found(self) -> dict[str, Entry]:
         """Entries by name, which is the stem of the file, or all of its name where two share one."""
-        files: dict[Path, None] = {}
-        for path in self.paths:
-            if path.is_dir():
-                files |= dict.fromkeys(
-                    p for p in sorted(path.rglob("*")) if p.suffix in SUFFIXES and p.is_file()
-                )
-            else:
-                files[path] = None
-        stems = [path.stem for path in files]
-        entries = {}
-        for path in files:
-            name = path.stem if stems.count(path.stem) == 1 else path.name
-            entries[name] = Entry(name, self._kinds.get(path) or path.suffix[1:], path)
-        return entries
+        found = find(self.paths).paths
+        stems = Counter(itertools.chain.from_iterable(found.values()))
+        files = ((kind, path) for kind, paths in found.items() for path in paths.values())
+        named = (Entry(p.stem if stems[p.stem] == 1 else p.name, kind, p) for kind, p in files)
+        return {entry.name: entry for entry in named}
+
+
+def state_of(path: Path) -> State:
+    """What changes when a file is replaced; `RequestError` where it is gone."""
+    try:
+        stat = path.stat()
+    except OSError:
+        raise RequestError(
+            f"The file of map {path.stem!r} is gone from the server; ask another map, or put it back.",
+            status=503,
+            code="map_gone",
+        ) from None
+    return stat.st_mtime_ns, stat.st_size, stat.st_ino
 
 
 def bounds_of(meta: dict[str, Any]) -> list[float]:

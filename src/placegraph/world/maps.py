@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from placegraph import store
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 Map = TypeVar("Map")
@@ -49,46 +51,48 @@ class Maps(Mapping[str, Map], Generic[Map]):
 
 @dataclass(frozen=True)
 class Found:
-    """Files of a world."""
+    """Files of a world, as they are called; none was looked into."""
 
     paths: dict[str, dict[str, Path]]
     """Of each kind of map its files by name."""
     ignored: tuple[tuple[Path, str], ...]
     """Files and folders left alone, and why."""
+    twins: tuple[str, ...]
+    """What is wrong with their names."""
+
+    def check(self) -> None:
+        """Read the head of each; `MapError` where some are no maps, or others than they are called."""
+        bad = list(self.twins)
+        for kind, paths in self.paths.items():
+            for path in paths.values():
+                try:
+                    held = store.read_header(path).kind
+                except PlacegraphError as error:
+                    bad.append(str(error))
+                    continue
+                if held != kind:
+                    bad.append(f"{path} holds a {held} map; call it {path.stem}.{held}.")
+        if bad:
+            raise MapError(" ".join(bad))
 
 
-@dataclass
-class _Sorted:
-    paths: dict[str, dict[str, Path]] = field(
-        default_factory=lambda: {k: {} for k in KINDS.values()}
-    )
-    ignored: list[tuple[Path, str]] = field(default_factory=list)
-    bad: list[str] = field(default_factory=list)
-
-    def take(self, path: Path) -> None:
-        """Sort a file in."""
+def find(places: Sequence[Path]) -> Found:
+    """Map files that are named, or lie in folders that are named, by what they are called."""
+    paths: dict[str, dict[str, Path]] = {kind: {} for kind in KINDS.values()}
+    ignored, twins = [], []
+    for path in itertools.chain.from_iterable(map(_files, places)):
         kind = KINDS.get(path.suffix)
         if path.is_dir():
-            self.ignored.append((path, "a folder"))
-            return
-        if kind is None:
-            self.ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
-            return
-        try:
-            held = store.read_header(path).kind
-        except PlacegraphError as error:
-            self.bad.append(str(error))
-            return
-        if held != kind:
-            self.bad.append(f"{path} holds a {held} map; call it {path.stem}.{held}.")
-            return
-        known = self.paths[kind].setdefault(path.stem, path)
-        if known.resolve() != path.resolve():
-            self.bad.append(f"{known} and {path} have one name; rename one of them.")
+            ignored.append((path, "a folder"))
+        elif kind is None:
+            ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
+        elif (known := paths[kind].setdefault(path.stem, path)).resolve() != path.resolve():
+            twins.append(f"{known} and {path} have one name; rename one of them.")
+    return Found(paths, tuple(ignored), tuple(twins))
 
 
-def find(places: list[Path]) -> Found:
-    """Map files of folders and files, sorted by kind.
+def checked(places: Sequence[Path]) -> Found:
+    """What `find` finds, which is something, and sound as far as the heads of files tell.
 
     Raises
     ------
@@ -98,18 +102,22 @@ def find(places: list[Path]) -> Found:
         Map files are damaged, or are called what they are not: all of them, each with its mend.
 
     """
-    found = _Sorted()
     for place in places:
         if not place.exists():
-            raise InputError(f"{place} is not there; name a folder with maps, or map files.")
-        for path in sorted(place.iterdir()) if place.is_dir() else [place]:
-            found.take(path)
-    if found.bad:
-        raise MapError(" ".join(found.bad))
+            raise InputError(f"{place} does not exist; name a folder with maps, or map files.")
+    found = find(places)
+    found.check()
     if not any(found.paths.values()):
-        said = ", ".join(map(str, places))
+        said = ", ".join(map(str, places)) or "nothing"
         raise InputError(
             f"{said} holds no map ({', '.join(KINDS)}); build some with `placegraph city build` and "
             "`placegraph scene build`."
         )
-    return Found(found.paths, tuple(found.ignored))
+    return found
+
+
+def _files(place: Path) -> list[Path]:
+    try:
+        return sorted(place.iterdir())
+    except OSError:  # a file, or gone by now
+        return [place]

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.scene_map import SceneMap
-from placegraph.outdoor.city import CityMap
-from placegraph.world.maps import Maps, find
+from placegraph.maps import open_map
+from placegraph.world.maps import Maps, checked
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.outdoor.city import CityMap
     from placegraph.world.estimate import WorldEstimate
 
 
@@ -67,7 +68,7 @@ class World:
             if entry is not None:
                 library.insert(name, entry)
             else:
-                library.add(name, self.scenes[name] if path is None else path)
+                library.add(name, self.scenes[name])
         return library
 
     def locate(
@@ -131,6 +132,8 @@ class World:
 
 def open_world(
     places: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    opener: Callable[[Path], Any] = open_map,
 ) -> World:
     """Open the maps of a folder, or of several folders and files.
 
@@ -141,6 +144,8 @@ def open_world(
     ----------
     places
         A folder with ``.city``, ``.scene`` and ``.library`` files, or a list of such folders and files.
+    opener
+        Opens one of them, where that is to be done once for several worlds.
 
     Raises
     ------
@@ -153,8 +158,8 @@ def open_world(
     given = [places] if isinstance(places, str | os.PathLike) else list(places)
     if not given:
         raise InputError("There is no place to look for maps; name a folder, or map files.")
-    found = find([Path(place) for place in given])
-    libraries = Maps(found.paths["library"], SceneLibrary.open)
+    found = checked([Path(place) for place in given])
+    libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)
     scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
     for library in libraries.values():
         here = {path.resolve() for path in scenes.values()}
@@ -169,6 +174,6 @@ def open_world(
             else:
                 scenes[name] = path
     return World(
-        Maps(found.paths["city"], CityMap.open), Maps(scenes, SceneMap.open), libraries,
+        Maps(found.paths["city"], opener), Maps(scenes, opener), libraries,
         ignored=ignored,
     )  # fmt: skip
