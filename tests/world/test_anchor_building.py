@@ -79,11 +79,12 @@ def off(anchor, points):
 
 def test_an_l_shape_finds_its_place(scenes, tmp_path):
     file = extract(tmp_path / "a.osm", OUTLINES[L_SHAPE], tags={"building:levels": "1"}.items())
-    anchors, notes = fit_building(scenes[L_SHAPE], file, "stadtbibliothek")
+    anchors, notes, shown = fit_building(scenes[L_SHAPE], file, "stadtbibliothek")
     best = anchors[0]
     assert best.probability > 0.95
     assert off(best, OUTLINES[L_SHAPE]) < 0.3
     assert (best.building, best.osm, best.level) == ("Stadtbibliothek", "way/7", "0")
+    assert [p.osm for p in shown] == ["way/7"]
     assert len(best.residuals) > 10
     assert max(best.residuals) < 1.0
     assert np.linalg.eigvalsh(best.covariance).min() > 0
@@ -92,7 +93,7 @@ def test_an_l_shape_finds_its_place(scenes, tmp_path):
 
 def test_turns_of_a_square_are_told_until_an_entrance_tells(scenes, tmp_path):
     scene, corners = scenes[SQUARE], OUTLINES[SQUARE]
-    found, notes = fit_building(scene, extract(tmp_path / "a.osm", corners), "Stadtbibliothek")
+    found, notes, _ = fit_building(scene, extract(tmp_path / "a.osm", corners), "Stadtbibliothek")
     assert len(found) == 4
     assert min(a.probability for a in found) > 0.1
     assert "4 ways" in notes[0]

@@ -87,7 +87,7 @@ def read(folder: Path, asked: dict[str, Any], options: ServeOptions) -> tuple[Im
             for i, name in enumerate(asked["depth"])
         ]
         images = images_of(photos, depths, known)
-        near = near or next((photo.fix for photo in photos if photo.fix), None)
+        near = near or next((photo.fix[:2] for photo in photos if photo.fix), None)
     if not images.moved and len(images.frames) > MOST_ALONE:
         raise OptionError(
             f"odometry: {len(images.frames)} images without it are {MOST_ALONE} at most; tell how the "

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, RequestError
+from placegraph.formats.capture.fixes import Fix, exif_fix
 from placegraph.formats.capture.images import opened
 from placegraph.geometry import Camera
 
@@ -27,7 +28,7 @@ SMALLEST = 32
 USUAL = 26.0
 """Focal length of a phone's main camera, on film of 35 mm [mm]; taken where nothing is known."""
 _FILM = hypot(36.0, 24.0)
-_EXIF, _GPS = 0x8769, 0x8825
+_EXIF = 0x8769
 _FOCAL, _FOCAL_FILM, _PLANE, _PLANE_UNIT = 0x920A, 0xA405, 0xA20E, 0xA210
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0}
 """Millimetres in EXIF's units of length."""
@@ -43,8 +44,8 @@ class Photo:
     """Width and height as sent [px], upright."""
     focal: float | None
     """By its EXIF, in pixels as sent; None: it does not say."""
-    fix: tuple[float, float] | None
-    """Longitude and latitude [deg] by its EXIF."""
+    fix: Fix | None
+    """Where it was taken, by its EXIF."""
 
     def camera(self, given: Camera | None, name: str) -> Camera:
         """Intrinsics of `rgb`: those given, else by EXIF, else a phone's usual ones.
@@ -79,7 +80,7 @@ def read_photo(data: bytes, name: str, options: ServeOptions) -> Photo:
         exif = image.getexif()
         turned = exif.get(0x0112, 1) >= 5  # EXIF's orientation: lies on its side
         size = image.size[::-1] if turned else image.size
-        return Photo(_pixels(image), size, _focal(exif, size), _fix(exif))
+        return Photo(_pixels(image), size, _focal(exif, size), exif_fix(exif))
 
 
 def read_depth(data: bytes, name: str, scale: float, options: ServeOptions) -> NDArray[np.float32]:
@@ -138,14 +139,4 @@ def _focal(exif: Any, size: tuple[int, int]) -> float | None:  # noqa: ANN401  #
         focal = float(told.get(_FOCAL, 0)) * per_unit / unit
         if max(size) * 0.3 < focal < max(size) * 20:
             return focal
-    return None
-
-
-def _fix(exif: Any) -> tuple[float, float] | None:  # noqa: ANN401  # Pillow's
-    with suppress(TypeError, ValueError, ZeroDivisionError, KeyError):
-        gps = exif.get_ifd(_GPS)
-        lat, lon = (sum(float(v) / 60.0**k for k, v in enumerate(gps[tag])) for tag in (2, 4))
-        lat, lon = lat * (-1 if gps.get(1) == "S" else 1), lon * (-1 if gps.get(3) == "W" else 1)
-        if abs(lat) <= 90 and abs(lon) <= 180:
-            return lon, lat
     return None

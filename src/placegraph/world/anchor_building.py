@@ -15,7 +15,7 @@ from placegraph.errors import OptionError
 from placegraph.formats.place.levels import level_text, levels_of
 from placegraph.geometry import rotation_z
 from placegraph.indoor.map.rooms.rooms_kernels import nearest
-from placegraph.world.anchor_points import UNKNOWN_HEIGHT
+from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
 from placegraph.world.footprints import Footprint, footprints, within
 from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls, off_segments, outer_walls
 
@@ -61,14 +61,7 @@ class Fit(NamedTuple):
     """Shares of the outline that are the building's walls and that stick out; of windows in walls."""
 
 
-class FittedBuilding(NamedTuple):
-    """Candidates, best first, and what a person should know of them."""
-
-    anchors: tuple[Anchor, ...]
-    notes: tuple[str, ...]
-
-
-def fit_building(scene: Scene, path: Path, name: str, level: str = "") -> FittedBuilding:
+def fit_building(scene: Scene, path: Path, name: str, level: str = "") -> Fitted:
     """Anchors of a map of one scene by the footprint of a named building.
 
     Parameters
@@ -107,7 +100,8 @@ def fit_building(scene: Scene, path: Path, name: str, level: str = "") -> Fitted
     levels = good[order[0]][0].levels
     if level and levels and not set(levels_of(level)) & set(levels):
         notes.append(f"The building has levels {levels[0]:g} to {levels[-1]:g}, not {level}.")
-    return FittedBuilding(anchors, tuple(notes))
+    shown = {good[k][0].osm: good[k][0] for k in order}
+    return Fitted(anchors, tuple(notes), tuple(shown.values()))
 
 
 def fits(walls: OuterWalls, footprint: Footprint) -> list[Fit]:

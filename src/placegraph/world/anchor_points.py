@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from placegraph.geometry import Floats
+    from placegraph.world.footprints import Footprint
 
 UNKNOWN_HEIGHT = 100.0
 """Standard deviation of a height that nobody gave [m]; the map then stands at 0."""
@@ -29,15 +30,18 @@ _LINE = 0.05  # width by length of points that lie on a line
 _USUAL, _USUALLY = 0.15, 4.0  # of pairs [m], and how many coordinates that is worth
 _FINEST = 0.02  # no pair is better known than this [m]
 _TUKEY = 4.7  # of Tukey's biweight, in deviations
-_STARTS = 400  # pairs of points tried
+_STARTS, _PAIRED = 400, 200  # pairs of points tried, of so many points
 _SCALE_OFF = 0.03
+_NAMED = 3  # points that are named one by one
 
 
 class Fitted(NamedTuple):
-    """An anchor, and what its fit has to be told of."""
+    """Candidates, best first, and what a person should know of them."""
 
-    anchor: Anchor
+    anchors: tuple[Anchor, ...]
     notes: tuple[str, ...]
+    footprints: tuple[Footprint, ...] = ()
+    """Of the buildings that the map was fitted to."""
 
 
 def fit_points(
@@ -45,7 +49,7 @@ def fit_points(
     lonlath: ArrayLike,
     accuracy: ArrayLike | None = None,
     *,
-    independent: float | None = None,
+    in_time: bool = False,
     method: str = "pairs",
 ) -> Fitted:
     """Anchor of a map by points of it, at least 3.
@@ -58,8 +62,9 @@ def fit_points(
         (N, 3) longitude, latitude [deg, WGS84], height above the ellipsoid [m]; heights may be NaN.
     accuracy
         (N,) standard deviation of each on the ground [m]; None: equal, and told by what is left.
-    independent
-        How many independent points they are worth, where their errors are alike; N if not given.
+    in_time
+        Points follow each other in time, as fixes do, and what follows errs alike: how much, their
+        residuals tell, and they are worth as many fewer.
     method
         What the anchor says of how it was found.
 
@@ -86,14 +91,16 @@ def fit_points(
     heading, weights = _robust(sources, targets, sigma, told=accuracy is not None, method=method)
     total = weights.sum()
     middle, aim = (weights @ side / total for side in (sources, targets))
-    off = _off(sources, targets, heading, weights)
+    away = _away(sources, targets, heading, weights)
+    off = np.linalg.norm(away, axis=1)
     freedom = 2.0 * float((weights > 0).sum()) - 3.0
     left = float(weights @ (off / sigma) ** 2)
     # few points fit by luck: what they say of their error is joined with what is usual
     spread = max(1.0, left / max(freedom, 1.0))
     if accuracy is None:
         spread = (left + _USUALLY * _USUAL**2) / (freedom + _USUALLY)
-    spread *= 1.0 if independent is None else max(1.0, len(here) / independent)
+    if in_time:
+        spread *= _alike(away[weights > 0])
     arms = np.square(sources - middle).sum(axis=1)
     held = weights / weights.max() / sigma**2
     height, of_height = _height(here[:, 2], there[:, 2], sigma, held)
@@ -103,14 +110,15 @@ def fit_points(
     centred = start.shifted(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
     centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
     anchor = replace(centred.shifted([*middle, 0.0]), height=height)
-    return Fitted(anchor, tuple(_notes(sources, targets, sigma, weights, off, here, there)))
+    return Fitted((anchor,), tuple(_notes(sources, targets, sigma, weights, off, here, there)))
 
 
 def _robust(
     sources: Floats, targets: Floats, sigma: Floats, *, told: bool, method: str
 ) -> tuple[float, Floats]:
     """Heading [rad] and weights (N,) of Tukey's fit."""
-    i, j = np.triu_indices(len(sources), 1)
+    some = np.unique(np.linspace(0, len(sources) - 1, _PAIRED).astype(int))
+    i, j = some[np.stack(np.triu_indices(len(some), 1))]
     apart = np.linalg.norm(sources[i] - sources[j], axis=1)
     if apart.max() < _NARROW:
         raise OptionError(
@@ -118,18 +126,19 @@ def _robust(
             "Give points that lie farther apart."
         )
     order = np.argsort(-apart, kind="stable")
-    best, heading, scale = np.inf, 0.0, 1.0
-    for k in order[np.linspace(0, len(order) // 2, min(_STARTS, len(order))).astype(int)].tolist():
-        if apart[k] < _NARROW:
-            continue
-        pair = np.zeros(len(sources))
-        pair[[i[k], j[k]]] = 1.0
-        turn = _heading(sources, targets, pair)
-        left = np.sort(_off(sources, targets, turn, pair) / sigma)
-        half = float(left[(len(left) + 2) // 2 - 1 if len(left) > LEAST else -1])
-        if half < best:
-            best, heading, scale = half, turn, half / 1.177  # median of a Rayleigh distribution
-            weights = pair
+    order = order[np.linspace(0, len(order) // 2, min(_STARTS, len(order))).astype(int)]
+    order = order[apart[order] >= _NARROW]
+    i, j = i[order], j[order]
+    here, there = sources @ (1.0, 1.0j), targets @ (1.0, 1.0j)
+    turns = np.exp(1j * np.angle((there[j] - there[i]) / (here[j] - here[i])))[:, None]
+    moved = (here - (here[i] + here[j])[:, None] / 2.0) * turns
+    left = np.abs(moved - there + (there[i] + there[j])[:, None] / 2.0) / sigma
+    half = (len(sources) + 2) // 2 - 1 if len(sources) > LEAST else len(sources) - 1
+    halves = np.partition(left, half, axis=1)[:, half]
+    k = int(halves.argmin())
+    heading, scale = -float(np.angle(turns[k, 0])), float(halves[k]) / 1.177  # of a Rayleigh
+    weights = np.zeros(len(sources))
+    weights[[i[k], j[k]]] = 1.0
     floor = 1.0 if told else _FINEST
     scale = max(scale, floor)
     # the widest that are still taken for good; a map is rarely wrong by less than this
@@ -152,10 +161,26 @@ def _heading(sources: Floats, targets: Floats, weights: Floats) -> float:
     return float(-np.arctan2(cross, dot))
 
 
+def _away(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
+    """What is left (N, 2) [m] under a heading."""
+    a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
+    return np.asarray(a @ rotation_z(-heading)[:2, :2].T - b)
+
+
 def _off(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
     """What is left (N,) [m] under a heading."""
-    a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
-    return np.asarray(np.linalg.norm(a @ rotation_z(-heading)[:2, :2].T - b, axis=1))
+    return np.asarray(np.linalg.norm(_away(sources, targets, heading, weights), axis=1))
+
+
+def _alike(away: Floats) -> float:
+    """How many errors (N, 2) that follow each other are worth one, by their correlation (AR(1))."""
+    square = float((away**2).sum())
+    if len(away) < LEAST or square == 0.0:
+        return 1.0
+    # what is left of n errors correlates less than these did, by about 3 / n
+    next_to = float((away[1:] * away[:-1]).sum()) / square + 3.0 / len(away)
+    share = min(max(next_to, 0.0), 0.95)
+    return (1.0 + share) / (1.0 - share)
 
 
 def _height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[float, float]:
@@ -176,10 +201,12 @@ def _notes(
     here: Floats, there: Floats,
 ) -> list[str]:  # fmt: skip
     """What a person should know of the fit."""
-    notes = [
-        f"Point {k + 1} is {off[k]:.1f} m off, and has no say."
-        for k in np.flatnonzero(weights < 0.05).tolist()
-    ]
+    mute = np.flatnonzero(weights < 0.05).tolist()
+    notes = [f"Point {k + 1} is {off[k]:.1f} m off, and has no say." for k in mute]
+    if len(mute) > _NAMED:
+        worst = max(float(off[k]) for k in mute)
+        told = f"{len(mute)} of {len(off)} points are up to {worst:.0f} m off, and have no say."
+        notes = [told]
     good = weights > 0.05
     a, b = sources[good], targets[good]
     width = np.linalg.svd(a - a.mean(axis=0), compute_uv=False)

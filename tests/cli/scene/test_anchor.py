@@ -1,9 +1,11 @@
 """`placegraph scene anchor`: a map on Earth by pairs, by a pose, and what info and check say of it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import placegraph as pg
 from placegraph.earth import Anchor
@@ -43,6 +45,32 @@ def test_by_pairs_into_another_file(run, scene, tmp_path):
     told = json.loads(run("scene", "info", out, "--json").out)["anchors"]
     assert told[0]["heading_deg"] == pytest.approx(np.degrees(1.1), abs=0.01)
     assert "anchors" in run("scene", "info", out).out
+
+
+def test_by_the_fixes_of_the_capture_that_it_was_made_of(run, scene, tmp_path):
+    folder = tmp_path / "walk"
+    (folder / "rgb").mkdir(parents=True)
+    at = [(1, 1, 1), (4, 1, 1), (4, 3, 1), (1, 3, 1)]
+    for i in range(4):
+        Image.new("RGB", (32, 24)).save(folder / "rgb" / f"{i}.png")
+    (folder / "camera.json").write_text(
+        '{"width": 32, "height": 24, "fx": 30, "fy": 30, "cx": 16, "cy": 12}'
+    )
+    rows = [f"{i} {x} {y} {z} 0.5 -0.5 0.5 -0.5" for i, (x, y, z) in enumerate(at)]
+    (folder / "odometry.tum").write_text("\n".join(rows))
+    before = scene.read_bytes()
+    result = run("scene", "anchor", scene, "--capture", folder)
+    assert (result.code, scene.read_bytes()) == (3, before)
+    assert "0 of 4 frames have a GPS fix" in " ".join(result.err.split())
+    fixes = [
+        f"{i} {lon:.9f} {lat:.9f} {h} 0.1" for i, (lon, lat, h) in enumerate(TRUE.to_earth(at))
+    ]
+    (folder / "fixes.txt").write_text("\n".join(fixes))
+    replace(pg.open_map(scene), viewpoints=np.array(at, float)).save(scene)
+    told = json.loads(run("scene", "anchor", scene, "--capture", folder, "--json").out)
+    assert told["anchors"][0]["heading_deg"] == pytest.approx(np.degrees(1.1), abs=0.1)
+    assert told["anchors"][0]["method"] == "gps"
+    assert "made of these frames" in told["notes"][0]
 
 
 def test_by_a_pose_in_place_and_off_again(run, scene):

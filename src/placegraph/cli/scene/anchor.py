@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from placegraph.cli.command import Option
-from placegraph.cli.common import AsJson, Quiet, table
+from placegraph.cli.common import AsJson, Quiet, progress_of, table
 from placegraph.cli.scene.query import MapFile
 from placegraph.errors import OptionError
 
@@ -66,6 +66,13 @@ def anchor(
             panel=HOW,
         ),
     ] = None,
+    capture: Annotated[
+        Path | None,
+        Option(
+            help="Capture whose GPS fixes (fixes.txt, or EXIF of its images) say where the map is.",
+            panel=HOW,
+        ),
+    ] = None,
     remove: Annotated[
         bool, Option("--remove", help="Take the map off the Earth again.", panel=HOW)
     ] = False,
@@ -80,37 +87,39 @@ def anchor(
     Example: placegraph scene anchor flat.scene --pair 0,0=7.4201,43.7301 --pair 8,0=7.4202,43.7301
     --pair 8,6=7.4202,43.73015
     """
+    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.world import Fitted, fit_building, fit_capture, fit_points
 
-    if sum((bool(pair), pose is not None, place is not None, remove)) != 1:
-        raise OptionError("Give one of --pair (three or more), --pose, --in, --remove.")
+    if sum((bool(pair), remove, *(x is not None for x in (pose, place, capture)))) != 1:
+        raise OptionError("Give one of --pair (three or more), --pose, --in, --capture, --remove.")
     if place is not None and not building:
         raise OptionError("--in needs --building: the name of the building that the map is of.")
     scene = SceneMap.open(map_file)
-    found: tuple[Anchor, ...] = ()
-    notes: tuple[str, ...] = ()
+    fitted = Fitted((), ())
     if pair:
-        from placegraph.world.anchor_points import fit_points
-
-        points, places = zip(*map(_pair, pair), strict=True)
-        fitted = fit_points(points, places)
-        found, notes = (fitted.anchor,), fitted.notes
+        fitted = fit_points(*zip(*map(_pair, pair), strict=True))
     elif pose is not None:
-        found = (_posed(pose, accuracy),)
+        fitted = Fitted((_posed(pose, accuracy),), ())
     elif place is not None:
-        from placegraph.world.anchor_building import fit_building
-
-        found, notes = fit_building(scene, place, building, level)
+        fitted = fit_building(scene, place, building, level)
+    elif capture is not None:
+        with progress_of(hidden=quiet or as_json) as tell:
+            fitted = fit_capture(scene, open_capture(capture), progress=tell)
     floor = float(scene.floors.min())
-    found = tuple(_told(a, floor, height, level, building) for a in found)
+    found = tuple(_told(a, floor, height, level, building) for a in fitted.anchors)
     target = out or map_file
     scene.anchored(*found).save(target)
     if as_json:
-        told = {"map": str(target), "anchors": [summary(a) for a in found], "notes": list(notes)}
+        told = {
+            "map": str(target),
+            "anchors": [summary(a) for a in found],
+            "notes": list(fitted.notes),
+        }
         click.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         show(found)
-        for note in notes:
+        for note in fitted.notes:
             click.echo(note)
         click.echo(f"{target}: {'anchored' if found else 'stands nowhere now'}.")
 

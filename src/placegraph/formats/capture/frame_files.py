@@ -182,9 +182,21 @@ def turned_camera(camera: Camera, turns: int) -> Camera:
 # ---------------------------------------------------------------------------------------- files
 
 
-def colour_file(path: Path, camera: Camera) -> Callable[[], NDArray[np.uint8]]:
+@dataclass(frozen=True, slots=True)
+class ColourFile:
+    """Reads the colours of an image file, which must have this width and height [px]."""
+
+    path: Path
+    size: tuple[int, int]
+
+    def __call__(self) -> NDArray[np.uint8]:
+        """(H, W, 3)."""
+        return read_rgb(self.path, self.size)
+
+
+def colour_file(path: Path, camera: Camera) -> ColourFile:
     """Reads the colours of an image file, which must have the camera's size."""
-    return partial(read_rgb, path, _size(camera))
+    return ColourFile(path, _size(camera))
 
 
 def depth_file(

@@ -138,10 +138,12 @@ def write_tum(
     Path(path).write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def read_table(path: str | PathLike[str], columns: tuple[str, ...]) -> Table:
+def read_table(
+    path: str | PathLike[str], columns: tuple[str, ...], *, unknown: tuple[str, ...] = ()
+) -> Table:
     """Read rows of as many numbers as `columns` names, the first of which ascends strictly.
 
-    Raises `InputError` as `read_tum` does.
+    Of `unknown` columns a number may be NaN. Raises `InputError` as `read_tum` does.
     """
     path = Path(path)
     names = " ".join(columns)
@@ -162,12 +164,13 @@ def read_table(path: str | PathLike[str], columns: tuple[str, ...]) -> Table:
     if not rows:
         raise InputError(f"{path} holds no row; a row is `{names}`.")
     table = Table(path, np.array(rows), tuple(lines))
-    _check(table, columns)
+    _check(table, columns, unknown)
     return table
 
 
-def _check(table: Table, columns: tuple[str, ...]) -> None:
+def _check(table: Table, columns: tuple[str, ...], unknown: tuple[str, ...]) -> None:
     finite = np.isfinite(table.values)
+    finite |= np.isnan(table.values) & np.isin(columns, unknown)
     if not finite.all():
         row, column = (int(i) for i in np.argwhere(~finite)[0])
         raise table.error(
