@@ -23,6 +23,7 @@ from placegraph.formats.capture.posed import SAME_MOMENT, nearest_stamps
 from placegraph.formats.capture.tum import read_tum
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from os import PathLike
 
     from numpy.typing import ArrayLike
@@ -37,6 +38,7 @@ def open_capture(
     poses: str | PathLike[str] | None = None,
     scale: float | None = None,
     up: ArrayLike | None = None,
+    topics: Mapping[str, Any] | None = None,
 ) -> Capture:
     """Open a capture, whoever recorded it; images are read when they are asked for.
 
@@ -59,6 +61,9 @@ def open_capture(
         Of COLMAP models: metres in a unit of the model; estimated from depth if not given.
     up
         Of COLMAP models: (3,) direction of up in the model; estimated if not given.
+    topics
+        Of bags of ROS: topics, frames and intrinsics by their role, over what `BAG.json` beside the
+        bag says; `docs/howto-bags.md`. Found by type if not given.
 
     Raises
     ------
@@ -75,7 +80,7 @@ def open_capture(
         raise OptionError(f"labels is {labels!r}; it is 'auto', 'labels', 'instances' or None.")
     given: dict[str, Any] = {
         name: value
-        for name, value in (("poses", poses), ("scale", scale), ("up", up))
+        for name, value in {"poses": poses, "scale": scale, "up": up, "topics": topics}.items()
         if value is not None
     }
     return format_of(Path(path)).open(Path(path), given | {"labels": labels})
@@ -180,6 +185,13 @@ FORMATS = (
         "capture.capture_folder",
         "capture_folder",
         ("labels",),
+    ),
+    Format(
+        "a bag of ROS",
+        ".mcap, .db3, .bag, or a folder of rosbag2",
+        "ros.capture",
+        "bag",
+        ("poses", "topics"),
     ),
 )
 """In the order in which they are asked: what is told by little comes last."""

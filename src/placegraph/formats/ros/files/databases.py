@@ -1,0 +1,47 @@
+"""The index of a rosbag2 database (.db3): its table of messages, without their data."""
+
+from __future__ import annotations
+
+import sqlite3
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import InputError
+from placegraph.formats.ros.files.storage import Database, Part
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list[Part]:
+    """Messages of a database by topic; `packed`: each is compressed by zstd.
+
+    Where it is damaged it is read as far as it goes, of which `notes` is told. Raises `InputError`
+    where it is no such database, or holds no message.
+    """
+    base = Database(path, packed=packed)
+    try:
+        topics = base.rows.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ).fetchall()
+    except sqlite3.Error as error:
+        raise InputError(f"{path} is no rosbag2 database ({error}); copy the bag again.") from error
+    rows: list[tuple[int, int, int]] = []
+    try:
+        rows.extend(base.rows.execute("SELECT topic_id, timestamp, id FROM messages"))
+    except sqlite3.Error as error:
+        notes.append(
+            f"{path.name}: the database is damaged ({error}); it is read as far as it goes."
+        )
+    if not rows:
+        raise InputError(f"{path} holds no message; record again.")
+    table = np.array(rows, np.int64)
+    parts = []
+    for number, name, kind, encoding in topics:
+        mine = table[table[:, 0] == number]
+        zeros = np.zeros(len(mine), np.int64)
+        parts.append(
+            Part(str(name), str(kind), str(encoding), mine[:, 1], (base,), zeros, mine[:, 2])
+        )
+    return parts

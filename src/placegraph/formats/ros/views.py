@@ -1,0 +1,175 @@
+"""Image topics of a bag, what each shows, and which of them a capture is made of."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from placegraph.errors import InputError
+from placegraph.formats.ros.cameras import camera_of_dict, camera_of_info
+from placegraph.formats.ros.decode import decoded, frame_of
+from placegraph.formats.ros.pixels import DEPTHS, GREYS, is_colour, size_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import Any
+
+    from placegraph.formats.ros.files.bag import Bag
+    from placegraph.formats.ros.files.storage import Topic
+    from placegraph.geometry import Camera
+
+IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+_RECTIFIED = re.compile(r"(^|[/_])rect([/_]|$)")
+
+
+class View(NamedTuple):
+    """An image topic, by its first message."""
+
+    topic: Topic
+    kind: str
+    """`colour`, `grey`, `depth`, or empty: not read."""
+    problem: str = ""
+    """Why it is not read."""
+    frame: str = ""
+    size: tuple[int, int] = (0, 0)
+    """Width and height [px]."""
+    encoding: str = ""
+
+    @property
+    def base(self) -> str:
+        """Name of the topic without its transport."""
+        return re.sub(r"/(compressed|compressedDepth)$", "", self.topic.name)
+
+    @property
+    def said(self) -> str:
+        """What it is, for the user."""
+        return (
+            f"{self.topic.name} ({self.topic.short}, {self.encoding}, "
+            f"{self.size[0]} x {self.size[1]}, {len(self.topic):,} messages)"
+        )
+
+
+def views_of(bag: Bag) -> list[View]:
+    """What every image topic shows; nothing is raised."""
+    return [_view(topic) for topic in bag.of_type(*IMAGES)]
+
+
+def _view(topic: Topic) -> View:
+    name = f"{topic[0].place.path}, {topic.name}"
+    try:
+        image = decoded(topic[0], topic.name, topic.type, topic.encoding)
+        width, height, encoding = size_of(image, name)
+    except InputError as error:
+        return View(topic, "", str(error))
+    frame = frame_of(image.header.frame_id)
+    if encoding in DEPTHS and (encoding != "mono16" or "depth" in topic.name):
+        kind = "depth"
+    elif is_colour(encoding):
+        kind = "grey" if encoding in GREYS else "colour"
+    else:
+        problem = (
+            f"{name}: encoding {encoding[:40]!r} is neither a colour nor a depth that is read."
+        )
+        return View(topic, "", problem, frame, (width, height), encoding)
+    return View(topic, kind, "", frame, (width, height), encoding)
+
+
+def chosen_views(
+    bag: Bag, views: Sequence[View], colour: str | None, depth: str | None, *, with_depth: bool
+) -> tuple[View, View | None]:
+    """The colour and the depth that belong together best, or those named.
+
+    Raises `InputError` where a named topic is not there or of another kind, or there is no colour.
+    """
+    colours = [v for v in views if v.kind in {"colour", "grey"}]
+    depths: list[View | None] = [v for v in views if v.kind == "depth"] if with_depth else []
+    if colour is not None:
+        colours = [_named(bag, views, colour, ("colour", "grey"))]
+    if depth is not None:
+        depths = [_named(bag, views, depth, ("depth",))]
+    if not colours:
+        why = next((f" {v.problem}" for v in views if v.problem), "")
+        raise InputError(
+            f"{bag.path} holds no colour images: no sensor_msgs/Image or CompressedImage in colour "
+            f"has messages.{why} Record the camera's image topic."
+        )
+    infos = {t.name for t in bag.of_type("sensor_msgs/CameraInfo")}
+
+    def worth(pair: tuple[View, View | None]) -> tuple[float, ...]:
+        seen, measured = pair
+        joint = 0.0
+        if measured is not None:
+            alike = seen.frame == measured.frame and bool(seen.frame)
+            joint = 1.0 + 2.0 * alike + _shared(seen.base, measured.base)
+        plain = seen.topic.short == IMAGES[0]
+        named = bool(re.search(r"colou?r|rgb", seen.topic.name))
+        known = info_names(seen)[0] in infos
+        return (seen.kind == "colour", joint, known, named, len(seen.topic), plain)
+
+    pairs = [(c, d) for c in colours for d in depths or [None]]
+    return max(pairs, key=worth)
+
+
+def _named(bag: Bag, views: Sequence[View], name: str, kinds: tuple[str, ...]) -> View:
+    view = next((v for v in views if v.topic.name == name), None)
+    if view is None:
+        there = ", ".join(v.topic.name for v in views) or "none"
+        other = bag.topics.get(name)
+        what = f"is {other.short} with {len(other)} messages" if other else "is not there"
+        raise InputError(f"{bag.path}: {name} {what}; image topics are {there}.")
+    if view.kind not in kinds:
+        raise InputError(
+            view.problem
+            or f"{bag.path}, {name}: shows {view.kind} ({view.encoding}), not {kinds[0]}."
+        )
+    return view
+
+
+def _shared(a: str, b: str) -> float:
+    """Share of the names of two topics that is one namespace, 0 to 1."""
+    x, y = a.strip("/").split("/"), b.strip("/").split("/")
+    same = 0
+    while same < min(len(x), len(y)) and x[same] == y[same]:
+        same += 1
+    return same / max(len(x), len(y))
+
+
+def info_names(view: View) -> tuple[str, str]:
+    """Names that the topic of a view's CameraInfo has by custom."""
+    return f"{view.base.rpartition('/')[0]}/camera_info", f"{view.base}/camera_info"
+
+
+def camera_for(bag: Bag, view: View, given: str | dict[str, Any] | None, role: str) -> Camera:
+    """Camera of a view: by a topic or intrinsics that are given, else by the CameraInfo beside it.
+
+    `role` is what the file beside the bag calls it. Raises `InputError` where there is none.
+    """
+    if isinstance(given, dict):
+        return camera_of_dict(given, view.size, f'{bag.path}.json, "{role}"')
+    infos = {t.name: t for t in bag.of_type("sensor_msgs/CameraInfo")}
+    names = (given,) if given is not None else info_names(view)
+    topic = next((infos[n] for n in names if n in infos), None)
+    if topic is None and given is not None:
+        raise InputError(
+            f"{bag.path}: {given} is no sensor_msgs/CameraInfo with messages; there are "
+            f"{', '.join(infos) or 'none'}."
+        )
+    firsts = {} if topic else {n: decoded(t[0], n, t.type, t.encoding) for n, t in infos.items()}
+    if topic is None:  # by another name, of the same frame and size
+        topic = next(
+            (
+                infos[n]
+                for n, info in firsts.items()
+                if frame_of(info.header.frame_id) == view.frame
+                and (info.width, info.height) == view.size
+            ),
+            None,
+        )
+    if topic is None:
+        raise InputError(
+            f"{bag.path} holds no CameraInfo of {view.topic.name} ({' or '.join(names)}); record it, or "
+            f'write {bag.path}.json with {{"{role}": {{"fx": ..., "fy": ..., "cx": ..., "cy": ...}}}}.'
+        )
+    info = decoded(topic[0], topic.name, topic.type, topic.encoding)
+    rectified = _RECTIFIED.search(view.base.rpartition("/")[2]) is not None
+    return camera_of_info(info, view.size, f"{bag.path}, {topic.name}", rectified=rectified)
