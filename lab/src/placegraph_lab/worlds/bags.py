@@ -197,8 +197,8 @@ class BagWriter:
 class Layout:
     """How a capture is written."""
 
-    images: Literal["raw", "packed"] = "raw"
-    """`sensor_msgs/Image`, or `CompressedImage` (PNG, compressedDepth)."""
+    images: Literal["raw", "packed", "none"] = "raw"
+    """`sensor_msgs/Image`, or `CompressedImage` (PNG, compressedDepth), or nothing."""
     poses: Literal["tf", "odometry", "none"] = "tf"
     infos: bool = True
     depth: bool = True
@@ -227,7 +227,8 @@ def write_capture(writer: BagWriter, capture: Capture, layout: Layout | None = N
                 name = "/camera/aligned_depth_to_color/camera_info"
                 writer.info(name, stamp, frame.depth_camera)
         depth = frame.depth() if layout.depth else None
-        _images(writer, stamp, frame.rgb(), depth, layout.images)
+        if layout.images != "none":
+            _images(writer, stamp, frame.rgb(), depth, layout.images)
 
 
 def _images(

@@ -128,8 +128,8 @@ class Placing:
         """Choose the frame in which poses are told; odometry is read where transforms have none."""
         wishes, bag = self.wishes, self.bag
         above = self.tree.above(self.colour.frame)
-        moving = [f for f, moves in above.items() if moves]
-        odom = next((f for f in moving if f.rpartition("/")[2].startswith("odom")), "")
+        moving = [f for f, moves in above.items() if moves or f in _OF_OTHERS]
+        odom = next((f for f in above if f.rpartition("/")[2].startswith("odom")), "")
         asked = odom if wishes.frame is None else wishes.frame
         if wishes.odometry is None and asked in above:
             self.frame = asked
@@ -197,9 +197,9 @@ class Placing:
 
     def _by_recording(self) -> None:
         """Take the times of recording for stamps."""
-        self.stamps = self.colour.topic.times * 1e-9
+        self.stamps = (self.colour.topic.times * 1e-9).astype(np.float64)
         if self.depth is not None:
-            self.depth_stamps = self.depth.topic.times * 1e-9
+            self.depth_stamps = (self.depth.topic.times * 1e-9).astype(np.float64)
         self.notes.append(
             "Images and transforms bear stamps of different clocks; the times of recording stand for "
             "both."
@@ -231,10 +231,10 @@ class Placing:
         frame = frame_of(said[0].header.frame_id)
         turns = self.tree.between(self.frame, frame, np.array([stamp_of(m.header) for m in said]))
         felt = np.array([[getattr(m.linear_acceleration, a) for a in "xyz"] for m in said])
-        up = np.zeros(3)
+        up: NDArray[np.float64] = np.zeros(3)
         if turns is not None and float(said[0].linear_acceleration_covariance[0]) != -1.0:
             ups = np.einsum("nij,nj->ni", turns[:, :3, :3], felt.astype(np.float64))
-            up = ups[np.isfinite(ups).all(axis=1)].sum(axis=0)
+            up += ups[np.isfinite(ups).all(axis=1)].sum(axis=0)
         length = float(np.linalg.norm(up))
         if not (np.isfinite(length) and length > 0):
             self.notes.append(

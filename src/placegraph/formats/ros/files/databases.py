@@ -25,12 +25,16 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
         topics = base.rows.execute(
             "SELECT id, name, type, serialization_format FROM topics"
         ).fetchall()
-    except sqlite3.Error as error:
+    except (sqlite3.Error, ValueError) as error:
         raise InputError(f"{path} is no rosbag2 database ({error}); copy the bag again.") from error
     rows: list[tuple[int, int, int]] = []
+    asked = (
+        "SELECT topic_id, timestamp, id FROM messages "
+        "WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+    )
     try:
-        rows.extend(base.rows.execute("SELECT topic_id, timestamp, id FROM messages"))
-    except sqlite3.Error as error:
+        rows.extend(base.rows.execute(asked))
+    except (sqlite3.Error, ValueError) as error:
         notes.append(
             f"{path.name}: the database is damaged ({error}); it is read as far as it goes."
         )

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from contextlib import suppress
 from struct import unpack_from
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.ros.files.storage import MOST, Chunk, File, Part
+from placegraph.formats.ros.files.packed import MOST
+from placegraph.formats.ros.files.storage import Chunk, File, Part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,15 +49,16 @@ class _Index:
         self.found: dict[int, list[tuple[int, np.ndarray]]] = defaultdict(list)
 
     def told(self, op: int, data: bytes) -> None:
-        """Take in a record of a schema or of a channel."""
-        if op == _SCHEMA:
-            (number,) = unpack_from("<H", data)
-            self.schemas[number] = _text(data, 2)[0]
-        elif op == _CHANNEL:
-            number, schema = unpack_from("<HH", data)
-            topic, at = _text(data, 4)
-            encoding, _ = _text(data, at)
-            self.channels[number] = _Channel(topic, self.schemas.get(schema, ""), encoding)
+        """Take in a record of a schema or of a channel; one that is damaged is none."""
+        with suppress(struct.error):
+            if op == _SCHEMA:
+                (number,) = unpack_from("<H", data)
+                self.schemas[number] = _text(data, 2)[0]
+            elif op == _CHANNEL:
+                number, schema = unpack_from("<HH", data)
+                topic, at = _text(data, 4)
+                encoding, _ = _text(data, at)
+                self.channels[number] = _Channel(topic, self.schemas.get(schema, ""), encoding)
 
     def walk(self, chunk: Chunk) -> bool:
         """Index the records of a chunk one by one; whether it is whole."""
@@ -101,7 +104,7 @@ def read_mcap(path: Path, notes: list[str]) -> list[Part]:
         )
     try:
         index = _listed(file)
-    except (_Cut, struct.error, UnicodeDecodeError, ValueError) as error:
+    except (_Cut, struct.error, ValueError) as error:
         index = _scanned(file)
         notes.append(
             f"{path.name}: {error if isinstance(error, _Cut) else 'its index is damaged'}; it is read "
@@ -199,4 +202,4 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
 def _text(data: bytes, at: int) -> tuple[str, int]:
     """Text with its length before it, and what comes after."""
     (length,) = unpack_from("<I", data, at)
-    return data[at + 4 : at + 4 + length].decode(), at + 4 + length
+    return data[at + 4 : at + 4 + length].decode(errors="replace"), at + 4 + length

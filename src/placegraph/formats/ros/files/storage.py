@@ -12,6 +12,7 @@ import struct
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 from struct import unpack_from
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -54,7 +55,9 @@ class File:
         return File, (self.path,)
 
     def read(self, start: int, count: int) -> bytes:
-        """At most `count` bytes from `start`: fewer where the file ends."""
+        """At most `count` bytes from `start`: fewer where the file ends, wherever that would be."""
+        if not (0 <= start < 1 << 62 and count > 0):
+            return b""
         if self._handle is None:
             with self._lock:
                 if self._handle is None:
@@ -151,6 +154,7 @@ class Database:
         where = f"{path.resolve().as_uri()}?{'immutable=1' if alone else 'mode=ro'}"
         try:
             self.rows = sqlite3.connect(where, uri=True, check_same_thread=False)
+            self.rows.text_factory = partial(str, encoding="utf-8", errors="replace")
         except sqlite3.Error as error:
             raise InputError(f"{path} cannot be opened as a database ({error}).") from error
         weakref.finalize(self, self.rows.close)
