@@ -1,4 +1,4 @@
-"""What the page draws maps from: tiles of a city, and the files that pages share."""
+"""What the page draws maps from: tiles of a city, plans of scenes, and the files that pages share."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from fastapi.staticfiles import StaticFiles
 
 from placegraph import view
 from placegraph.errors import RequestError
+from placegraph.serve.places import state_of
 from placegraph.view.city.tiles import TOP_LEVEL, CityTiles
 from placegraph.view.draw.style import style_sheet
+from placegraph.view.scene.page import picture, plan_of, told
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,6 +37,7 @@ POLICY = (
 """Nothing of a page comes from elsewhere."""
 KEPT_BYTES = 64_000_000
 """Tiles are kept, those asked for last, up to so much."""
+_KEPT_BY_CLIENTS = {"Cache-Control": "private, max-age=60"}
 FARTHEST = 1 << 20
 """Columns and rows of tiles lie within this."""
 
@@ -66,7 +69,7 @@ class Kept:
 
 
 def drawing_router(places: Places) -> APIRouter:
-    """Routes that draw the cities among some maps."""
+    """Routes that draw some maps."""
     router = APIRouter()
     kept = Kept(KEPT_BYTES)
     cities: WeakKeyDictionary[CityMap, tuple[int, CityTiles]] = WeakKeyDictionary()
@@ -80,9 +83,22 @@ def drawing_router(places: Places) -> APIRouter:
         return cities[city]
 
     @router.get("/v1/maps/{name}/drawing")
-    def index(name: str, request: Request) -> Response:
-        """What a page must know before it asks for tiles: plane, bounds, levels, paints."""
-        return _packed(request, _bytes(tiles_of(name)[1].index()))
+    def index(name: str, request: Request, scene: str = "") -> Response:
+        """What a page must know before it asks for tiles, or a scene's picture.
+
+        Of a city plane, bounds, levels and paints, see `placegraph.view.city.tiles`; of a scene its
+        bounds and things, see `placegraph.view.scene.page`.
+        """
+        if places.entry(name).kind == "city":
+            return _packed(request, _bytes(tiles_of(name)[1].index()))
+        return _packed(request, _bytes(told(plan_of(places.scene(name), scene))))
+
+    @router.get("/v1/maps/{name}/drawing.png")
+    def floor(name: str, scene: str = "", *, dark: bool = False) -> Response:
+        """Picture of a scene from above, of just its bounds, to be laid on a map."""
+        key = name, scene, dark, state_of(places.entry(name).path)
+        made = kept.get(key, lambda: picture(plan_of(places.scene(name), scene), dark=dark))
+        return Response(made, media_type="image/png", headers=_KEPT_BY_CLIENTS)
 
     @router.get("/v1/maps/{name}/drawing/{level}/{x}/{y}")
     def tile(name: str, level: int, x: int, y: int, request: Request) -> Response:
@@ -112,7 +128,7 @@ def _bytes(data: object) -> bytes:
 
 def _packed(request: Request, packed: bytes) -> Response:
     """Compressed JSON, as the client takes it; it may keep it for a while."""
-    headers = {"Cache-Control": "private, max-age=60", "Vary": "Accept-Encoding"}
+    headers = _KEPT_BY_CLIENTS | {"Vary": "Accept-Encoding"}
     if "gzip" in request.headers.get("accept-encoding", ""):
         headers["Content-Encoding"] = "gzip"
     else:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.search.ask import Answer, Question
     from placegraph.serve.desk import Desk
     from placegraph.serve.places import Places
+    from placegraph.world.estimate import WorldEstimate
 
 
 def warm(desk: Desk, _asked: None) -> dict[str, Any]:
@@ -83,14 +84,30 @@ def answered(name: str | None, estimate: Any, question: Question | None) -> dict
     """The body of an answer."""
     from placegraph.estimate import CityEstimate
     from placegraph.view.city.page import told as as_drawn
+    from placegraph.world.estimate import WorldEstimate
 
     of_city = isinstance(estimate, CityEstimate)
     return {
         "map": name,
         **(as_drawn(estimate) if of_city else {"estimate": estimate.to_dict()}),
+        **({"support": heat(estimate)} if isinstance(estimate, WorldEstimate) else {}),
         "question": None if question is None else told(question),
         "geojson": on_earth(estimate.geojson),
     }
+
+
+def heat(estimate: WorldEstimate) -> list[list[float]]:
+    """Longitude, latitude [deg], probability: heaviest points of the towns, each by its town's share."""
+    points = []
+    for city in estimate.cities.values():
+        of_city = (m for m in estimate.modes if m.place in city.modes and m.place is not None)
+        best = next(of_city, None)
+        if best is None or best.place is None:  # the town holds next to nothing
+            continue
+        share = best.probability / best.place.probability if best.place.probability > 0 else 0.0
+        points += [[round(x, 6), round(y, 6), round(share * p, 6)]
+                   for x, y, p in city.support.tolist()]  # fmt: skip
+    return points
 
 
 def on_earth(tell: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:

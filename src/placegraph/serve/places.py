@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.world import World
 
+ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
+"""What is listed of where a scene stands."""
+
 State = tuple[int, int, int]
 
 
@@ -148,9 +151,11 @@ class Places:
             return facts | {"objects": len(header.meta["digests"])}
         if entry.kind == "city":
             return facts | {"objects": rows["kind"], "bounds": bounds_of(header.meta)}
+        anchors = header.meta.get("anchors", [])
         return facts | {
             "objects": rows["positions"],
-            "anchored": bool(header.meta.get("anchors") or rows.get("anchors")),
+            "anchored": bool(anchors),
+            "anchors": [{key: anchor.get(key) for key in ANCHOR} for anchor in anchors],
         }
 
     def _found(self) -> dict[str, Entry]:

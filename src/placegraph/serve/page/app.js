@@ -1,8 +1,9 @@
 // The page: which map, which way of telling, and what stands in the link.
 
-import { call, mapPath, Problem, useKey } from "./api.js";
+import { call, Problem, useKey } from "./api.js";
 import { Here } from "./here.js";
 import { Inside } from "./inside.js";
+import { Stage } from "./stage.js";
 import { You } from "./you.js";
 import { Walk } from "./walk.js";
 import { AnswerMap } from "./parts/answer.js";
@@ -13,11 +14,9 @@ const $ = (id) => document.getElementById(id);
 class App {
   constructor() {
     this.panel = $("answer");
-    this.view = new AnswerMap(document.querySelector(".map"), {
-      changed: () => this.tab?.render(), tapped: (...touched) => this.tab?.tapped?.(...touched),
-      viewed: () => this.tab?.viewed?.(),
-    });
-    this.view.on = { touched: (id) => this.reveal(id) };
+    this.view = new AnswerMap(document.querySelector(".map"), { changed: () => this.tab?.render() });
+    this.view.touched = (id) => this.reveal(id);
+    this.stage = new Stage(this);
     this.hands = { light: (ids) => this.view.light(ids), go: (object) => this.view.go(object) };
     this.you = new You(this);
     this.tabs = { here: new Here(this), walk: new Walk(this), inside: new Inside(this) };
@@ -42,45 +41,56 @@ class App {
 
   set text(value) { $("text").value = value; $("clear").hidden = !value; }
 
+  /** Whether the colours are those of the night. */
+  get dark() {
+    const chosen = document.documentElement.dataset.theme;
+    return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  }
+
   async start() {
     try {
       this.maps = (await call("v1/maps")).maps.filter((map) => !map.problem);
+      this.stage.use(this.maps);
       await this.read();
     } catch (error) { this.trouble(error); }
   }
 
-  /** State in the link: #map=…&tab=…&q=…&near=lon,lat&radius=…&heading=…&answers=… */
+  /** State in the link: #map=…&tab=…&scene=…&q=…&near=lon,lat&radius=…&heading=…&answers=… */
   async read() {
-    const hash = new URLSearchParams(location.hash.slice(1));
-    const cities = this.maps.filter(({ kind }) => kind === "city");
-    const select = $("city");
-    select.replaceChildren(...cities.map(({ name }) => el("option", { value: name }, name)));
-    select.closest("label").hidden = cities.length < 2;
-    this.tabs.inside.scenes = this.maps.filter(({ kind }) => kind !== "city");
+    const hash = new URLSearchParams(location.hash.slice(1)), { cities } = this.stage, select = $("city");
+    const everywhere = this.maps.length > 1 ? [el("option", { value: "" }, "Everywhere")] : [];
+    select.replaceChildren(...everywhere, ...this.maps.filter(({ kind }) => kind === "city").map(({ name }) => el("option", { value: name }, name)));
+    select.closest("label").hidden = select.options.length < 2;
+    this.tabs.inside.use(this.maps.filter(({ kind }) => kind !== "city"), hash.get("scene"));
     $("tab-inside").hidden = !this.tabs.inside.scenes.length;
-    $("tab-here").hidden = $("tab-walk").hidden = !cities.length;
-    const city = cities.find(({ name }) => name === hash.get("map")) ?? cities[0];
-    if (city) await this.choose(city.name, { told: hash });
-    const wanted = hash.get("tab") in this.tabs ? hash.get("tab") : "here";
-    this.open(cities.length ? wanted : "inside");
+    $("tab-walk").hidden = !cities.length;
+    const city = cities.find(({ name }) => name === hash.get("map"));
+    await this.choose(city?.name ?? (everywhere.length ? "" : this.maps[0]?.name), { told: hash });
+    const wanted = hash.get("tab");
+    this.open(wanted in this.tabs && !$(`tab-${wanted}`).hidden ? wanted : "here");
   }
 
-  async choose(name, { told = new URLSearchParams(), afresh = false } = {}) {
-    $("city").value = name;
-    if (this.city !== name) {
-      const index = await call(mapPath(name, "drawing"));
-      this.city = name;
-      this.index = index;
-      this.view.show(null, { move: false });
-      this.view.city(index, (level, x, y) => call(mapPath(name, `drawing/${level}/${x}/${y}`)));
-      $("source").textContent = `${index.source}: ${index.objects.toLocaleString("en")} objects`;
-    }
+  /** Ask of a map, or of all where the name is empty. */
+  async choose(name = "", { told = new URLSearchParams(), afresh = false } = {}) {
+    const { cities, scenes } = this.stage, city = cities.find((map) => map.name === name) ?? cities[0];
+    $("city").value = this.scope = name;
     if (afresh) this.tab?.leave?.();
+    if (city && (name || !this.stage.name)) await this.stage.city(city.name);
+    else if (!city && scenes[0]) await this.stage.open(scenes[0]);
+    this.source();
     this.you.read(told);
     this.tabs.here.read(told);
     if (afresh) this.open(this.name);
     this.write();
   }
+
+  source() {
+    const { index } = this.stage, all = this.maps.length > 1 ? ` One of ${this.maps.length} maps.` : "";
+    $("source").textContent = index ? `${index.source}: ${index.objects.toLocaleString("en")} objects.${all}` : "";
+  }
+
+  /** A building was entered: images that are taken now are of it. */
+  entered(plan) { this.tabs.inside.stand(plan.map); }
 
   open(name) {
     if (this.name !== name) this.tab?.leave?.();
@@ -108,8 +118,9 @@ class App {
 
   write() {
     const hash = new URLSearchParams();
-    if (this.city) hash.set("map", this.city);
+    if (this.scope) hash.set("map", this.scope);
     if (this.name && this.name !== "here") hash.set("tab", this.name);
+    if (this.name === "inside") this.tabs.inside.write(hash);
     this.you.write(hash);
     this.tabs.here.write(hash);
     this.written = hash.toString();
@@ -127,16 +138,16 @@ class App {
   }
 
   theme() {
-    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-    const now = document.documentElement.dataset.theme ?? (dark ? "dark" : "light");
-    this.dress(now === "dark" ? "light" : "dark");
+    this.dress(this.dark ? "light" : "dark");
   }
 
   dress(theme) {
+    matchMedia("(prefers-color-scheme: dark)").onchange ??= () => this.stage.recolour();
     if (!theme) return;
     document.documentElement.dataset.theme = theme;
     sessionStorage.setItem("theme", theme);
     this.view.map.recolour();
+    this.stage.recolour();
   }
 
   note(text) { $("note").textContent = text; }

@@ -74,7 +74,7 @@ export class Here {
   ask(now) {
     this.going = now;
     this.live.ask({
-      text: this.text, map: this.app.city, ...this.app.you.known,
+      text: this.text, ...(this.app.scope ? { map: this.app.scope } : {}), ...this.app.you.known,
       ...(this.answers.length ? { answers: this.answers } : {}),
     });
     clearTimeout(this.rest);
@@ -126,7 +126,7 @@ export class Here {
   }
 
   examples() {
-    const texts = this.app.index?.examples ?? [];
+    const texts = this.app.stage.index?.examples ?? [];
     if (!texts.length) return null;
     return el("section", { class: "examples", "aria-label": "Examples" }, el("h2", {}, "For example"),
       texts.map((text) => button(null, { onclick: () => { this.app.text = this.text = text; this.answers = []; this.ask(true); } },

@@ -23,7 +23,7 @@ export class Walk {
 
   leave() {
     this.app.view.show(null, { move: false });
-    if (this.session && this.app.city !== this.city) this.end();
+    if (this.session && this.app.stage.cityName !== this.city) this.end();
   }
 
   end() {
@@ -44,9 +44,9 @@ export class Walk {
     this.error = null;
     this.render();
     try {
-      if (!this.session || this.city !== this.app.city) {
+      if (!this.session || this.city !== this.app.stage.cityName) {
         this.forget();
-        this.city = this.app.city;
+        this.city = this.app.stage.cityName;
         this.session = (await call("v1/sessions", { json: { map: this.city, ...this.app.you.known } })).session;
       }
       this.result = await call(`v1/sessions/${this.session}`, { json: { text } });
@@ -55,7 +55,7 @@ export class Walk {
       if (this.app.tab === this) this.app.view.show(this.result);
       this.app.announce(this.result.estimate.reason);
     } catch (error) {
-      if (error.status === 404) this.session = null; // it has run out: the next begins anew
+      if ([404, 410].includes(error.status)) this.session = null; // it has run out: the next begins anew
       this.error = error;
     }
     this.busy = false;

@@ -60,6 +60,7 @@ export class You {
   }
 
   look() {
+    if (!this.app.view.plane) return;
     const [x, y] = this.app.view.plane.to(...this.near);
     this.app.view.map.fly({ x, y, scale: 1 });
   }
@@ -69,13 +70,13 @@ export class You {
   toggle() {
     const { map, plane } = this.app.view;
     const on = $("middle").getAttribute("aria-pressed") !== "true";
-    if (on) {
+    if (on && plane) {
       const { x, y, scale } = map.view;
       this.near = plane.from(x, y);
       this.radius = Math.max(100, Math.round(Math.min(map.width, map.height) / scale / 2));
       this.accuracy = null;
     } else this.near = null;
-    this.middle(on);
+    this.middle(Boolean(this.near));
     this.changed();
   }
 

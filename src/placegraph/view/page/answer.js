@@ -1,12 +1,18 @@
 // An answer on map and panel: which place is chosen, what is lit.
 
 import { button, clamp, el, Plane } from "./base.js";
-import { beside, ellipse, Heat, located, paintEllipse, paintEvidence, witnesses } from "./marks.js";
+import { beside, Heat, located, looking, paintEllipse, paintEvidence, posed, standing, witnesses } from "./marks.js";
 import { MapView } from "./map.js";
 
-/** A map with its furniture, and an answer on it; `changed()` is told when another place is chosen. */
+const LEAST = 0.01; // modes below this probability have no pin, unless they are chosen
+const INDOORS = 12; // from this scale on one is seen to be inside [px/m]
+
+/**
+ * A map with its furniture, and an answer on it; `changed()` is told when another place is chosen.
+ * A `stage`, where there is one, brings the map to where a mode is, and knows what lies inside.
+ */
 export class AnswerMap {
-  constructor(root, { changed = () => {}, tapped = () => {}, viewed = () => {} } = {}) {
+  constructor(root, { changed = () => {} } = {}) {
     this.root = root;
     this.changed = changed;
     this.heat = new Heat();
@@ -16,85 +22,116 @@ export class AnswerMap {
     const find = (name) => root.querySelector(name);
     this.parts = { tip: find(".tip"), pins: find(".pins"), scale: find(".scale span") };
     this.map = new MapView(find("canvas"), {
-      view: () => { root.dataset.state = "moving"; this.follow(); viewed(); },
+      view: () => { root.dataset.state = "moving"; this.follow(); },
       still: () => { root.dataset.state = "still"; }, made: () => this.locate(), hover: (shape, at) => this.tell(shape, at),
-      tap: (point, shape, at) => { this.tell(shape, at); this.touch(shape); tapped(point, shape); },
+      tap: (point, shape, at) => { this.tell(shape, at); this.touch(shape); this.stage?.tapped(point); },
     });
     this.map.under.push((ctx, map) => this.heat.paint(ctx, map));
     this.map.over.push((ctx, map) => this.paint(ctx, map));
-    this.map.reserved = (scale) => this.places.map(({ at }) => ({ discs: [[at[0] * scale, -at[1] * scale, 14]] })).concat(this.texts());
+    this.map.reserved = (scale) => this.pinned().map(({ at }) => ({ discs: [[at[0] * scale, -at[1] * scale, 14]] })).concat(this.texts());
     this.map.lettered = () => new Set(this.texts().map(({ osm }) => osm));
     this.tools(find(".tools"));
   }
 
   tools(bar) {
     const { moves } = this.map;
-    const heat = button("Heat", { title: "Heat (h)", "aria-pressed": "true", class: "heat", onclick: () => {
+    moves.h = () => {
       this.heat.shown = !this.heat.shown;
       heat.setAttribute("aria-pressed", String(this.heat.shown));
       this.map.draw();
-    } }, "◉");
+    };
+    const heat = button("Heat", { title: "Heat (h)", "aria-pressed": "true", class: "heat", onclick: moves.h }, "◉");
     bar.append(
       button("Zoom in", { title: "Zoom in (+)", onclick: moves["+"] }, "+"),
       button("Zoom out", { title: "Zoom out (−)", onclick: moves["-"] }, "−"),
       button("Show the whole city", { title: "Whole city (0)", onclick: moves[0] }, "⤢"), heat);
   }
 
+  /** Show a city, or, where nothing loads tiles, a plane that has no place on Earth. */
   city(index, load) {
-    this.plane = new Plane(index);
+    this.plane = load && new Plane(index);
     this.map.show(index, load);
+    this.place();
   }
 
   /** Show an answer; null shows none. `move` says whether the map goes there. */
   show(answer, { move = true } = {}) {
     this.answer = answer;
     this.lit.clear();
-    const modes = (answer?.estimate.modes ?? []).filter((mode) => Number.isFinite(mode.longitude));
-    this.heat.set((answer?.support ?? []).map(([lon, lat, p]) => [...this.plane.to(lon, lat), p]));
-    this.places = modes.map((mode) => {
-      const at = this.plane.to(mode.longitude, mode.latitude);
-      return { mode, at, ring: ellipse(at, mode.covariance), found: witnesses(mode, this.plane) };
+    const modes = answer?.estimate.modes ?? [];
+    this.selected = move ? 0 : clamp(this.selected, 0, Math.max(0, modes.length - 1));
+    this.on(this.selected, Boolean(posed(modes[this.selected])), () => { if (move) this.home(); });
+  }
+
+  select(k) {
+    this.selected = k;
+    this.lit.clear();
+    this.on(k, true, () => this.enter(k));
+    this.changed();
+  }
+
+  /** Bring mode k on the map, with what is inside if that is wanted, and then do something. */
+  on(k, inside, then) {
+    const { answer, stage } = this, mode = answer?.estimate.modes[k];
+    const done = () => { if (answer === this.answer && k === this.selected) { this.place(); then(); } };
+    if (!mode || !stage || stage.ready(mode, this.mapOf(k), inside)) done();
+    else stage.bring(mode, this.mapOf(k), inside).then(done, done);
+  }
+
+  /** Name of the map of rooms that a mode is in. */
+  mapOf(k) {
+    const mode = this.answer?.estimate.modes[k];
+    return mode?.map_from_camera ? this.answer.map : mode?.scene || null;
+  }
+
+  /** Find where the modes are on what the map shows now. */
+  place() {
+    const { answer, plane, stage } = this, modes = answer?.estimate.modes ?? [];
+    this.heat.set(plane ? (answer?.support ?? []).map(([lon, lat, p]) => [...plane.to(lon, lat), p]) : []);
+    this.places = modes.map((mode, k) => {
+      const map = this.mapOf(k), within = stage?.indoors(map, mode.room), where = standing(mode, plane, within);
+      return { mode, at: null, found: [], ...where, within,
+        ...(where && { found: witnesses(mode, plane, (id) => stage?.thing(map, id)) }) };
     });
-    this.selected = clamp(this.selected, 0, Math.max(0, modes.length - 1));
-    if (move) this.selected = 0;
-    this.parts.pins.replaceChildren(...this.places.map(({ mode }, k) => {
+    this.parts.pins.replaceChildren(...this.places.map(({ mode, at }, k) => {
+      if (!at || (mode.probability < LEAST && k !== this.selected)) return null;
       const share = answer.ranked ? "" : `, ${(100 * mode.probability).toFixed(0)} %`;
       return button(`Place ${k + 1}${share}`, { "data-mode": k, class: "pin", onclick: () => this.select(k) }, String(k + 1));
-    }).reverse());
+    }).filter(Boolean).reverse());
     this.locate();
     this.mark();
-    if (move) this.home();
     this.map.redo();
   }
 
+  pinned() { return this.places.filter(({ mode, at }, k) => at && (mode.probability >= LEAST || k === this.selected)); }
+
   /** Go to what the answer is about: the best place, all rivals, or the city where all is lost. */
   home() {
-    const { map, answer } = this;
-    if (!answer || !this.places.length || answer.estimate.status === "LOST") {
-      if (map.index) map.fly(map.fitting(map.index.bounds));
+    const { map, answer } = this, standing = this.places.filter(({ at }) => at);
+    if (!answer) return;
+    if (!standing.length || (answer.estimate.status === "LOST" && !this.places[0].within)) {
+      if (map.index) map.fly(map.whole());
       return;
     }
-    const least = 0.1 * this.places[0].mode.probability;
-    const shown = answer.estimate.status === "AMBIGUOUS" ? this.places.filter((p) => p.mode.probability >= least) : [this.places[0]];
-    const boxes = shown.map((place) => this.around(place));
+    const least = 0.1 * standing[0].mode.probability;
+    const shown = answer.estimate.status === "AMBIGUOUS" ? standing.filter((p) => p.mode.probability >= least) : [standing[0]];
+    const seen = shown.every(({ within, heading }) => heading !== undefined && within?.house === shown[0].within?.house), boxes = shown.map((place) => this.around(place, seen));
     map.fly(map.fitting([0, 1].map((k) => Math.min(...boxes.map((b) => b[k])))
-      .concat([2, 3].map((k) => Math.max(...boxes.map((b) => b[k]))))));
+      .concat([2, 3].map((k) => Math.max(...boxes.map((b) => b[k])))), seen ? map.largest : undefined));
   }
 
-  around({ at, ring, found }) {
+  /** Go to a mode: into its building where it is in one. */
+  enter(k) {
+    const place = this.places[k], { map } = this;
+    if (place?.at) map.fly(map.fitting(this.around(place, true), place.within ? map.largest : undefined));
+  }
+
+  around({ at, ring, found, within }, inside) {
+    if (inside && within) return within.around;
     const points = [...ring, ...found.map((witness) => witness.at)];
     const half = [0, 1].map((k) => clamp(1.25 * Math.max(0, ...points
       .map((p) => Math.abs(p[k] - at[k])).filter((far) => far < 160)), 90, 160));
     return [at[0] - half[0], at[1] - half[1], at[0] + half[0], at[1] + half[1]];
-  }
-
-  select(k, move = true) {
-    this.selected = k;
-    this.lit.clear();
-    this.mark();
-    if (move && this.places[k]) this.map.fly(this.map.fitting(this.around(this.places[k])));
-    this.map.redo();
-    this.changed();
   }
 
   mark() {
@@ -113,8 +150,11 @@ export class AnswerMap {
     this.map.draw();
   }
 
-  go(object) {
-    const [x, y] = this.plane.to(object.longitude, object.latitude);
+  /** Go to an object of the evidence. */
+  go({ id }) {
+    const witness = this.places[this.selected]?.found.find((found) => found.id === id);
+    if (!witness) return;
+    const [x, y] = witness.middle;
     this.map.fly({ x, y, scale: Math.max(this.map.view.scale, 1.2) });
   }
 
@@ -122,27 +162,37 @@ export class AnswerMap {
   touch(shape) {
     const place = this.places[this.selected], known = shape && place?.found.some(({ id }) => id === shape.osm);
     this.light(known ? [shape.osm] : []);
-    this.on?.touched?.(known ? shape.osm : null);
+    this.touched?.(known ? shape.osm : null);
   }
 
   locate() {
     const { map } = this;
-    for (const place of this.places) located(place.found, place.at, map);
+    for (const place of this.places) if (place.at) located(place.found, place.at, map);
     const key = JSON.stringify(this.texts().map(({ x, y, text }) => [Math.round(x), Math.round(y), text]));
     if (key !== this.placed) { this.placed = key; map.redo(); } // names make room for them
   }
 
   texts() {
     const place = this.places[this.selected];
-    if (!place || this.map.view.scale < 0.4) return [];
-    return place.found.slice(0, 12).map((witness) => beside(witness, place.at));
+    if (!place?.at || this.map.view.scale < 0.4) return [];
+    return this.speaking(place).slice(0, 12).map((witness) => beside(witness, place.at));
+  }
+
+  /** Witnesses of a place: what is inside where that is seen from near by, else what is outside. */
+  speaking({ found, within }) {
+    const near = Boolean(within) && this.map.view.scale > INDOORS;
+    return found.filter(({ inside }) => inside === near);
   }
 
   paint(ctx, map) {
-    const { places, selected } = this, place = places[selected];
-    for (const { ring } of places) if (map.view.scale > 0.08) paintEllipse(ctx, map, ring, map.colour("mode"));
-    if (!place || map.view.scale < 0.08) return;
-    paintEvidence(ctx, map, place.found, place.at, this.lit);
+    const place = this.places[this.selected];
+    if (map.view.scale < 0.08) return;
+    for (const { ring, at, heading } of this.pinned()) {
+      paintEllipse(ctx, map, ring, map.colour("mode"));
+      if (heading !== undefined) looking(ctx, map, at, heading, map.colour("mode"));
+    }
+    if (!place?.at) return;
+    paintEvidence(ctx, map, this.speaking(place), place.at, this.lit);
     this.write(ctx, this.texts());
   }
 
@@ -160,6 +210,7 @@ export class AnswerMap {
       pin.style.translate = `${x.toFixed(1)}px ${y.toFixed(1)}px`;
       pin.hidden = x < -20 || y < -20 || x > map.width + 20 || y > map.height + 20;
     }
+    this.stage?.follow();
     const { scale } = map.view;
     let metres = 10 ** Math.floor(Math.log10(140 / scale));
     metres *= [5, 2, 1].find((step) => metres * step * scale <= 140);
@@ -171,7 +222,7 @@ export class AnswerMap {
     const { tip } = this.parts;
     tip.hidden = !shape?.osm;
     if (tip.hidden) return;
-    tip.replaceChildren(el("b", {}, el("bdi", {}, shape.name)), el("span", {}, shape.label), el("small", {}, shape.osm));
+    tip.replaceChildren(el("b", {}, el("bdi", {}, shape.name)), el("span", {}, shape.label), el("small", {}, shape.thing ? "" : shape.osm));
     const left = clamp(at.x + 14, 4, Math.max(4, this.map.width - tip.offsetWidth - 4));
     const below = at.y + 18 + tip.offsetHeight < this.map.height;
     tip.style.translate = `${left}px ${below ? at.y + 18 : Math.max(4, at.y - 10 - tip.offsetHeight)}px`;

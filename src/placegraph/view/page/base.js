@@ -15,7 +15,7 @@ export function el(tag, attributes = {}, ...children) {
     else node.setAttribute(name, value === true ? "" : value);
   }
   for (const child of children.flat()) {
-    if (child !== null && child !== undefined && child !== "") {
+    if (child !== null && child !== undefined && child !== "" && child !== false) {
       node.append(child.nodeType ? child : tidy(child));
     }
   }

@@ -82,7 +82,7 @@ export function gestures(map) {
     ArrowLeft: () => shift(-1, 0), ArrowRight: () => shift(1, 0),
     ArrowUp: () => shift(0, 1), ArrowDown: () => shift(0, -1),
     "+": () => zoom(1.5), "=": () => zoom(1.5), "-": () => zoom(1 / 1.5),
-    0: () => map.index && map.fly(map.fitting(map.index.bounds)), Escape: () => map.on.hover?.(null),
+    0: () => map.index && map.fly(map.whole()), Escape: () => map.on.hover?.(null),
   };
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !(event.key in moves)) return;

@@ -6,13 +6,14 @@ import { covering, lettered, Taken, write } from "./letters.js";
 import { gestures } from "./gestures.js";
 import { painted, Tiles } from "./tiles.js";
 
-const PAD = 0.25, SLICE = 7, LARGEST = 12;
+const PAD = 0.25, SLICE = 7, BUILDINGS = ["building", "landmark"];
 
 export class MapView {
   /** `canvas` fills its parent; `on` has `view()`, `hover(shape, event)`, `tap(point, shape, event)`. */
   constructor(canvas, on = {}) {
     Object.assign(this, { canvas, on, ctx: canvas.getContext("2d") });
     this.view = { x: 0, y: 0, scale: 1 };
+    this.largest = 12; // scale [px/m]
     this.under = []; // painters below the names, and above: (ctx, map) => void
     this.over = [];
     this.names = [];
@@ -35,7 +36,7 @@ export class MapView {
     this.ratio = Math.min(2, devicePixelRatio || 1);
     this.canvas.width = Math.round(this.width * this.ratio);
     this.canvas.height = Math.round(this.height * this.ratio);
-    if (this.waiting) this.fit(this.waiting);
+    if (this.waiting) this.fit();
     this.draw();
   }
 
@@ -45,14 +46,15 @@ export class MapView {
     this.redo();
   }
 
-  /** Show a city: what `CityTiles.index` says, and a function that gets its tiles. */
+  /** Show a city: what `CityTiles.index` says, and a function that gets its tiles; null: it has none. */
   show(index, load) {
     this.index = index;
-    this.tiles = new Tiles(index, load, () => this.redo());
+    this.tiles = load && new Tiles(index, load, () => this.redo());
     this.job = this.front = null;
     this.names = [];
-    this.fit(index.bounds);
-    this.tiles.want(this.topmost(), 0, 0);
+    this.used = [];
+    this.fit();
+    this.tiles?.want(this.topmost(), 0, 0);
   }
 
   topmost() {
@@ -86,11 +88,12 @@ export class MapView {
   smallest() {
     if (!this.index) return 0.01;
     const [w, s, e, n] = this.index.bounds;
-    return Math.min(1, 0.75 * Math.min(this.width / (e - w), this.height / (n - s)));
+    const all = 0.75 * Math.min(this.width / (e - w), this.height / (n - s));
+    return this.tiles ? Math.min(1, all) : all;
   }
 
   limited({ x, y, scale }) {
-    scale = clamp(scale, this.smallest(), LARGEST);
+    scale = clamp(scale, this.smallest(), this.largest);
     if (!this.index) return { x, y, scale };
     const [w, s, e, n] = this.index.bounds;
     return { x: clamp(x, w, e), y: clamp(y, s, n), scale };
@@ -108,10 +111,13 @@ export class MapView {
     });
   }
 
-  fit(bounds) {
-    this.waiting = this.width > 1 ? null : bounds; // until there is a canvas to fit it to
+  /** The view that shows all there is. */
+  whole() { return this.fitting(this.index.bounds, this.tiles ? undefined : this.largest); }
+
+  fit() {
+    this.waiting = this.width <= 1; // until there is a canvas to fit it to
     this.stop();
-    this.view = this.fitting(bounds);
+    this.view = this.whole();
     this.redo();
   }
 
@@ -226,14 +232,24 @@ export class MapView {
 
   /** What lies at a place of the canvas [px]; null where nothing is known of it. */
   shapeAt(px, py) {
-    if (!this.tiles) return null;
-    const [x, y] = this.plane(px, py), { scale } = this.view, side = this.index.side * 2 ** this.tiles.level(scale);
+    const [x, y] = this.plane(px, py), { scale } = this.view, above = this.above?.(x, y);
+    if (above !== undefined || !this.tiles) return above ?? null;
+    const side = this.index.side * 2 ** this.tiles.level(scale);
     const tile = this.tiles.best(this.tiles.level(scale), Math.floor(x / side), Math.floor(y / side));
     return tile?.at(x, y, 7 / scale, scale, this.tiles.probe) ?? null;
   }
 
-  /** Pieces of an object in the tiles that are shown. */
+  /** Pieces of an object in the tiles that are shown, and of what lies upon them. */
   pieces(osm) {
-    return [...new Set(this.used ?? [])].flatMap((tile) => tile.pieces(osm));
+    return [...new Set(this.used ?? [])].flatMap((tile) => tile.pieces(osm)).concat(this.more?.(osm) ?? []);
+  }
+
+  /** Pieces of the building at a point [m], in the tiles that are shown. */
+  buildingAt(x, y) {
+    for (const tile of this.used ?? []) {
+      const found = tile.at(x, y, 0, Infinity, this.tiles.probe, BUILDINGS);
+      if (found) return this.pieces(found.osm);
+    }
+    return [];
   }
 }

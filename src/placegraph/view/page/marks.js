@@ -2,7 +2,7 @@
 
 import { clamp, commonName, tidy } from "./base.js";
 
-const BANDWIDTH = 9, FAINT = 0.1, SIGMAS = 2, SHOWN = 120;
+const BANDWIDTH = 9, FAINT = 0.1, SIGMAS = 2, SHOWN = 120, NEAREST = 10, FINEST = 0.0025;
 const STOPS = [[0.02, 255, 205, 90, 0], [0.12, 255, 190, 80, 70], [0.4, 246, 138, 52, 125],
   [0.7, 224, 74, 50, 150], [1, 176, 30, 50, 165]];
 const RAMP = Array.from({ length: 256 }, (_, i) => {
@@ -19,14 +19,17 @@ export class Heat {
   set(points) { this.points = points; this.picture = null; }
 
   paint(ctx, map) {
-    if (!this.shown || !this.points.length) return;
+    const alpha = clamp((NEAREST - map.view.scale) / 4, 0, 1); // it tells nothing inside a building
+    if (!this.shown || !this.points.length || !alpha) return;
     const p = this.picture, { view } = map;
     const [w, s, e, n] = map.bounds();
     if (!p || view.scale / p.scale > 1.25 || view.scale / p.scale < 0.8
       || w < p.bounds[0] || s < p.bounds[1] || e > p.bounds[2] || n > p.bounds[3]) this.make(map);
     const { canvas, bounds } = this.picture, [left, top] = map.px(bounds[0], bounds[3]);
     ctx.imageSmoothingEnabled = true;
+    ctx.globalAlpha = alpha;
     ctx.drawImage(canvas, left, top, (bounds[2] - bounds[0]) * view.scale, (bounds[3] - bounds[1]) * view.scale);
+    ctx.globalAlpha = 1;
   }
 
   make(map) {
@@ -63,25 +66,65 @@ export class Heat {
   }
 }
 
-/** Closed ring [m] around a mode: two standard deviations. */
-export function ellipse([x, y], [[a, b], [, d]]) {
+/** The pose in a map of rooms that a mode has; undefined where it has none. */
+export const posed = (mode) => mode?.pose ?? (mode?.map_from_camera && mode);
+
+/**
+ * Where a mode stands on the plane: point and ring around it [m], and where it looks, clockwise from
+ * north [rad]. Without a plane of a city it is that of a map of rooms; `within`: what is known of the
+ * room. Null where it stands nowhere on it.
+ */
+export function standing(mode, plane, within) {
+  const pose = posed(mode), earth = plane && pose?.earth?.[0], known = earth || mode;
+  const turned = (degrees) => ((degrees ?? 0) * Math.PI) / 180;
+  if (pose && !plane) {
+    const at = [pose.x, pose.y];
+    return { at, ring: ellipse(at, pose.covariance, FINEST), heading: turned(90 - pose.yaw_deg) };
+  }
+  if (!earth && within?.at) return { at: within.at, ring: within.ring };
+  if (!plane || !Number.isFinite(known.longitude)) return null;
+  const at = plane.to(known.longitude, known.latitude);
+  if (earth) return { at, ring: ellipse(at, earth.covariance, FINEST), heading: turned(earth.heading_deg) };
+  return { at, ring: ellipse(at, mode.covariance) };
+}
+
+/** Paint what a camera looks at. */
+export function looking(ctx, map, at, heading, colour) {
+  const [x, y] = map.px(...at), far = Math.min(90, 3 * map.view.scale), turn = heading - Math.PI / 2;
+  if (far < 12) return;
+  const fade = ctx.createRadialGradient(x, y, 0, x, y, far);
+  fade.addColorStop(0, colour);
+  fade.addColorStop(1, "transparent");
+  ctx.fillStyle = fade;
+  ctx.globalAlpha = 0.55;
+  ctx.beginPath();
+  ctx.moveTo(x, y);
+  ctx.arc(x, y, far, turn - 0.5, turn + 0.5);
+  ctx.fill();
+  ctx.globalAlpha = 1;
+}
+
+/** Closed ring [m] around a mode: two standard deviations, or more where they are less than `least` [m2]. */
+export function ellipse([x, y], [[a, b], [, d]], least = 1) {
   const mean = (a + d) / 2, half = Math.hypot((a - d) / 2, b), turn = Math.atan2(2 * b, a - d) / 2;
-  const [r, q] = [mean + half, mean - half].map((v) => SIGMAS * Math.sqrt(Math.max(v, 1)));
+  const [r, q] = [mean + half, mean - half].map((v) => SIGMAS * Math.sqrt(Math.max(v, least)));
   return Array.from({ length: 49 }, (_, i) => {
     const t = (i / 48) * 2 * Math.PI, [u, v] = [r * Math.cos(t), q * Math.sin(t)];
     return [x + u * Math.cos(turn) - v * Math.sin(turn), y + u * Math.sin(turn) + v * Math.cos(turn)];
   });
 }
 
-/** Objects that spoke for or against a mode, each once, the weightiest first. */
-export function witnesses(mode, plane) {
+/** Objects that spoke for or against a mode, each once, the weightiest first; `thing(id)`: inside, where it is. */
+export function witnesses(mode, plane, thing = () => null) {
   const found = new Map();
   const spoke = mode.evidence.filter((e) => e.verdict === "for" || e.verdict === "against");
   for (const evidence of spoke.sort((a, b) => Math.abs(b.weight) - Math.abs(a.weight))) {
     for (const object of evidence.objects) {
       if (found.has(object.id)) continue;
-      const at = plane.to(object.longitude, object.latitude);
-      found.set(object.id, { id: object.id, verdict: evidence.verdict, at, middle: at,
+      const inside = thing(object.id), outside = plane && Number.isFinite(object.longitude);
+      if (!inside && !outside) continue;
+      const at = inside ?? plane.to(object.longitude, object.latitude);
+      found.set(object.id, { id: object.id, inside: Boolean(inside), verdict: evidence.verdict, at, middle: at,
         words: tidy(object.name ?? "") || commonName(object.label), pieces: [] });
     }
   }

@@ -2,7 +2,7 @@
 
 import { button, commonName, el, factor, osmLink, osmPlace, spread, tidy } from "./base.js";
 
-const FULL_BAR = 5;
+const FULL_BAR = 5, FAINTEST = 0.01;
 const WINDS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
 const VERDICTS = { for: ["✓", "speaks for it"], against: ["✕", "speaks against it"] };
 const RELATIONS = { visible: "in sight of", same: "at", across: "across from", direction: "in some direction from" };
@@ -31,15 +31,46 @@ export function verdict({ status, reason }) {
     " ", reason);
 }
 
+/** The modes, each with what is known of it; those that hardly count are only counted. */
 export function places({ estimate, ranked }, selected, select) {
-  if (!estimate.modes.length) return null;
-  const rows = estimate.modes.map((mode, k) => el("li", {},
+  const { modes } = estimate;
+  if (!modes.length) return null;
+  const counts = (mode, k) => ranked || k === 0 || k === selected || mode.probability >= FAINTEST;
+  const rows = modes.map((mode, k) => (counts(mode, k) ? el("li", {},
     button(null, { class: "mode", "data-mode": k, "aria-pressed": String(k === selected), onclick: () => select(k) },
       el("span", { class: "number", "aria-hidden": "true" }, String(k + 1)),
       ranked ? null : share(mode.probability),
-      el("span", { class: "where" }, `${mode.latitude.toFixed(5)}, ${mode.longitude.toFixed(5)} · ± ${spread(mode.covariance).toFixed(0)} m`)),
-    link(osmPlace(mode.latitude, mode.longitude), el("span", { "aria-hidden": "true" }, "OSM ↗"), el("span", { class: "hidden" }, `Place ${k + 1} on OpenStreetMap`))));
-  return el("section", { "aria-label": "Places" }, el("h2", {}, "Places"), el("ol", { class: "modes" }, rows));
+      named(mode) ? el("bdi", { class: "named" }, named(mode)) : null,
+      el("span", { class: "where" }, measured(mode))),
+    linked(mode, k)) : null));
+  const left = rows.filter((row) => !row).length;
+  return el("section", { "aria-label": "Places" }, el("h2", {}, "Places"), el("ol", { class: "modes" }, rows),
+    left ? el("p", { class: "note" }, `and ${left} more below ${100 * FAINTEST} % each`) : null);
+}
+
+/** Room, building and floor of a mode, as far as they are known. */
+export function named(mode) {
+  const on = (mode.pose ?? mode).earth?.[0] ?? {}, level = mode.level || on.level;
+  const rooms = mode.room || on.room, house = mode.building || on.building;
+  return [rooms, house, level && `floor ${level}`, house && rooms ? "" : mode.scene].filter(Boolean).join(", ");
+}
+
+function measured(mode) {
+  const pose = mode.pose ?? (mode.map_from_camera ? mode : null);
+  const size = (metres) => (metres < 1 ? `± ${(100 * metres).toFixed(0)} cm` : `± ${metres.toFixed(metres < 10 ? 1 : 0)} m`);
+  if (pose) {
+    const yaw = `${pose.yaw_deg.toFixed(0)}°`.replace("-", "−");
+    return `x ${pose.x.toFixed(2)}, y ${pose.y.toFixed(2)}, z ${pose.z.toFixed(2)} m · ${yaw} · ${size(spread(pose.covariance)).replaceAll(" ", "\u00a0")}`;
+  }
+  if (!Number.isFinite(mode.longitude)) return "";
+  return `${mode.latitude.toFixed(5)}, ${mode.longitude.toFixed(5)} · ± ${spread(mode.covariance).toFixed(0)} m`;
+}
+
+function linked(mode, k) {
+  const spot = (mode.pose ?? mode).earth?.[0] ?? mode;
+  if (!Number.isFinite(spot.longitude)) return null;
+  return link(osmPlace(spot.latitude, spot.longitude), el("span", { "aria-hidden": "true" }, "OSM ↗"),
+    el("span", { class: "hidden" }, `Place ${k + 1} on OpenStreetMap`));
 }
 
 export function share(probability) {
@@ -81,12 +112,15 @@ function thing(object, { light, go, linked }) {
 /** How the text was read, and what was left. */
 export function understanding(understood, open = false) {
   if (!understood) return null;
-  const mentions = new Map(understood.mentions.map((mention) => [mention.id, mention]));
+  const { mentions = [], statements = [], conflicts = [], outside = [], inside = [], ignored } = understood;
+  const known = new Map(mentions.map((mention) => [mention.id, mention])), quoted = (text) => el("li", {}, el("q", {}, text));
   const blocks = [
-    ["Contradictions", (understood.conflicts ?? []).map((sentence) => el("li", {}, sentence))],
-    ["Statements", understood.statements.map((s) => el("li", {}, reading(s, mentions)))],
-    ["Things", understood.mentions.filter(({ id }) => id > 1).map(mention)],
-    ["Ignored", understood.ignored.map((i) => el("li", {}, el("q", {}, i.text), " ", el("small", {}, i.reason)))],
+    ["Contradictions", conflicts.map((sentence) => el("li", {}, sentence))],
+    ["Statements", statements.map((s) => el("li", {}, reading(s, known)))],
+    ["Things", mentions.filter(({ id }) => id > 1).map(mention)],
+    ["Said of the outside", outside.map(quoted)],
+    ["Said of rooms", inside.map(quoted)],
+    ["Ignored", ignored.map((i) => el("li", {}, el("q", {}, i.text), " ", el("small", {}, i.reason)))],
   ].filter(([, rows]) => rows.length);
   return el("details", { class: "understood", open }, el("summary", {}, "What was understood"),
     blocks.length ? blocks.flatMap(([head, rows]) => [el("h3", {}, head), el("ul", {}, rows)]) : el("p", {}, "Nothing."));

@@ -19,7 +19,7 @@ function tell() {
 }
 
 view.city(index, (level, x, y) => Promise.resolve(tiles[`${level}/${x}/${y}`]));
-view.on = { touched: (id) => lightRow(panel, id) };
+view.touched = (id) => lightRow(panel, id);
 view.show(answer);
 tell();
 

@@ -79,12 +79,12 @@ class Tile {
     };
   }
 
-  /** The uppermost shape at a place [m], within a reach [m]; null where there is none. */
-  at(x, y, reach, scale, ctx) {
+  /** The uppermost shape at a place [m], within a reach [m], of these paints; null where there is none. */
+  at(x, y, reach, scale, ctx, paints = null) {
     const u = (x - this.west) / this.unit, v = (y - this.south) / this.unit, r = reach / this.unit;
     for (let k = this.data.layers.length - 1; k >= 0; k--) {
       const layer = this.data.layers[k], paint = this.paints[layer.paint];
-      if (paint.since > scale) continue;
+      if (paint.since > scale || (paints && !paints.includes(layer.paint))) continue;
       for (let i = layer.shapes.length - 1; i >= 0; i--) {
         if (layer.osm[i] && hits(layer.shapes[i], paint, u, v, r, this.unit, ctx)) return this.shape(k, i);
       }
