@@ -10,7 +10,7 @@ PATIENCE = 60_000
 """Beside other load things take their time [ms]."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser():
     """Chromium; the test is skipped where it or Playwright is not installed."""
     path = next(filter(None, map(shutil.which, NAMES)), None)
@@ -24,10 +24,14 @@ def browser():
 
 
 @contextmanager
-def opened(browser, url, **options):
-    """A page whose scripts must not fail, with the addresses it asked for in `page.asked`."""
+def opened(browser, url, *, first="", **options):
+    """A page whose scripts must not fail, with the addresses it asked for in `page.asked`.
+
+    `first` is a script that runs before the page's own.
+    """
     context = browser.new_context(reduced_motion="reduce", **options)
     context.set_default_timeout(PATIENCE)
+    context.add_init_script(first)
     page = context.new_page()
     page.asked, troubles = [], []
     page.on("request", lambda request: page.asked.append(request.url))

@@ -101,16 +101,22 @@ class Running:
 
 
 @pytest.fixture(scope="session")
-def running(maps, flat, tmp_path_factory):
-    """A server of the town and the flat, which stands in the town's hotel."""
+def hotel(maps, flat, tmp_path_factory):
+    """Folder with the town, and the flat as a floor of the town's hotel."""
     folder = tmp_path_factory.mktemp("town")
     shutil.copy(maps / f"{TOWN}.city", folder)
-    hotel = Anchor(
+    anchor = Anchor(
         9.99884, 53.55015, 6.4, 0.3, np.diag([1.0, 1, 1, 1e-4]), "Hotel Hansa", level="2"
     )
-    open_map(flat).anchored(hotel).save(folder / f"{FLAT}.scene")
-    server = Running(folder, "--port", "0")
-    server.folder = folder
+    open_map(flat).anchored(anchor).save(folder / f"{FLAT}.scene")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def running(hotel):
+    """A server of the town and the flat, which stands in the town's hotel."""
+    server = Running(hotel, "--port", "0")
+    server.folder = hotel
     yield server
     code, said = server.end()
     assert (code, said) == (0, "")
