@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import httpx
 import numpy as np
 import pytest
+import uvicorn
 from starlette.testclient import TestClient
 
 from placegraph.demo.world import FLAT, TOWN, unpack
@@ -19,6 +20,29 @@ from placegraph.outdoor.city import build_city
 from placegraph.serve.app import create_app
 from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Places
+from placegraph_lab.worlds.town.town import Town
+
+HOSTILE = """
+[town]
+name = Hostile
+center = 7.42 43.73
+
+[drawing]
+ ####   |  \"\"\"\"\"\"   ####
+ #K##   |  \"\"\"F\"\"\"   #  #
+ ####   |  \"\"\"\"\"\"   ####
+-----1--+------------------
+        |   R   b    L
+
+[legend]
+K: shop=bakery name=<script>window.hacked=1</script>
+F: amenity=fountain name="><img/src=x/onerror=window.hacked=1>
+R: amenity=cafe name=\u202eمقهى البحر\u202c ${window.hacked=1}
+b: amenity=bench name='"`\\
+L: tourism=museum name=Museum LONG
+1 road: highway=primary name=</textarea><svg/onload=window.hacked=1>
+""".replace("LONG", "of everything that is very long " * 12)
+HOUSE = "<img src=x onerror=window.hacked=1>"
 
 
 @pytest.fixture(scope="session")
@@ -120,3 +144,42 @@ def running(hotel):
     yield server
     code, said = server.end()
     assert (code, said) == (0, "")
+
+
+@contextmanager
+def threaded(folder):
+    """Address of a server of a folder, in a thread."""
+    app = create_app(Places([folder]), ServeOptions(sentence_workers=1))
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="error", ws="websockets-sansio"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        while not (server.started and app.state.server.sentences.ready):
+            assert thread.is_alive()
+            threading.Event().wait(0.05)
+        [socket] = server.servers[0].sockets
+        yield f"http://127.0.0.1:{socket.getsockname()[1]}/"
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture(scope="session")
+def url(maps, hotel, tmp_path_factory):
+    """Address of a page: a town with a flat in its hotel, a hostile one with a home, a home of no town."""
+    folder = tmp_path_factory.mktemp("page")
+    build_city(Town.parse(HOSTILE).write_osm(folder / "hostile.osm"), folder / "hostile.city")
+    for file in hotel.iterdir():
+        shutil.copy(file, folder)
+    shutil.copy(maps / "home1.scene", folder)
+    there = Anchor(7.42, 43.73, 0.0, 0.4, building=HOUSE, level="<i>0")
+    open_map(maps / "home2.scene").anchored(there).save(folder / f"{HOUSE}.scene")
+    with threaded(folder) as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def web(url):
+    """Client of the server of the page."""
+    with httpx.Client(base_url=url) as client:
+        yield client

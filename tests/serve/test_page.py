@@ -1,66 +1,11 @@
 """The page in a real browser, with a real server behind it."""
 
 import re
-import threading
-from contextlib import contextmanager
 
 import pytest
-import uvicorn
 from tests.browser import opened, still
 
-from placegraph.outdoor.city import build_city
-from placegraph.serve.app import create_app
-from placegraph.serve.options import ServeOptions
-from placegraph.serve.places import Places
-from placegraph_lab.worlds.town.town import Town
-
 SENTENCE = "I am standing on a square. There is a fountain north of me and a café to my east."
-HOSTILE = """
-[town]
-name = Hostile
-center = 7.42 43.73
-
-[drawing]
- ####   |  \"\"\"\"\"\"   ####
- #K##   |  \"\"\"F\"\"\"   #  #
- ####   |  \"\"\"\"\"\"   ####
------1--+------------------
-        |   R   b    L
-
-[legend]
-K: shop=bakery name=<script>window.hacked=1</script>
-F: amenity=fountain name="><img/src=x/onerror=window.hacked=1>
-R: amenity=cafe name=\u202eمقهى البحر\u202c ${window.hacked=1}
-b: amenity=bench name='"`\\
-L: tourism=museum name=Museum LONG
-1 road: highway=primary name=</textarea><svg/onload=window.hacked=1>
-""".replace("LONG", "of everything that is very long " * 12)
-
-
-@contextmanager
-def running(paths):
-    """Address of a server of some maps, in a thread."""
-    app = create_app(Places(paths), ServeOptions(sentence_workers=1))
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="error", ws="websockets-sansio"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        while not (server.started and app.state.server.sentences.ready):
-            assert thread.is_alive()
-            threading.Event().wait(0.05)
-        [socket] = server.servers[0].sockets
-        yield f"http://127.0.0.1:{socket.getsockname()[1]}/"
-    finally:
-        server.should_exit = True
-        thread.join()
-
-
-@pytest.fixture(scope="module")
-def url(maps, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("page")
-    build_city(Town.parse(HOSTILE).write_osm(folder / "hostile.osm"), folder / "hostile.city")
-    with running([*maps.iterdir(), folder / "hostile.city"]) as url:
-        yield url
 
 
 def typed(page, text):
@@ -169,25 +114,25 @@ def test_keys_and_labels_suffice(browser, url):
         page.wait_for_selector("#live:has-text('places')", state="attached")
 
 
-def test_tiles_are_checked_and_kept(client):
-    index = client.get("/v1/maps/hafenstadt/drawing").json()
+def test_tiles_are_checked_and_kept(web):
+    index = web.get("/v1/maps/hafenstadt/drawing").json()
     assert len(index["examples"]) == 3
     path = f"/v1/maps/hafenstadt/drawing/{index['top']}/0/0"
-    tile = client.get(path)
+    tile = web.get(path)
     assert tile.json()["layers"]
-    assert tile.json() == client.get(path, headers={"Accept-Encoding": "identity"}).json()
-    far = client.get("/v1/maps/hafenstadt/drawing/99/0/0")
+    assert tile.json() == web.get(path, headers={"Accept-Encoding": "identity"}).json()
+    far = web.get("/v1/maps/hafenstadt/drawing/99/0/0")
     assert far.status_code == 404
     assert far.json()["code"] == "tile_unknown"
-    assert client.get("/v1/maps/nowhere/drawing").status_code == 404
+    assert web.get("/v1/maps/nowhere/drawing").status_code == 404
 
 
-def test_the_page_trusts_nobody_else(client):
+def test_the_page_trusts_nobody_else(web):
     for path in ("/", "/app.js", "/parts/map.js"):
-        answer = client.get(path)
+        answer = web.get(path)
         assert answer.status_code == 200
         policy = answer.headers["content-security-policy"]
         assert policy.startswith("default-src 'none'; script-src 'self';")
         assert not re.search(r"https?:", policy)
-    assert client.get("/parts/../app.py").status_code == 404
-    assert client.get("/parts/nothing.js").status_code == 404
+    assert web.get("/parts/../app.py").status_code == 404
+    assert web.get("/parts/nothing.js").status_code == 404

@@ -68,6 +68,7 @@ class App {
     await this.choose(city?.name ?? (everywhere.length ? "" : this.maps[0]?.name), { told: hash });
     const wanted = hash.get("tab");
     this.open(wanted in this.tabs && !$(`tab-${wanted}`).hidden ? wanted : "here");
+    this.write();
   }
 
   /** Ask of a map, or of all where the name is empty. */
@@ -80,7 +81,8 @@ class App {
     this.source();
     this.you.read(told);
     this.tabs.here.read(told);
-    if (afresh) this.open(this.name);
+    if (!afresh) return;
+    this.open(this.name);
     this.write();
   }
 
