@@ -1,5 +1,7 @@
 """Maps that find their own place on a named building: headings, ties, entrances, wrong buildings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,6 +105,23 @@ def test_turns_of_a_square_are_told_until_an_entrance_tells(scenes, tmp_path):
     found = fit_building(scene, file, "Stadtbibliothek").anchors
     assert found[0].probability > 0.8
     assert off(found[0], corners) < 0.3
+
+
+def test_a_rough_place_tells_the_turn_and_the_height(scenes, tmp_path):
+    """As fixes of a capture or a compass do: 3 m and 20 degrees off, of a square."""
+    scene, corners = scenes[SQUARE], OUTLINES[SQUARE]
+    file = extract(tmp_path / "a.osm", corners)
+    spread = np.diag([9.0, 9.0, 4.0, 0.12])
+    rough = replace(TRUE.shifted((2.0, -2.0, 0)), heading=TRUE.heading + 0.3, height=31.0)
+    prior = replace(rough, covariance=spread, method="gps")
+    (best, *_), notes, _ = fit_building(scene, file, "Stadtbibliothek", prior=prior)
+    assert best.probability > 0.95
+    assert off(best, corners) < 0.3
+    assert (best.height, best.covariance[2, 2], best.method) == (31.0, 4.0, "building and gps")
+    assert not any("give --height" in note for note in notes)
+    far = replace(prior, longitude=prior.longitude + 1e-3)
+    with pytest.raises(OptionError, match=r"fit the building 6\d\.\d m and .* by gps"):
+        fit_building(scene, file, "Stadtbibliothek", prior=far)
 
 
 @pytest.mark.parametrize("corners", [

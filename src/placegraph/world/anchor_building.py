@@ -1,67 +1,39 @@
-"""Anchors of a map by itself: its outer walls fitted to the footprint of a named building.
-
-Headings come from the directions of walls, shifts from a correlation with the footprint's, the rest
-from least squares. Windows belong to walls that no neighbour shares, outer doors to entrances.
-"""
+"""Anchors of a map by itself: its outer walls fitted to the footprint of a named building."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.formats.place.levels import level_text, levels_of
-from placegraph.geometry import rotation_z
-from placegraph.indoor.map.rooms.rooms_kernels import nearest
+from placegraph.geometry import rotation_z, wrap
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
-from placegraph.world.footprints import Footprint, footprints, within
-from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls, off_segments, outer_walls
+from placegraph.world.footprints import footprints
+from placegraph.world.outer_walls import outer_walls
+from placegraph.world.wall_fit import fits, wrong
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from placegraph.earth import Anchor
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
+    from placegraph.world.footprints import Footprint
+    from placegraph.world.wall_fit import Fit
 
-THICK, VARIES = 0.3, 0.12
-"""Thickness of outer walls, and its deviation [m]."""
-_ROUGH = 0.25  # deviation of a footprint's walls from the building's [m]
 _DRAWN = 0.5  # of the whole footprint, as pictures from above are placed [m]
-_OUTER = 0.7  # of a map's outline that is the building's wall; the rest are neighbours in the house
-_WITHIN, _OUTSIDE = 0.03, 1e-4  # density of the rest, and outside of the building [1/m]
-_SURELY = 0.95  # windows that are in the building's own walls, facing nobody
-_ENTRY = 0.7  # how far from its door an entrance is drawn [m]
-_GRID, _CELLS = 0.25, 1000  # of shifts that are tried [m], at most so many a side
-_TURNS, _SHIFTS = 8, 8  # headings, and shifts of each, that are refined
-_ALIGNED, _REACH = 0.9, 1.0  # walls that may be one: cosine, distance [m]
-_TELLING = 4  # windows that make up for outer walls that a map has few of
 _LEAST = 0.01  # probability of a candidate that is told
 _KEPT = 64  # residuals, about
-_NATS = 25.0  # what is so much worse is not refined
+_CONTRADICTS = 25.0  # chi squared of 3 from which on a candidate is not where a prior has it
 
 
-class Fit(NamedTuple):
-    """One pose of a map in a footprint's plane."""
-
-    heading: float
-    shift: Floats
-    """(2,) of the map's origin, east and north of the footprint's base [m]."""
-    score: float
-    """Log-likelihood."""
-    off: Floats
-    """(N,) what is left at each point of the outer walls [m]; NaN: it is no wall of the building."""
-    covariance: Floats
-    """(3, 3) east, north [m], heading [rad]."""
-    outer: tuple[float, float, float]
-    """Shares of the outline that are the building's walls and that stick out; of windows in walls."""
-
-
-def fit_building(scene: Scene, path: Path, name: str, level: str = "") -> Fitted:
+def fit_building(
+    scene: Scene, path: Path, name: str, level: str = "", *, prior: Anchor | None = None
+) -> Fitted:
     """Anchors of a map of one scene by the footprint of a named building.
 
     Parameters
@@ -70,215 +42,54 @@ def fit_building(scene: Scene, path: Path, name: str, level: str = "") -> Fitted
         Whose floor is fitted.
     path, name, level
         As of `footprints`.
+    prior
+        Where the map roughly stands, as by the fixes of a capture: says which turn is likely, and how
+        high.
 
     Raises
     ------
     InputError, MapError
         The file cannot be read.
     OptionError
-        The map has no outer walls, no building has the name, or the map fits none that has.
+        The map has no outer walls, no building has the name, the map fits none that has, or
+        not where the prior has it.
 
     """
     walls = outer_walls(scene)
     found = [(p, fit) for p in footprints(path, name, level) for fit in fits(walls, p)]
-    good = [(p, fit) for p, fit in found if not _wrong(walls, fit)]
+    good = [(p, fit) for p, fit in found if not wrong(walls, fit)]
     if not good:
         best = max(found, key=lambda pair: pair[1].score, default=None)
-        why = "no wall has its directions" if best is None else _wrong(walls, best[1])
+        why = "no wall has its directions" if best is None else wrong(walls, best[1])
         raise OptionError(
             f"The map does not fit the building {name!r}: {why}. Name another building, or give "
             "--pair or --pose."
         )
     scores = np.array([fit.score for _, fit in good])
+    anchors = [_anchor(footprint, fit, level) for footprint, fit in good]
+    notes = ["Nobody says how high the map stands: it is put at height 0 m; give --height."]
+    if prior is not None:
+        scores = scores + _agreement(anchors, prior, walls.points.mean(axis=0))
+        anchors = [_as_high(anchor, prior) for anchor in anchors]
+        notes = []
     shares = np.exp(scores - scores.max())
     shares /= shares.sum()
     order = [k for k in np.argsort(-shares, kind="stable").tolist() if shares[k] >= _LEAST]
-    anchors = tuple(_anchor(good[k][0], good[k][1], float(shares[k]), level) for k in order)
-    notes = ["Nobody says how high the map stands: it is put at height 0 m; give --height."]
     if len(order) > 1:
-        notes.insert(0, f"The walls fit in {len(order)} ways; a point pair would tell which.")
+        notes.insert(
+            0,
+            f"The walls fit in {len(order)} ways; --capture, --pose or --pair beside --in would tell "
+            "which.",
+        )
     levels = good[order[0]][0].levels
     if level and levels and not set(levels_of(level)) & set(levels):
         notes.append(f"The building has levels {levels[0]:g} to {levels[-1]:g}, not {level}.")
     shown = {good[k][0].osm: good[k][0] for k in order}
-    return Fitted(anchors, tuple(notes), tuple(shown.values()))
+    told = (replace(anchors[k], probability=min(1.0, float(shares[k]))) for k in order)
+    return Fitted(tuple(told), tuple(notes), tuple(shown.values()))
 
 
-def fits(walls: OuterWalls, footprint: Footprint) -> list[Fit]:
-    """All poses that may be one, no two the same."""
-    sigma = float(np.hypot(_ROUGH, footprint.grain / 2.0))
-    found: list[Fit] = []
-    for heading in _headings(walls, footprint):
-        shifts = _shifts(walls, footprint, heading, sigma)
-        found += [_refined(walls, footprint, heading, shift, sigma) for shift in shifts]
-    found.sort(key=lambda fit: -fit.score)
-    kept: list[Fit] = []
-    middle = walls.points.mean(axis=0)
-    for fit in found:
-        if fit.score < found[0].score - _NATS:
-            break
-        if not any(_same(fit, other, middle) for other in kept):
-            kept.append(fit)
-    return kept
-
-
-def _same(one: Fit, other: Fit, middle: Floats) -> bool:
-    turn = abs((one.heading - other.heading + np.pi) % (2 * np.pi) - np.pi)
-    away = _moved(middle[None], one.heading, one.shift) - _moved(
-        middle[None], other.heading, other.shift
-    )
-    return bool(turn < 0.1 and np.linalg.norm(away) < 0.6)
-
-
-def _moved(points: Floats, heading: float, shift: Floats) -> Floats:
-    moved: Floats = points @ rotation_z(-heading)[:2, :2].T + shift
-    return moved
-
-
-def _headings(walls: OuterWalls, footprint: Footprint) -> list[float]:
-    """Headings [rad] under which walls face where the footprint's do, the likeliest first."""
-    lengths = np.linalg.norm(footprint.ends - footprint.starts, axis=1)
-    both = []
-    for normals, weights in (
-        (walls.normals, np.ones(len(walls.points))),
-        (footprint.normals, lengths),
-    ):
-        degrees = np.degrees(np.arctan2(normals[:, 1], normals[:, 0])) % 360.0
-        both.append(np.fft.rfft(np.bincount(degrees.astype(int) % 360, weights, 360)))
-    away = np.minimum(np.arange(360), 360 - np.arange(360))
-    blur = np.fft.rfft(np.exp(-0.5 * (away / 3.0) ** 2))
-    alike = np.fft.irfft(np.conj(both[0]) * both[1] * blur, 360)
-    peak = (alike >= np.roll(alike, 1)) & (alike > np.roll(alike, -1)) & (alike > alike.max() / 3)
-    turns = np.flatnonzero(peak)
-    return [float(np.radians(-t)) for t in turns[np.argsort(-alike[turns])][:_TURNS]]
-
-
-def _log_wall(inwards: Floats, sigma: float) -> Floats:
-    """Log density of a point of the outline so far within the building (negative: outside) [m]."""
-    peak = np.exp(-0.5 * ((inwards - THICK) / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
-    rest = np.where(inwards > 0, _WITHIN, _OUTSIDE)
-    density: Floats = np.log(_OUTER * peak + (1 - _OUTER) * rest)
-    return density
-
-
-def _shifts(walls: OuterWalls, footprint: Footprint, heading: float, sigma: float) -> list[Floats]:
-    """Shifts (2,) [m] of the map's origin that are worth refining under a heading."""
-    turned = _moved(walls.points, heading, np.zeros(2))
-    centre = (turned.min(axis=0) + turned.max(axis=0)) / 2.0
-    corners = np.concatenate([footprint.starts, footprint.ends])
-    margin = float(np.linalg.norm(np.ptp(turned, axis=0))) / 2.0 + 2.0
-    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
-    cell = max(_GRID, float((high - low).max()) / _CELLS)
-    nx, ny = np.ceil((high - low) / cell).astype(int).tolist()
-    facade = np.zeros((nx, ny), np.bool_)
-    share = np.linspace(0, 1, 9)[:, None, None]
-    dots = (footprint.starts + share * (footprint.ends - footprint.starts)).reshape(-1, 2)
-    facade[tuple(np.floor((dots - low) / cell).astype(int).T)] = True
-    reach = int(np.ceil(3.0 / cell))
-    distance = np.sqrt(nearest(facade, reach)[0]) * cell
-    x, y = (low[i] + (np.arange(n) + 0.5) * cell for i, n in enumerate((nx, ny)))
-    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    inside = within(grid, footprint.rings).reshape(nx, ny)
-    field = _log_wall(np.where(inside, distance, -distance), float(np.hypot(sigma, cell)))
-    worst = float(np.log((1 - _OUTER) * _OUTSIDE))
-    stamp = np.zeros((nx, ny))
-    at = np.floor((turned - centre) / cell).astype(int)
-    np.add.at(stamp, (at[:, 0] % nx, at[:, 1] % ny), walls.weights)
-    score = np.fft.irfft2(np.conj(np.fft.rfft2(stamp)) * np.fft.rfft2(field - worst), s=(nx, ny))
-    best, apart = float(score.max()), max(1, round(0.75 / cell))
-    found: list[Floats] = []
-    while len(found) < _SHIFTS and score.max() > best - _NATS:
-        i, j = np.unravel_index(int(score.argmax()), score.shape)
-        found.append(low + cell * (np.array([i, j]) + 0.5) - centre)
-        score[max(0, i - apart) : i + apart + 1, max(0, j - apart) : j + apart + 1] = -np.inf
-    return found
-
-
-def _refined(
-    walls: OuterWalls, footprint: Footprint, heading: float, shift: Floats, sigma: float
-) -> Fit:
-    """Least squares of a pose and of the walls' thickness, from a pose near by."""
-    thick, weights = THICK, np.minimum(walls.weights, walls.step / 2.0)
-    for _ in range(8):
-        moved = _moved(walls.points, heading, shift)
-        inwards, normal, matched, _ = _against(walls, footprint, moved, heading)
-        left = inwards - thick
-        trust = weights * matched / sigma**2 / (1.0 + (left / (2 * sigma)) ** 2) ** 2
-        lever = moved - shift
-        turning = normal[:, 0] * lever[:, 1] - normal[:, 1] * lever[:, 0]
-        rows = np.column_stack([-normal, -turning, -np.ones(len(left))])
-        prior = np.diag([1e-6, 1e-6, 1e-4, 1.0 / VARIES**2])
-        hessian = (rows * trust[:, None]).T @ rows + prior
-        slope = rows.T @ (trust * left) + (0.0, 0.0, 0.0, (thick - THICK) / VARIES**2)
-        step = -np.linalg.solve(hessian, slope)
-        shift, heading, thick = shift + step[:2], heading + float(step[2]), thick + float(step[3])
-        if np.abs(step).max() < 1e-4:
-            break
-    covariance = np.asarray(np.linalg.inv(hessian)[:3, :3], np.float64)
-    return _judged(walls, footprint, (heading, shift, thick), sigma, covariance)
-
-
-def _against(
-    walls: OuterWalls, footprint: Footprint, moved: Floats, heading: float
-) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.int64]]:
-    """How far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
-    facing = (walls.normals @ rotation_z(-heading)[:2, :2].T) @ footprint.normals.T
-    distance = off_segments(moved, footprint.starts, footprint.ends)
-    distance = np.where(facing > _ALIGNED, distance, np.inf)
-    which = distance.argmin(axis=1)
-    normal = footprint.normals[which]
-    inwards = -((moved - footprint.starts[which]) * normal).sum(axis=1)
-    near = distance[np.arange(len(moved)), which] < _REACH
-    return inwards, normal, near, which
-
-
-def _judged(
-    walls: OuterWalls, footprint: Footprint, pose: tuple[float, Floats, float], sigma: float,
-    covariance: Floats,
-) -> Fit:  # fmt: skip
-    """A pose with its log-likelihood: walls, windows that face nobody, doors at entrances."""
-    heading, shift, thick = pose
-    moved = _moved(walls.points, heading, shift)
-    inwards, _, near, which = _against(walls, footprint, moved, heading)
-    inside = within(moved, footprint.rings)
-    far = off_segments(moved, footprint.starts, footprint.ends).min(axis=1)
-    depth = np.where(near, inwards - thick + THICK, np.where(inside, np.maximum(far, 0.01), -far))
-    lost = near | (far > 3 * sigma) | ~inside
-    log = np.where(lost, _log_wall(depth, sigma), np.log((1 - _OUTER) * _WITHIN))
-    outer = near & (np.abs(inwards - thick) < 2.5 * sigma)
-    windows, doors = walls.kind == WINDOW, walls.kind == DOOR
-    log += windows * np.log(np.where(outer & ~footprint.shared[which], _SURELY, 1 - _SURELY))
-    score = float(walls.weights @ log)
-    score -= 0.5 * ((thick - THICK) / VARIES) ** 2
-    if len(footprint.entrances):
-        there = moved[outer]
-        away = np.linalg.norm(moved[:, None] - footprint.entrances, axis=2)
-        close = np.exp(-0.5 * (np.maximum(away - THICK, 0.0) / _ENTRY) ** 2)
-        score += float((walls.weights * doors * outer) @ np.log(0.2 + 3.0 * close.max(axis=1)))
-        if len(there):  # an entrance where the map has a wall without a door
-            covered = (away[outer] < 0.5).any(axis=0)
-            served = (away[doors] < 3 * _ENTRY).any(axis=0)
-            score += float(np.log(0.3)) * int((covered & ~served).sum())
-    out = float((~inside & (far > 3 * sigma)).mean())
-    seen = float(outer[windows].mean()) if windows.any() else np.nan
-    off = np.where(outer, np.abs(inwards - thick), np.nan)
-    return Fit(heading, shift, score, off, covariance, (float(outer.mean()), out, seen))
-
-
-def _wrong(walls: OuterWalls, fit: Fit) -> str:
-    """Why the map is not of the building; empty where it may be."""
-    outer, out, seen = fit.outer
-    windows = len(np.unique(walls.opening[walls.kind == WINDOW]))
-    if out > 0.05:
-        return f"{out:.0%} of its outline would lie outside"
-    if windows >= 2 and seen < 0.6:
-        return f"{1 - seen:.0%} of its windows would face no outer wall"
-    if outer < (0.2 if windows >= _TELLING else 0.55):
-        return f"only {outer:.0%} of its outline would be outer walls, which tells no place"
-    return ""
-
-
-def _anchor(footprint: Footprint, fit: Fit, probability: float, level: str) -> Anchor:
+def _anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
     turned = rotation_z(-fit.heading)[:2, :2]
     covariance = np.zeros((4, 4))
     rows = np.ix_([0, 1, 3], [0, 1, 3])
@@ -288,7 +99,38 @@ def _anchor(footprint: Footprint, fit: Fit, probability: float, level: str) -> A
     levels, off = footprint.levels, fit.off[np.isfinite(fit.off)]
     told = level or (level_text(levels[0]) if len(levels) == 1 else "")
     return replace(
-        there, height=0.0, covariance=covariance, probability=min(1.0, probability),
+        there, height=0.0, covariance=covariance,
         building=footprint.name.split(";")[0], osm=footprint.osm, level=told, method="building",
         residuals=tuple(off[:: max(1, len(off) // _KEPT)].tolist()),
     )  # fmt: skip
+
+
+def _agreement(anchors: Sequence[Anchor], prior: Anchor, middle: Floats) -> Floats:
+    """Log density (N,) of each candidate under a prior, at the middle (2,) of the map [m]."""
+    rows, back = np.ix_([0, 1, 3], [0, 1, 3]), np.array([-middle[0], -middle[1], 0.0])
+    there, logs, squares, away = prior.shifted(back), [], [], []
+    for anchor in anchors:
+        here = anchor.shifted(back)
+        place = there.enu_from_map[:3, :3] @ there.to_map(
+            (here.longitude, here.latitude, there.height)
+        )
+        off = np.array([*place[:2], wrap(here.heading - there.heading)])
+        spread = (here.covariance + there.covariance)[rows]
+        squares.append(float(off @ np.linalg.solve(spread, off)))
+        logs.append(-0.5 * (squares[-1] + np.linalg.slogdet(spread)[1]))
+        away.append(off)
+    best = int(np.argmin(squares))
+    if squares[best] > _CONTRADICTS:
+        metres, turn = np.hypot(*away[best][:2]), np.degrees(abs(away[best][2]))
+        raise OptionError(
+            f"The walls fit the building {metres:.1f} m and {turn:.0f}° from where it stands "
+            f"by {prior.method}; leave one of the two out."
+        )
+    return np.array(logs)
+
+
+def _as_high(anchor: Anchor, prior: Anchor) -> Anchor:
+    covariance = anchor.covariance.copy()
+    covariance[2, 2] = prior.covariance[2, 2]
+    method = f"{anchor.method} and {prior.method}"
+    return replace(anchor, height=prior.height, covariance=covariance, method=method)

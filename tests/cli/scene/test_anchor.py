@@ -35,10 +35,13 @@ def pairs(points):
 def test_by_pairs_into_another_file(run, scene, tmp_path):
     out, before = tmp_path / "b.scene", scene.read_bytes()
     points = [(0, 0, 0), (5, 0, 0), (5, 4, 1), (0, 4, 1)]
-    result = run("scene", "anchor", scene, *pairs(points), "--level", "2", "-o", out)
+    plan = tmp_path / "plan.png"
+    result = run("scene", "anchor", scene, *pairs(points), "--level", "2", "-o", out, "--png", plan)
     assert (result.code, result.err) == (0, "")
     assert "100%" in result.out
     assert scene.read_bytes() == before
+    with Image.open(plan) as image:
+        assert image.width == 1200
     (anchor,) = pg.open_map(out).anchors
     assert np.allclose(anchor.to_earth((5, 4, 1)), TRUE.to_earth((5, 4, 1)), atol=1e-5)
     assert (anchor.level, anchor.method) == ("2", "pairs")
@@ -87,6 +90,7 @@ def test_by_a_pose_in_place_and_off_again(run, scene):
     [
         ([], "one of"),
         (["--pose", "7,43,0,0", "--remove"], "one of"),
+        (["--in", "town.osm", "--building", "x", "--remove"], "--remove alone"),
         (["--in", "town.osm"], "--in needs --building"),
         (["--pose", "7,43"], "4 numbers"),
         (["--pose", "7,99,0,0"], "latitude is 99"),

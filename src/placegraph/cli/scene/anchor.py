@@ -17,6 +17,9 @@ from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.earth import Anchor
+    from placegraph.indoor.pose.query import Progress
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.world import Fitted
 
 HOW = "How it is found: one of these"
 TOLD = "What is known of the place"
@@ -62,7 +65,8 @@ def anchor(
         Option(
             "--in",
             help="Extract of OpenStreetMap or .city: the map's outer walls are fitted to the footprint "
-            "of --building, and all ways that fit are kept.",
+            "of --building, and all ways that fit are kept. With one of the others, which says where "
+            "about it stands, that is usually one way.",
             panel=HOW,
         ),
     ] = None,
@@ -76,6 +80,9 @@ def anchor(
     remove: Annotated[
         bool, Option("--remove", help="Take the map off the Earth again.", panel=HOW)
     ] = False,
+    png: Annotated[
+        Path | None, Option(help="Write a plan of the map where it stands, on its building.")
+    ] = None,
     out: Annotated[
         Path | None, Option("--out", "-o", help="Map file to write; else the map itself.")
     ] = None,
@@ -87,29 +94,32 @@ def anchor(
     Example: placegraph scene anchor flat.scene --pair 0,0=7.4201,43.7301 --pair 8,0=7.4202,43.7301
     --pair 8,6=7.4202,43.73015
     """
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.world import Fitted, fit_building, fit_capture, fit_points
+    from placegraph.world import fit_building
 
-    if sum((bool(pair), remove, *(x is not None for x in (pose, place, capture)))) != 1:
-        raise OptionError("Give one of --pair (three or more), --pose, --in, --capture, --remove.")
+    ways = sum((bool(pair), pose is not None, capture is not None))
+    if ways + remove > 1 or not (ways or remove or place) or (remove and place):
+        raise OptionError(
+            "Give one of --pair (three or more), --pose, --capture, with --in or without; or --in, or "
+            "--remove alone."
+        )
     if place is not None and not building:
         raise OptionError("--in needs --building: the name of the building that the map is of.")
     scene = SceneMap.open(map_file)
-    fitted = Fitted((), ())
-    if pair:
-        fitted = fit_points(*zip(*map(_pair, pair), strict=True))
-    elif pose is not None:
-        fitted = Fitted((_posed(pose, accuracy),), ())
-    elif place is not None:
-        fitted = fit_building(scene, place, building, level)
-    elif capture is not None:
-        with progress_of(hidden=quiet or as_json) as tell:
-            fitted = fit_capture(scene, open_capture(capture), progress=tell)
+    with progress_of(hidden=quiet or as_json) as tell:
+        fitted = _fitted(scene, pair, pose, accuracy, capture, tell)
+    if place is not None:
+        on = fit_building(scene, place, building, level, prior=next(iter(fitted.anchors), None))
+        fitted = on._replace(notes=(*fitted.notes, *on.notes))
     floor = float(scene.floors.min())
     found = tuple(_told(a, floor, height, level, building) for a in fitted.anchors)
     target = out or map_file
-    scene.anchored(*found).save(target)
+    anchored = scene.anchored(*found)
+    anchored.save(target)
+    if png is not None and found:
+        from placegraph.view import draw_anchors
+
+        draw_anchors(anchored, png, fitted.footprints)
     if as_json:
         told = {
             "map": str(target),
@@ -122,6 +132,27 @@ def anchor(
         for note in fitted.notes:
             click.echo(note)
         click.echo(f"{target}: {'anchored' if found else 'stands nowhere now'}.")
+
+
+def _fitted(
+    scene: SceneMap,
+    pair: list[str] | None,
+    pose: str | None,
+    accuracy: str,
+    capture: Path | None,
+    tell: Progress,
+) -> Fitted:
+    """Anchors by pairs, a pose or fixes, whichever is given; else none."""
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.world import Fitted, fit_capture, fit_points
+
+    if pair:
+        return fit_points(*zip(*map(_pair, pair), strict=True))
+    if pose is not None:
+        return Fitted((_posed(pose, accuracy),), ())
+    if capture is not None:
+        return fit_capture(scene, open_capture(capture), progress=tell)
+    return Fitted((), ())
 
 
 def summary(anchor: Anchor) -> dict[str, object]:

@@ -226,9 +226,14 @@ def names(
 
 def measures(sheet: Sheet, frame: Frame) -> float:
     """Scale bar and axes of a plan, at the right end of the strip below it; where they begin."""
+    x = sheet.width - 50.0
+    sheet.axes((x, sheet.height - 10.0))
+    return scale_bar(sheet, frame, x - 24.0)
+
+
+def scale_bar(sheet: Sheet, frame: Frame, end: float) -> float:
+    """Scale bar of a plan in the strip below it, to an end [px]; where it begins."""
     metres = round_length(0.15 * frame.width / frame.scale)
     length = metres * frame.scale
-    x, y = sheet.width - 50.0, sheet.height - 10.0
-    sheet.axes((x, y))
-    sheet.bar((x - 24.0 - length, y), length, length_words(metres))
-    return x - 24.0 - length
+    sheet.bar((end - length, sheet.height - 10.0), length, length_words(metres))
+    return end - length

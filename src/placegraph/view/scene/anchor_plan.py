@@ -1,0 +1,153 @@
+"""A plan of a scene map where it stands on Earth, north up: on its building, the best candidate clear."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import degrees
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import GeoPoseError
+from placegraph.view.draw.canvas import Disc, Frame, Item, Stroke
+from placegraph.view.draw.lettering import Taken
+from placegraph.view.draw.painter import paint_picture
+from placegraph.view.draw.sheet import Sheet
+from placegraph.view.scene.plan_drawing import names, scale_bar
+from placegraph.view.scene.plan_layout import FOOT, HEAD, Layout
+from placegraph.view.scene.room_painter import paint_room
+from placegraph.view.scene.room_plan import MARGIN, RoomPlan
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from placegraph.earth import Anchor
+    from placegraph.geometry import Floats
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.view.draw.canvas import Bounds
+    from placegraph.world.footprints import Footprint
+
+FAR = 150.0
+"""Candidates farther from the best are told, not drawn [m]."""
+TOLD = 5
+"""Candidates that are told at most."""
+BUILDING, FAINT, ENTRANCE = "ink", "soft-ink", "for"
+"""Colours."""
+
+
+def draw_anchors(
+    scene: SceneMap,
+    path: str | Path,
+    footprints: Sequence[Footprint] = (),
+    *,
+    width: int = 1200,
+    dark: bool = False,
+) -> Path:
+    """Draw a map of one scene where it stands, as a PNG with north at the top.
+
+    The best candidate of its anchor is drawn in full, the walls of the others faintly, each with its
+    number at the map's origin; footprints with their entrances around them.
+
+    Raises
+    ------
+    GeoPoseError
+        The map stands nowhere.
+    OptionError
+        The width is no width of a picture.
+
+    """
+    if not scene.anchors:
+        raise GeoPoseError(
+            f"The scene map {scene.source!r} has no place on Earth; give it one with `placegraph scene "
+            "anchor`."
+        )
+    best = scene.anchors[0]
+    plan = RoomPlan(_turned(scene, best))
+    origin = {k: _there(best, a, np.zeros(2)) for k, a in enumerate(scene.anchors, 1)}
+    near = [k for k, at in origin.items() if k > 1 and np.linalg.norm(at) < FAR]
+    marks = [mark for building in footprints for mark in _building(best, building)]
+    for k in near:
+        marks += _walls(scene, best, scene.anchors[k - 1])
+    for k in reversed([1, *near] if near else []):
+        marks.append(Disc(origin[k], 8.0, "mode" if k == 1 else FAINT, text=str(k)))
+    bounds = _around(plan.bounds, marks)
+    layout = Layout.of(bounds, [], width=width)
+    frame = Frame.around(bounds, *layout.large)
+    sheet = Sheet(layout.width, layout.height, dark=dark)
+    room: list[Item] = [paint_room(plan, frame, dark=dark), *names(plan, frame, Taken())]
+    sheet.paste(paint_picture([*room, *marks], frame, dark=dark, reduce=False), (0, HEAD))
+    _told(sheet, scene.anchors)
+    sheet.north((layout.width - 26.0, HEAD + 28.0))
+    x, y = 14.0, sheet.height - FOOT / 2
+    for wanted, color, words in (
+        (footprints, BUILDING, "building"), (near, FAINT, "other candidates"),
+    ):  # fmt: skip
+        if wanted:
+            x = sheet.key_line((x, y), color=color, words=words)
+    if any(len(building.entrances) for building in footprints):
+        sheet.key_disc((x, y), color=ENTRANCE, words="entrance")
+    scale_bar(sheet, frame, sheet.width - 26.0)
+    return sheet.save(path)
+
+
+def _turned(scene: SceneMap, anchor: Anchor) -> SceneMap:
+    """The map with its x axis to the east."""
+    mesh = replace(
+        scene.mesh, vertices=scene.mesh.vertices @ anchor.enu_from_map[:3, :3].T.astype(np.float32)
+    )
+    boxes = mesh.object_bounds(len(scene))
+    graph = replace(scene.graph, positions=boxes.mean(axis=1), extents=boxes[:, 1] - boxes[:, 0])
+    return replace(scene, mesh=mesh, graph=graph, anchors=())
+
+
+def _there(best: Anchor, anchor: Anchor, points: Floats) -> Floats:
+    """Points (..., 2) [m] of a map where an anchor has it, east and north (..., 2) of the best."""
+    flat = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
+    there: Floats = replace(best, heading=0.0).to_map(anchor.to_earth(flat))[..., :2]
+    return there
+
+
+def _building(best: Anchor, building: Footprint) -> Iterator[Stroke | Disc]:
+    for ring in building.rings:
+        yield Stroke(_there(best, building.base, ring), BUILDING, 3.0, fill=0.05)
+    for at in _there(best, building.base, building.entrances):
+        yield Disc(at, 6.0, ENTRANCE)
+
+
+def _walls(scene: SceneMap, best: Anchor, anchor: Anchor) -> Iterator[Stroke | Disc]:
+    segments = [cut for paint, cut in RoomPlan(scene).cuts.items() if paint != "curtain"]
+    for pair in _there(best, anchor, np.concatenate(segments)) if segments else ():
+        yield Stroke(pair, FAINT, 1.0)
+
+
+def _around(bounds: Bounds, marks: Iterable[Stroke | Disc]) -> Bounds:
+    """Bounds that hold all marks as well."""
+    drawn = [mark.points if isinstance(mark, Stroke) else [mark.at] for mark in marks]
+    corners = np.concatenate([np.reshape(bounds, (2, 2)), *drawn])
+    west, south = (corners.min(axis=0) - MARGIN).tolist()
+    east, north = (corners.max(axis=0) + MARGIN).tolist()
+    return west, south, east, north
+
+
+def _told(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
+    """Where the best candidate stands, and how likely each is."""
+    best = anchors[0]
+    where = " ".join(x for x in (best.building, best.osm and f"({best.osm})") if x)
+    level = f"level {best.level}" if best.level else ""
+    place = f"{best.latitude:.6f}, {best.longitude:.6f}"
+    said = ", ".join(x for x in (where, level, place) if x)
+    sheet.text((14, 22), said, 14, "ink", room=sheet.width - 28)
+    spread = ""
+    if best.known:
+        east, north, _, turn = np.sqrt(np.diag(best.covariance))
+        spread = f" ±{np.hypot(east, north) / np.sqrt(2):.1f} m, ±{degrees(turn):.1f}°"
+    chances = "     ".join(
+        f"{k}: {a.probability:.0%}, heading {degrees(a.heading):.0f}°"
+        for k, a in enumerate(anchors[:TOLD], 1)
+    )
+    more = f"     and {len(anchors) - TOLD} more" if len(anchors) > TOLD else ""
+    sheet.text(
+        (14, 47), f"by {best.method or 'hand'}{spread}     {chances}{more}", 13, "soft-ink",
+        room=sheet.width - 28,
+    )  # fmt: skip
