@@ -13,7 +13,12 @@ from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.tum import write_tum
 from placegraph.formats.ros.register import Registration
 from placegraph.formats.ros.transforms import LONGEST, Edge, Tree
-from placegraph.geometry import Camera, pose_matrix, rotation_from_vector
+from placegraph.geometry import (
+    Camera,
+    pose_matrix,
+    quaternion_from_rotation,
+    rotation_from_vector,
+)
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start
@@ -179,11 +184,9 @@ def test_transforms_are_found_between_any_two_frames(rng):
     poses[:, :3] = pose_matrix(rng.normal(size=(4, 4)), np.eye(3))[:, :3]
     turn = pose_matrix([0, 0, 0, 0.2], np.eye(3))
     tree = Tree()
-    tree.add([sample(0.0, "odom", "base", poses[0]), sample(0.2, "odom", "base", poses[0] @ turn),
-              sample(2.0, "odom", "base", poses[1])])  # fmt: skip
-    tree.add(
-        [sample(0, "base", "left", poses[2]), sample(0, "base", "right", poses[3])], static=True
-    )
+    tree.add({("odom", "base"): [rows((0.0, poses[0]), (0.2, poses[0] @ turn), (2.0, poses[1]))]})
+    tree.add({("base", side): [rows((0, poses[i]))] for side, i in (("left", 2), ("right", 3))},
+             static=True)  # fmt: skip
     at = np.array([0.0, 0.1, 0.2, 0.7, 2.0, 2.3])
     got = tree.between("right", "odom", at)
     half = pose_matrix([0, 0, 0, 0.1], np.eye(3))
@@ -201,18 +204,17 @@ def test_transforms_are_found_between_any_two_frames(rng):
     assert tree.above("left") == {"base": False, "odom": True}
 
 
-def sample(stamp, parent, child, pose):
-    from placegraph.geometry import quaternion_from_rotation
-
-    return stamp, parent, child, (*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))
+def rows(*samples):
+    return np.array(
+        [(t, *pose[:3, 3], *quaternion_from_rotation(pose[:3, :3])) for t, pose in samples]
+    )
 
 
 def test_broken_transforms_are_counted():
     tree = Tree()
     good, zero, nan = (0, 0, 0, 0, 0, 0, 1.0), (0,) * 7, (np.nan, 0, 0, 0, 0, 0, 1.0)
-    tree.add(
-        [(0.0, "a", "b", good), (1.0, "a", "b", zero), (2.0, "a", "b", nan), (0.0, "a", "a", good)]
-    )
+    held = np.array([(0.0, *good), (1.0, *zero), (2.0, *nan)])
+    tree.add({("a", "b"): [held], ("a", "a"): [held[:1]]})
     assert tree.broken == 3
     assert tree.names == ["a", "b"]
     assert isinstance(tree.edges["a", "b"], Edge)

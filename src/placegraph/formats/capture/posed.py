@@ -76,7 +76,7 @@ def capture_of(
     for before, after in itertools.pairwise(held):
         if before.stamp == after.stamp:
             raise InputError(f"{after.name} has the stamp of {before.name}; keep one of them.")
-    poses = np.stack([exact_pose(shot.pose, shot.name) for shot in held])
+    poses = exact_poses(np.stack([shot.pose for shot in held]), [shot.name for shot in held])
     turns = upright_turns(-poses[:, 2, :3])
     frames = tuple(
         posed_frame(
@@ -116,19 +116,31 @@ def exact_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
 
     `InputError`, which begins with `name`, where a number is not finite or it is no rotation.
     """
-    pose = np.eye(4)
-    rows = np.asarray(matrix, np.float64).reshape(-1, 4)
-    pose[:3] = rows[:3]
-    last = rows[3] if len(rows) == 4 else pose[3]
-    if not (np.isfinite(pose).all() and np.isfinite(last).all()):
+    rows = np.asarray(matrix, np.float64).reshape(1, -1, 4)
+    last = np.array([[[0.0, 0.0, 0.0, 1.0]]])
+    return exact_poses(
+        rows if rows.shape[1] == 4 else np.concatenate([rows, last], axis=1), [name]
+    )[0]
+
+
+def exact_poses(matrices: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:
+    """Rigid transforms (T, 4, 4), their rotations made exact; `InputError` as `exact_pose`."""
+    poses = matrices.copy()
+    bad = ~np.isfinite(poses).all(axis=(1, 2))
+    if bad.any():
+        name = names[int(bad.argmax())]
         raise InputError(f"{name} holds a number that is not finite; leave that frame out.")
-    error = np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max()
-    mirrored = np.linalg.det(pose[:3, :3]) < 0
-    if error > _RIGID or mirrored or np.abs(last - pose[3]).max() > _RIGID:
+    turns, last = poses[:, :3, :3], poses[:, 3]
+    error = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    bad = (error > _RIGID) | (np.linalg.det(turns) < 0)
+    bad |= np.abs(last - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > _RIGID
+    if bad.any():
+        name = names[int(bad.argmax())]
         raise InputError(f"{name} is no rotation and translation; it may be written by columns.")
-    u, _, vt = np.linalg.svd(pose[:3, :3])
-    pose[:3, :3] = u @ vt
-    return pose
+    u, _, vt = np.linalg.svd(turns)
+    poses[:, :3, :3] = u @ vt
+    poses[:, 3] = (0.0, 0.0, 0.0, 1.0)
+    return poses
 
 
 def pose_of(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float64]:

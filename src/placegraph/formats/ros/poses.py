@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -12,11 +12,10 @@ from placegraph.errors import InputError
 from placegraph.formats.capture.level import upright
 from placegraph.formats.ros.decode import HEAD, decode, frame_of, stamp_of, stamps
 from placegraph.formats.ros.files.storage import Topic, read_all
-from placegraph.formats.ros.transforms import Sample, Tree
+from placegraph.formats.ros.moves import Moves, numbers_of, samples_of, transforms
+from placegraph.formats.ros.transforms import Tree
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
     from placegraph.formats.ros.files.bag import Bag
@@ -81,13 +80,13 @@ class Placing:
             self.depth_stamps = stamps(read[1], self.depth.topic)
         window = self._one_run()
         held = [
-            (topic, *_samples(self.bag, topic, data, window))
-            for topic, data in zip(moves, read[len(shown) :], strict=False)
+            (t, transforms(data, t, self.bag.path, None if _is_static(t) else window))
+            for t, data in zip(moves, read[len(shown) :], strict=False)
         ]
-        self._grow((t, samples) for t, samples, _ in held)
+        self._grow(held)
         self._choose(window)
         if not self._overlap():
-            self._grow((t, recorded) for t, _, recorded in held)
+            self._grow(held, recorded=True)
             self._by_recording()
         self._tell()
         if self.imu is not None:
@@ -110,17 +109,13 @@ class Placing:
         begin = -1 if first == 0 else int(times[first - 1])
         return begin, (1 << 62 if last == len(times) else int(times[last]))
 
-    def _grow(self, held: Iterable[tuple[Topic, list[Sample]]]) -> None:
-        """Make the tree of samples, and keep what odometry told."""
+    def _grow(self, held: list[tuple[Topic, Moves]], *, recorded: bool = False) -> None:
+        """Make the tree, by stamps or times of recording, and keep what odometry told."""
         told = self.tree.edges if self.odometry is not None else {}
         self.tree = Tree()
-        dynamic: list[Sample] = []
-        for topic, samples in held:
-            if _is_static(topic):
-                self.tree.add(samples, static=True)
-            else:
-                dynamic += samples
-        self.tree.add(dynamic)
+        for static in (True, False):
+            rows = [moves for topic, moves in held if _is_static(topic) is static]
+            self.tree.add(samples_of(rows, recorded=recorded), static=static)
         self.tree.add(self.wishes.transforms, static=True)
         self.tree.edges = told | self.tree.edges
 
@@ -162,20 +157,19 @@ class Placing:
         """Make an edge of odometry; the names of its frames."""
         where = f"{self.bag.path}, {topic.name}"
         rows = np.flatnonzero((topic.times > window[0]) & (topic.times < window[1]))
-        samples: list[Sample] = []
+        samples: dict[tuple[str, str], list[tuple[float, ...]]] = defaultdict(list)
         for raw in read_all([(topic, rows, None)])[0]:
             said = decode(raw, where, topic.type, topic.encoding)
-            at, turn = said.pose.pose.position, said.pose.pose.orientation
-            values = (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
             names = frame_of(said.header.frame_id), frame_of(said.child_frame_id)
-            samples.append((stamp_of(said.header), *names, values))
-        parent, child = samples[0][1:3] if samples else ("", "")
+            at, turn = said.pose.pose.position, said.pose.pose.orientation
+            samples[names].append((stamp_of(said.header), *numbers_of(at, turn)))
+        parent, child = next(iter(samples), ("", ""))
         if not (parent and child):
             raise InputError(
                 f"{where}: header.frame_id or child_frame_id is empty, so nobody knows what moves; set "
                 "them where it is published, or name another topic as odometry."
             )
-        self.tree.add(s for s in samples if s[1:3] == (parent, child))
+        self.tree.add({(parent, child): [np.array(samples[parent, child])]})
         return parent, child
 
     def _nowhere(self, lost: list[str]) -> InputError:
@@ -257,25 +251,6 @@ def _imu(bag: Bag, wishes: Wishes) -> Topic | None:
         if not topics:
             raise InputError(f"{bag.path}: {wishes.imu} is no sensor_msgs/Imu with messages.")
     return max(topics, key=len, default=None)
-
-
-def _samples(
-    bag: Bag, topic: Topic, data: list[bytes], window: tuple[int, int]
-) -> tuple[list[Sample], list[Sample]]:
-    """Transforms of a topic, by their own stamps and by the times of recording."""
-    static = _is_static(topic)
-    out: list[Sample] = []
-    recorded: list[Sample] = []
-    for time, raw in zip(topic.times.tolist(), data, strict=True):
-        if not (static or window[0] < time < window[1]):
-            continue
-        for t in decode(raw, f"{bag.path}, {topic.name}", topic.type, topic.encoding).transforms:
-            move, turn = t.transform.translation, t.transform.rotation
-            values = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
-            names = frame_of(t.header.frame_id), frame_of(t.child_frame_id)
-            out.append((stamp_of(t.header), *names, values))
-            recorded.append((time * 1e-9, *names, values))
-    return out, recorded
 
 
 def _is_static(topic: Topic) -> bool:

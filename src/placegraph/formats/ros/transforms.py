@@ -8,16 +8,11 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.geometry import rotation_from_quaternion
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
 
 LONGEST = 0.5
 """Between samples of a transform [s], beyond which nothing is said of what happened between them."""
@@ -26,8 +21,8 @@ BEYOND = 0.05
 _STILL = 1e-9
 _UNIT = 1e-2  # quaternions are written with few digits
 
-Sample = tuple[float, str, str, tuple[float, ...]]
-"""Stamp [s], parent, child, and x, y, z [m], qx, qy, qz, qw."""
+Samples = dict[tuple[str, str], list[NDArray[np.float64]]]
+"""By parent and child: rows (N, 8) of stamp [s], x, y, z [m], qx, qy, qz, qw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,13 +82,10 @@ class Tree:
     broken: int = 0
     """Samples that were no transform: a number that is not finite, a quaternion of no length."""
 
-    def add(self, samples: Iterable[Sample], *, static: bool = False) -> None:
+    def add(self, samples: Samples, *, static: bool = False) -> None:
         """Take in samples, in order of their recording."""
-        held: dict[tuple[str, str], list[tuple[float, ...]]] = defaultdict(list)
-        for stamp, parent, child, values in samples:
-            held[parent, child].append((stamp, *values))
-        for key, rows in held.items():
-            table = np.array(rows, np.float64)
+        for key, held in samples.items():
+            table = np.concatenate(held)
             with np.errstate(over="ignore", invalid="ignore"):
                 length = np.linalg.norm(table[:, 4:], axis=1)
                 good = np.isfinite(table).all(axis=1) & (np.abs(length - 1.0) < _UNIT)

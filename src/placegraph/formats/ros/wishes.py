@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
@@ -13,7 +15,7 @@ from placegraph.formats.capture.camera import read_json
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from placegraph.formats.ros.transforms import Sample
+    from placegraph.formats.ros.transforms import Samples
 
 _NAMES = ("colour", "depth", "odometry", "imu", "frame")
 _CAMERAS = ("camera", "depth_camera")
@@ -35,7 +37,7 @@ class Wishes:
     depth_camera: str | dict[str, Any] | None = None
     depth_scale: float | None = None
     """Units of depth in a metre."""
-    transforms: tuple[Sample, ...] = ()
+    transforms: Samples = field(default_factory=dict)
     """That the bag lacks; they never change."""
     with_depth: bool = True
     with_imu: bool = True
@@ -54,7 +56,10 @@ def wishes_of(path: Path, given: Mapping[str, Any] | None) -> Wishes:
     _check(given or {}, "topics: ", OptionError)
     said = {**content, **(given or {})}
     out: dict[str, Any] = {k: said[k] for k in (*_NAMES, *_CAMERAS, "depth_scale") if k in said}
-    out["transforms"] = tuple(_sample(row) for row in said.get("transforms") or ())
+    out["transforms"] = {
+        (row["parent"], row["child"]): [np.array([[0.0, *row["xyz"], *row["xyzw"]]])]
+        for row in said.get("transforms") or ()
+    }
     for role in ("depth", "imu"):
         out[f"with_{role}"] = not (role in said and said[role] is None)
     return Wishes(**out)
@@ -93,7 +98,3 @@ def _is_transform(row: Any) -> bool:  # noqa: ANN401  # whatever the file holds
         and [len(n) for n in numbers] == [3, 4]
         and all(isinstance(v, int | float) and isfinite(v) for n in numbers for v in n)
     )
-
-
-def _sample(row: dict[str, Any]) -> Sample:
-    return 0.0, row["parent"], row["child"], (*map(float, row["xyz"]), *map(float, row["xyzw"]))

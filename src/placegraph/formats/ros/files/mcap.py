@@ -88,8 +88,8 @@ class _Index:
         for number, found in self.found.items():
             channel = self.channels[number]
             rows = np.concatenate([pairs for _, pairs in found]).astype(np.int64)
-            which = np.concatenate([np.full(len(pairs), row) for row, pairs in found])
-            yield Part(*channel, rows[:, 0], self.chunks, which.astype(np.int64), rows[:, 1])
+            which = np.repeat([row for row, _ in found], [len(pairs) for _, pairs in found])
+            yield Part(*channel, rows[:, 0], self.chunks, which, rows[:, 1])
 
 
 def read_mcap(path: Path, notes: list[str]) -> list[Part]:

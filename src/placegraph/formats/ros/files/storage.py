@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_HEAD = 160
+"""Bytes before a message, at most: of MCAP 31, of rosbag1 fields of its own."""
+_SMALL = 1024
+"""Bytes of a message that are read at once with what stands before it."""
 _KEPT = 2  # unpacked chunks of a file: colour and depth of a moment mostly lie in one
 
 
@@ -116,21 +120,22 @@ class Chunk:
 
     def read(self, offset: int, most: int | None = None) -> bytes:
         """As `Place.read`."""
-        head = self.peek(offset, 31)
+        head = self.peek(offset, _HEAD + min(most or _SMALL, _SMALL))
         try:
             if self.rosbag1:
                 (fields,) = unpack_from("<I", head)
-                start = offset + 8 + fields
-                (length,) = unpack_from("<I", self.peek(start - 4, 4))
+                skip = 8 + fields
+                (length,) = unpack_from("<I", head, skip - 4)
             else:
                 op, length = unpack_from("<BQ", head)
-                start, length = offset + 31, length - 22 if op == 5 else -1
-        except (ValueError, OverflowError, struct.error) as error:
+                skip, length = 31, length - 22 if op == 5 else -1
+        except struct.error as error:
             raise self._broken(offset) from error
         if not 0 <= length < MOST:
             raise self._broken(offset)
         count = length if most is None else min(length, most)
-        data = self.peek(start, count)
+        enough = len(head) >= skip + count
+        data = head[skip : skip + count] if enough else self.peek(offset + skip, count)
         if len(data) != count:
             raise self._broken(offset)
         return data
