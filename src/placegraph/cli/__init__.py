@@ -71,6 +71,12 @@ LIBRARY = Group(
         "localize": f"{_HERE}.library.search:localize",
     },
 )
+BAG = Group(
+    "bag",
+    "Bags of ROS: what they hold, and what they can be used for. Every command that takes a capture "
+    "takes a bag.",
+    {"info": f"{_HERE}.bag.info:info"},
+)
 
 
 def main() -> NoReturn:
@@ -151,6 +157,7 @@ APP = Group(
         "city": CITY,
         "scene": SCENE,
         "library": LIBRARY,
+        "bag": BAG,
         "serve": f"{_HERE}.serve:serve",
     },
     params=[

@@ -22,7 +22,7 @@ CaptureFolder = Annotated[
     Path,
     Argument(
         help="Folder with rgb/, camera.json, odometry.tum (depth/ and labels help), or what another "
-        "recorder wrote: Record3D, Polycam, Stray Scanner, ScanNet, ..."
+        "recorder wrote: Record3D, Polycam, Stray Scanner, ScanNet, a bag of ROS, ..."
     ),
 ]
 Frames = Annotated[

@@ -49,7 +49,11 @@ def read_bag(
     `BAG.json` may say. Raises `InputError` where the bag is damaged or lacks what a capture needs,
     `OptionError` for `topics` that are none, `MissingExtraError` where `rosbags` is not installed.
     """
-    plan = plan_of(open_bag(path), wishes_of(path, topics))
+    return capture_from(plan_of(open_bag(path), wishes_of(path, topics)), poses)
+
+
+def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
+    """Capture of what was found in a bag; `poses` and errors as of `read_bag`."""
     for role in ("colour", "camera", "depth") if poses else ("colour", "camera", "poses", "depth"):
         if role in plan.lacks:
             raise InputError(plan.lacks[role])
@@ -60,7 +64,7 @@ def read_bag(
         shots = _shots(plan, placing, placing.poses(), missing)
     else:
         shots = _shots(plan, placing, _given(poses, placing), f"no pose in {poses.name}")
-    return capture_of(path, shots, left_out=placing.left_out, notes=plan.notes)
+    return capture_of(plan.bag.path, shots, left_out=placing.left_out, notes=plan.notes)
 
 
 def _given(poses: Path, placing: Placing) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from placegraph.formats.ros.files.bag import Bag
+    from placegraph.formats.ros.files.storage import Topic
     from placegraph.formats.ros.wishes import Wishes
     from placegraph.geometry import Camera
 
@@ -27,9 +28,11 @@ class Plan:
     views: list[View] = field(default_factory=list)
     colour: View | None = None
     camera: Camera | None = None
+    camera_topic: Topic | None = None
     depth: View | None = None
     depth_camera: Camera | None = None
     """Of the depth as a capture has it."""
+    depth_camera_topic: Topic | None = None
     registration: Registration | None = None
     """Where depth was measured by another camera."""
     placing: Placing | None = None
@@ -71,7 +74,8 @@ def _choose(plan: Plan) -> None:
 
 def _camera(plan: Plan) -> None:
     assert plan.colour is not None  # noqa: S101  # chosen before
-    plan.camera = camera_for(plan.bag, plan.colour, plan.wishes.camera, "camera")
+    found = camera_for(plan.bag, plan.colour, plan.wishes.camera, "camera")
+    plan.camera, plan.camera_topic = found
 
 
 def _depth(plan: Plan) -> None:
@@ -80,7 +84,8 @@ def _depth(plan: Plan) -> None:
         return
     same = depth.frame == colour.frame
     try:
-        camera = camera_for(plan.bag, depth, wishes.depth_camera, "depth_camera")
+        found = camera_for(plan.bag, depth, wishes.depth_camera, "depth_camera")
+        camera, plan.depth_camera_topic = found
     except InputError:
         if not (same and plan.camera is not None and depth.size == colour.size):
             raise

@@ -26,7 +26,7 @@ _BACK = 0.5  # stamps that go back by more [s] are of another run of the clock
 _SAMPLES = 1000  # of an Imu: their mean is gravity to a tenth of a degree
 _LEANS = np.radians(3.0)  # between an Imu and an odometry that means to be level
 _TF = "tf2_msgs/TFMessage", "tf/tfMessage"
-_OF_OTHERS = ("map", "world")
+OF_OTHERS = ("map", "world")
 """Frames in which a localization, SLAM or a motion capture tells poses, and no odometry."""
 
 
@@ -49,6 +49,8 @@ class Placing:
     odometry: Topic | None = None
     """None: transforms tell the poses."""
     imu: Topic | None = None
+    moves: list[Topic] = field(default_factory=list)
+    """Topics of transforms."""
     lean: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     """(3, 3) upright_from_frame, by the Imu."""
     notes: list[str] = field(default_factory=list)
@@ -67,10 +69,10 @@ class Placing:
         Raises `InputError` where no transform leads to the camera; stamps are known then.
         """
         self.imu = _imu(self.bag, self.wishes)
-        moves = self.bag.of_type(*_TF)
+        self.moves = self.bag.of_type(*_TF)
         shown = [v.topic for v in (self.colour, self.depth) if v is not None]
         wanted: list[tuple[Topic, NDArray[np.intp] | None, int | None]]
-        wanted = [(t, None, HEAD) for t in shown] + [(t, None, None) for t in moves]
+        wanted = [(t, None, HEAD) for t in shown] + [(t, None, None) for t in self.moves]
         if self.imu is not None:
             some = np.unique(np.linspace(0, len(self.imu) - 1, _SAMPLES).astype(np.intp))
             wanted.append((self.imu, some, None))
@@ -81,7 +83,7 @@ class Placing:
         window = self._one_run()
         held = [
             (t, transforms(data, t, self.bag.path, None if _is_static(t) else window))
-            for t, data in zip(moves, read[len(shown) :], strict=False)
+            for t, data in zip(self.moves, read[len(shown) :], strict=False)
         ]
         self._grow(held)
         self._choose(window)
@@ -123,7 +125,7 @@ class Placing:
         """Choose the frame in which poses are told; odometry is read where transforms have none."""
         wishes, bag = self.wishes, self.bag
         above = self.tree.above(self.colour.frame)
-        moving = [f for f, moves in above.items() if moves or f in _OF_OTHERS]
+        moving = [f for f, moves in above.items() if moves or f in OF_OTHERS]
         odom = next((f for f in above if f.rpartition("/")[2].startswith("odom")), "")
         asked = odom if wishes.frame is None else wishes.frame
         if wishes.odometry is None and asked in above:
@@ -151,7 +153,7 @@ class Placing:
             )
         if not moving or wishes.frame is not None or wishes.odometry is not None:
             raise self._nowhere(lost)
-        self.frame = next((f for f in moving if f not in _OF_OTHERS), moving[-1])
+        self.frame = next((f for f in moving if f not in OF_OTHERS), moving[-1])
 
     def _odometry(self, topic: Topic, window: tuple[int, int]) -> tuple[str, str]:
         """Make an edge of odometry; the names of its frames."""
@@ -202,7 +204,7 @@ class Placing:
     def _tell(self) -> None:
         by = self.odometry.name if self.odometry is not None else "/tf"
         self.notes.append(f"Poses are those of {self.colour.frame} in {self.frame}, by {by}.")
-        if self.frame in _OF_OTHERS and self.wishes.frame is None:
+        if self.frame in OF_OTHERS and self.wishes.frame is None:
             self.notes.append(
                 f"{self.frame} is a frame in which a localization or SLAM tells poses, no odometry; the "
                 "bag has no other."

@@ -139,13 +139,16 @@ def info_names(view: View) -> tuple[str, str]:
     return f"{view.base.rpartition('/')[0]}/camera_info", f"{view.base}/camera_info"
 
 
-def camera_for(bag: Bag, view: View, given: str | dict[str, Any] | None, role: str) -> Camera:
-    """Camera of a view: by a topic or intrinsics that are given, else by the CameraInfo beside it.
+def camera_for(
+    bag: Bag, view: View, given: str | dict[str, Any] | None, role: str
+) -> tuple[Camera, Topic | None]:
+    """Camera of a view, and the topic that says so: one that is given, else the CameraInfo beside it.
 
-    `role` is what the file beside the bag calls it. Raises `InputError` where there is none.
+    `role` is what the file beside the bag calls it, where `given` may be intrinsics. Raises
+    `InputError` where there is none.
     """
     if isinstance(given, dict):
-        return camera_of_dict(given, view.size, f'{bag.path}.json, "{role}"')
+        return camera_of_dict(given, view.size, f'{bag.path}.json, "{role}"'), None
     infos = {t.name: t for t in bag.of_type("sensor_msgs/CameraInfo")}
     names = (given,) if given is not None else info_names(view)
     topic = next((infos[n] for n in names if n in infos), None)
@@ -154,17 +157,8 @@ def camera_for(bag: Bag, view: View, given: str | dict[str, Any] | None, role: s
             f"{bag.path}: {given} is no sensor_msgs/CameraInfo with messages; there are "
             f"{', '.join(infos) or 'none'}."
         )
-    firsts = {} if topic else {n: decoded(t[0], n, t.type, t.encoding) for n, t in infos.items()}
-    if topic is None:  # by another name, of the same frame and size
-        topic = next(
-            (
-                infos[n]
-                for n, info in firsts.items()
-                if frame_of(info.header.frame_id) == view.frame
-                and (info.width, info.height) == view.size
-            ),
-            None,
-        )
+    if topic is None:
+        topic = next((t for t in infos.values() if _is_of(t, view)), None)
     if topic is None:
         raise InputError(
             f"{bag.path} holds no CameraInfo of {view.topic.name} ({' or '.join(names)}); record it, or "
@@ -172,4 +166,11 @@ def camera_for(bag: Bag, view: View, given: str | dict[str, Any] | None, role: s
         )
     info = decoded(topic[0], topic.name, topic.type, topic.encoding)
     rectified = _RECTIFIED.search(view.base.rpartition("/")[2]) is not None
-    return camera_of_info(info, view.size, f"{bag.path}, {topic.name}", rectified=rectified)
+    name = f"{bag.path}, {topic.name}"
+    return camera_of_info(info, view.size, name, rectified=rectified), topic
+
+
+def _is_of(topic: Topic, view: View) -> bool:
+    """Whether a CameraInfo by another name is of a view's frame and size."""
+    info = decoded(topic[0], topic.name, topic.type, topic.encoding)
+    return frame_of(info.header.frame_id) == view.frame and (info.width, info.height) == view.size

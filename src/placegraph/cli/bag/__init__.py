@@ -1,0 +1,1 @@
+"""Commands on bags of ROS."""

@@ -1,0 +1,108 @@
+"""`placegraph bag info`, and bags wherever a capture is taken."""
+
+import json
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import placegraph as pg
+from placegraph.geometry import Camera
+from placegraph.indoor.build import build_scene
+from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
+from placegraph_lab.worlds.flat.walks import stroll, write_walk
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory, study):
+    """Map file, capture folder without labels, and the same as a bag."""
+    folder, rng = tmp_path_factory.mktemp("bags"), np.random.default_rng(3)
+    interior = study.furnish(rng)
+    build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
+    walk = stroll(study, rng, frames=4, through="123")
+    camera = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
+    write_walk(interior, walk, folder / "walk", rng, camera=camera)
+    for name in ("gravity.txt", "trajectory.tum"):
+        (folder / "walk" / name).unlink(missing_ok=True)
+    for name in ("instances", "labels"):
+        shutil.rmtree(folder / "walk" / name, ignore_errors=True)
+    clip = pg.open_capture(folder / "walk")
+    with BagWriter(folder / "bag") as writer:
+        write_capture(writer, clip)
+    return SimpleNamespace(
+        map=folder / "room.scene", walk=folder / "walk", bag=folder / "bag/bag.mcap", clip=clip
+    )
+
+
+def test_a_bag_is_localized_like_its_folder(run, world):
+    poses = []
+    for capture in (world.walk, world.bag):
+        result = run("scene", "localize", world.map, capture, "--json", "--quiet")
+        assert result.code == 0, result.err
+        poses.append(result.json)
+    assert poses[0]["status"] == poses[1]["status"] == "OK"
+    best = [np.array(p["modes"][0]["map_from_camera"]) for p in poses]
+    np.testing.assert_allclose(best[0], best[1], atol=1e-4)
+
+
+def test_what_lies_in_it(run, world):
+    told = run("bag", "info", world.bag, "--json").json
+    assert (told["frames"], told["poses_in"]) == (4, "odom")
+    assert told["uses"] == {"localize": [], "refine": [], "build": [], "track": []}
+    assert told["chosen"]["colour"] == "/camera/color/image_raw"
+    assert told["chosen"]["camera"] == "/camera/color/camera_info"
+    (tf,) = (t for t in told["topics"] if t["topic"] == "/tf")
+    assert (tf["messages"], tf["type"], tf["used"]) == (4, "tf2_msgs/TFMessage", ["transforms"])
+    assert {"parent": "odom", "child": "base_link", "fixed": False} in told["transforms"]
+    words = run("bag", "info", world.bag).out
+    assert "sensor_msgs/Image, rgb8 160 x 90" in words
+    assert "build: yes, 4 frames" in words
+
+
+@pytest.mark.parametrize(
+    ("layout", "lacks"),
+    [
+        (Layout(depth=False), {"build": "holds no depth, of which a map is fused; record"}),
+        (Layout(poses="none"), {"localize": "no transform leads", "track": "no transform leads"}),
+        (Layout(infos=False), {"localize": "no CameraInfo of", "build": "no CameraInfo of"}),
+        (Layout(images="none"), {"localize": "holds no colour images", "refine": "no colour"}),
+    ],
+)
+def test_what_it_lacks_for_what(layout, lacks, run, world, tmp_path):
+    with BagWriter(tmp_path / "walk") as writer:
+        write_capture(writer, world.clip, layout)
+    result = run("bag", "info", tmp_path / "walk")
+    assert result.code == 0
+    uses = run("bag", "info", tmp_path / "walk", "--json").json["uses"]
+    for use, words in lacks.items():
+        assert any(words in sentence for sentence in uses[use])
+        assert f"{use}: no. " in result.out
+    if layout == Layout(depth=False):
+        assert uses["localize"] == []
+
+
+def test_what_is_not_read_is_said(run, world, tmp_path):
+    """Topics of unknown types are listed; images that cannot be read say why; so does a wrong file."""
+    with BagWriter(tmp_path / "walk") as writer:
+        writer.compressed("/cam/video/compressed", 1.7e9, b"h264", "h264")
+        writer.write("/battery", "sensor_msgs/msg/BatteryState", 1.7e9, b"\0\1\0\0")
+        for frame in world.clip:
+            pose = frame.odometry
+            writer.transform("map", "camera_optical_frame", pose, 1.7e9 + frame.stamp)
+            writer.info("/camera/color/camera_info", 1.7e9 + frame.stamp, frame.camera)
+            writer.image("/camera/color/image_raw", 1.7e9 + frame.stamp, frame.rgb(), "rgb8")
+    out = run("bag", "info", tmp_path / "walk").out
+    assert "/battery" in out
+    assert "Not read:" in out
+    assert "track: no. " in out
+    assert "which tracking itself should tell" in out
+    (tmp_path / "walk.json").write_text(json.dumps({"colour": "/battery"}))
+    assert (
+        "/battery is sensor_msgs/BatteryState with 1 messages"
+        in run("bag", "info", tmp_path / "walk").out
+    )
+    (tmp_path / "walk.json").write_text("{")
+    result = run("bag", "info", tmp_path / "walk")
+    assert result.code == 3
+    assert "walk.json is not JSON" in result.err
