@@ -6,8 +6,10 @@ less the entropy that the answer would have if the place were known.
 
 from __future__ import annotations
 
+import heapq
+import itertools
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +27,8 @@ from placegraph.outdoor.language.description import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from placegraph.estimate import CityEstimate
@@ -135,14 +139,18 @@ def next_question(
     """
     if estimate.status == Status.OK:
         return None
-    worth = (q for q in possible_questions(estimate, city, vocabulary) if q.gain > WORTH)
-    return max(worth, key=lambda q: (q.gain, q.text), default=None)
+    found = possible_questions(estimate, city, vocabulary)
+    first = next(found, None)
+    if first is None or first.gain <= WORTH:
+        return None
+    as_good = itertools.takewhile(lambda q: q.gain == first.gain, found)
+    return max((first, *as_good), key=lambda q: q.text)
 
 
 def possible_questions(
     estimate: CityEstimate, city: City, vocabulary: Vocabulary | None = None
-) -> list[Question]:
-    """All questions about what is around the estimate's places that were not asked yet."""
+) -> Iterator[Question]:
+    """All questions about what is around the estimate's places that were not asked yet, best first."""
     if vocabulary is None:
         from placegraph.outdoor.language.vocabulary import Vocabulary as Shipped
 
@@ -150,16 +158,17 @@ def possible_questions(
     heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MOST_PLACES]
     weights = estimate.support[heaviest, 2]
     if not weights.sum() > 0.0:
-        return []
+        return iter(())
     weights = weights / weights.sum()
     around = _Around.of(city, city.plane.to_plane(estimate.support[heaviest, :2]))
     understood = estimate.understood or Description("")
     asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
-    return [
+    every = (_yes_or_no(weights, around, vocabulary), _which(weights, around))
+    return (
         q
-        for q in (*_yes_or_no(weights, around, vocabulary), *_which(weights, around))
+        for q in heapq.merge(*every, key=lambda q: -q.gain)
         if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"}
-    ]
+    )
 
 
 @dataclass(frozen=True)
@@ -168,8 +177,10 @@ class _Around:
 
     labels: list[str]
     """(L,)"""
+    pairs: NDArray[np.int64]
+    """(2, M) labels and the places that they are around."""
     expected: NDArray[np.float64]
-    """(5, L, K), for any direction and for each of `WINDS`."""
+    """(5, M), for any direction and for each of `WINDS`."""
     names: list[str]
     """(N,)"""
     named: NDArray[np.float64]
@@ -193,47 +204,59 @@ class _Around:
             cosine = (delta @ (np.sin(angle), np.cos(angle))) / np.maximum(distance, 1e-3)
             clear = distance > 5.0  # nearer than that a direction is a guess [m]
             shares.append(sure * clear / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1)))
-        labels, label = np.unique(
-            objects.label_values[objects.label_starts[rows]], return_inverse=True
-        )
+        k = len(positions)
+        labels, label = _numbered(objects.label_values[objects.label_starts[rows]])
+        pairs, pair = _numbered(label * k + place)
         first = objects.name_starts[rows]
         has = first < objects.name_starts[rows + 1]
-        names, name = np.unique(objects.name_values[first[has]], return_inverse=True)
-        k = len(positions)
+        names, name = _numbered(objects.name_values[first[has]])
+        named = np.bincount(name * k + place[has], sure[has], len(names) * k)
         return cls(
             [objects.labels[i] for i in labels],
-            np.stack([_summed(label, place, share, len(labels), k) for share in shares]),
+            np.stack(np.divmod(pairs, k)),
+            np.stack([np.bincount(pair, share, len(pairs)) for share in shares]),
             [objects.names[i] for i in names],
-            _summed(name, place[has], sure[has], len(names), k),
+            named.reshape(len(names), k),
         )
 
 
-def _summed(
-    kind: NDArray[np.int64], place: NDArray[np.int64], share: NDArray[np.float64], n: int, k: int
-) -> NDArray[np.float64]:
-    """Sums (n, k) of shares by kind and place."""
-    return np.asarray(np.bincount(kind * k + place, share, n * k).reshape(n, k), np.float64)
+def _numbered(keys: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Keys that occur, ascending, and the number of each among them: `np.unique` of small numbers."""
+    there = np.flatnonzero(np.bincount(keys))
+    number = np.zeros(int(keys.max(initial=-1)) + 1, np.int64)
+    number[there] = np.arange(len(there))
+    return there, number[keys]
 
 
 def _yes_or_no(
     weights: NDArray[np.float64], around: _Around, vocabulary: Vocabulary
-) -> list[Question]:
+) -> Iterator[Question]:
+    """Questions whether a thing is around, best first."""
+    label, place = around.pairs
     yes = MISTAKE + (1.0 - 2.0 * MISTAKE) * -np.expm1(-2.0 * around.expected)
-    gains = _gain(weights, np.stack([yes, 1.0 - yes], axis=-2))
-    there = np.asarray(around.expected.any(axis=-1))
-    questions = []
-    for i, label in enumerate(around.labels):
-        if label.endswith("*"):
-            continue
-        words = vocabulary.spoken(label)
-        article = "an" if words[:1].lower() in "aeiou" else "a"
-        for j, wind in enumerate(("", *WINDS)):
-            if there[j, i]:
-                where = f"within sight to your {wind}" if wind else "within sight"
-                text = f"Is there {article} {words} {where}?"
-                thing = Thing(words, label, wind)
-                questions.append(Question(text, (YES, NO), (thing,), float(gains[j, i])))
-    return sorted(questions, key=lambda q: (q.things[0].label, q.things[0].wind))
+    # where nothing is expected, yes is said by mistake alone
+    more = yes - MISTAKE, _entropy(yes) - _entropy(MISTAKE)
+    said, known = (
+        [np.bincount(label, weights[place] * m, len(around.labels)) for m in of_wind]
+        for of_wind in more
+    )
+    gains = _entropy(MISTAKE + np.stack(said)) - _entropy(MISTAKE) - np.stack(known)
+    there = np.stack([np.bincount(label, e, len(around.labels)) > 0.0 for e in around.expected])
+    there &= [not name.endswith("*") for name in around.labels]
+    winds = ("", *WINDS)
+    for j, i in zip(*np.unravel_index(np.argsort(-gains, axis=None), gains.shape), strict=True):
+        if there[j, i]:
+            words, wind = vocabulary.spoken(around.labels[i]), winds[j]
+            article = "an" if words[:1].lower() in "aeiou" else "a"
+            where = f"within sight to your {wind}" if wind else "within sight"
+            text = f"Is there {article} {words} {where}?"
+            thing = Thing(words, around.labels[i], wind)
+            yield Question(text, (YES, NO), (thing,), float(gains[j, i]))
+
+
+def _entropy(yes: Any) -> Any:  # noqa: ANN401  # a number, or an array
+    """Entropy [nat] of an answer that is yes with a probability."""
+    return -(yes * np.log(yes) + (1.0 - yes) * np.log1p(-yes))
 
 
 def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
@@ -243,7 +266,7 @@ def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
     chosen: list[int] = []
     while len(chosen) < MOST_NAMES and around.names:
         share = sure @ left
-        telling = max(range(len(share)), key=lambda i: (share[i], around.names[i]))
+        telling = max(np.flatnonzero(share == share.max()), key=lambda i: around.names[i])
         if share[telling] < 0.02:  # the rest is too unlikely to be asked about
             break
         chosen.append(telling)
@@ -260,15 +283,12 @@ def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
             f"Which of these is within sight: {', '.join(names)}?",
             (*names, NONE),
             tuple(Thing(name) for name in names),
-            float(_gain(weights, said)),
+            _gain(weights, said),
         )
     ]
 
 
-def _gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mutual information (...) [nat] of the place (K,) and the answer (..., O, K)."""
-
-    def entropy(p: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-        return np.asarray(-(p * np.log(np.maximum(p, 1e-12))).sum(axis=axis))
-
-    return np.asarray(entropy(options @ weights, -1) - entropy(options, -2) @ weights)
+def _gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> float:
+    """Mutual information [nat] of the place (K,) and the answer (O, K)."""
+    mean = options @ weights
+    return float(((options * np.log(options)).sum(axis=0) @ weights) - mean @ np.log(mean))

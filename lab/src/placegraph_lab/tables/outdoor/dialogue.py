@@ -125,7 +125,7 @@ def dialogue(
 
 
 def _any_question(estimate: CityEstimate, city: CityMap, rng: Generator) -> Question | None:
-    questions = possible_questions(estimate, city)
+    questions = list(possible_questions(estimate, city))
     return questions[int(rng.integers(len(questions)))] if questions else None
 
 
