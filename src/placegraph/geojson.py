@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from placegraph.evidence import Evidence
 
+DIGITS = 7
+"""Of a degree of the corners of an ellipse: 1 cm."""
 SHARE = 0.95
 """Probability that an ellipse holds, were its mode the right one."""
 _CORNERS = 48
@@ -110,12 +112,13 @@ def _features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:
 
 
 def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
-    plain = pose.to_dict()
-    names = ("probability", "height", "heading_deg", "level", "room", "building", "osm")
-    known: dict[str, Any] = {name: plain[name] for name in names}
-    for name in ("scene", "cell"):
-        if hasattr(mode, name):
-            known[name] = getattr(mode, name)
+    known: dict[str, Any] = {
+        "probability": pose.probability,
+        "height": pose.height if isfinite(pose.height) else None,
+        "heading_deg": degrees(pose.heading) if isfinite(pose.heading) else None,
+    }
+    known |= {name: getattr(pose, name) for name in ("level", "room", "building", "osm")}
+    known |= {name: getattr(mode, name, None) for name in ("scene", "cell")}
     return {name: value for name, value in known.items() if value not in (None, "")}
 
 
@@ -132,7 +135,8 @@ def _ellipse(pose: EarthPose) -> list[list[float]]:
     ring = LocalPlane(pose.longitude, pose.latitude).to_lonlat(corners)
     ring[:, 0] += 360.0 * np.round((pose.longitude - ring[:, 0]) / 360.0)  # across the date line
     ring[-1] = ring[0]
-    return [[float(lon), float(lat)] for lon, lat in ring]
+    corners_deg: list[list[float]] = np.round(ring, DIGITS).tolist()
+    return corners_deg
 
 
 def _told(rank: int, evidence: Sequence[Evidence]) -> Iterator[dict[str, Any]]:

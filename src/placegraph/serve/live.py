@@ -46,7 +46,7 @@ async def _answer(socket: WebSocket, lane: Lane, text: str) -> None:
         body, trouble = await lane.ask("locate", asked.model_dump(exclude={"id"}))
     except PlacegraphError as error:
         body, trouble = None, problem(error)
-    head = dumped(number).decode()
+    head = json.dumps(number)
     told = f'"result":{body.decode()}' if body else f'"problem":{dumped(trouble).decode()}'
     if socket.client_state is WebSocketState.CONNECTED:
         await socket.send_text(f'{{"id":{head},{told}}}')

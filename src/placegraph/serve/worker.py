@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import signal
@@ -10,9 +9,10 @@ import sys
 import traceback
 import warnings
 from importlib import import_module
-from math import isfinite
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import orjson
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.desk import Desk
@@ -80,19 +80,7 @@ def answer(desk: Desk, verb: str, asked: Any) -> Answer:  # noqa: ANN401
 
 def dumped(told: object) -> bytes:
     """JSON, which has no NaN and no infinity: they become null."""
-    try:
-        text = json.dumps(told, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    except ValueError:
-        text = json.dumps(_finite(told), ensure_ascii=False, separators=(",", ":"))
-    return text.encode()
-
-
-def _finite(told: object) -> Any:  # noqa: ANN401  # any JSON
-    if isinstance(told, dict):
-        return {key: _finite(value) for key, value in told.items()}
-    if isinstance(told, list | tuple):
-        return [_finite(value) for value in told]
-    return None if isinstance(told, float) and not isfinite(told) else told
+    return orjson.dumps(told, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
 
 
 def run(connection: Connection, setting: Setting) -> None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.outdoor.search.ask import (
     NO,
@@ -17,7 +18,9 @@ from placegraph.outdoor.search.ask import (
     Answer,
     Question,
     Thing,
+    _Around,
     _gain,
+    _yes_or_no,
     next_question,
     possible_questions,
 )
@@ -113,14 +116,27 @@ def test_gain_of_knowing_and_of_nothing():
     assert _gain(np.ones(1), np.array([[0.3], [0.7]])) == pytest.approx(0.0)
 
 
+def test_gain_of_yes_or_no_counts_the_places_where_nothing_is_expected():
+    weights, expected = np.array([0.2, 0.3, 0.5]), np.array([[0.4, 0.0, 2.0], [0.0, 0.0, 0.1]])
+    pairs = np.array(np.nonzero(expected))
+    sparse = np.zeros((5, len(pairs[0])))
+    sparse[0] = expected[tuple(pairs)]
+    around = _Around(["amenity=bench", "amenity=bank"], pairs, sparse, [], np.zeros((0, 3)))
+    for question in _yes_or_no(weights, around, Vocabulary.default()):
+        row = expected[around.labels.index(question.things[0].label)]
+        yes = 0.05 + 0.9 * -np.expm1(-2.0 * row)
+        assert question.gain == pytest.approx(_gain(weights, np.stack([yes, 1.0 - yes])))
+
+
 # --- questions ---
 
 
 def test_the_best_question_is_asked(harbour):
     estimate = harbour.locate(SQUARES)
     question = estimate.next_question(harbour)
-    everything = possible_questions(estimate, harbour)
-    assert question.gain == max(q.gain for q in everything) > 0.02
+    everything = list(possible_questions(estimate, harbour))
+    assert question.gain == everything[0].gain > 0.02
+    assert [q.gain for q in everything] == sorted((q.gain for q in everything), reverse=True)
     assert (
         question
         == next_question(estimate, harbour)

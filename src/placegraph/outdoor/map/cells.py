@@ -107,9 +107,16 @@ class Cells(Portable, Mapping[str, Cell]):
             return covering
         if not len(self.points):  # one lone object makes no cell
             return self._id(0)
-        row, column = np.divmod(self.points, self.grid.columns)
-        centers = self.grid.stride * np.stack([column, row], 1) + (self.grid.east, self.grid.north)
-        return self._id(int(self.points[np.argmin(((centers - east_north) ** 2).sum(axis=1))]))
+        row, reach = int((east_north[1] - self.grid.north) // self.grid.stride), 2
+        while True:  # rows of the grid around it, and more where none is near enough
+            ends = self.grid.columns * np.array([row - reach, row + reach + 1])
+            first, last = np.searchsorted(self.points, ends)
+            delta = self.centers(slice(first, last)) - east_north
+            squares = (delta**2).sum(axis=1)
+            every = last - first == len(self.points)
+            if every or squares.min(initial=np.inf) < (self.grid.stride * reach) ** 2:
+                return self.id_of(first + int(np.argmin(squares)))
+            reach *= 4
 
     def center(self, cell: str) -> NDArray[np.float64]:
         """Centre (2,) of a cell, east and north [m]; raises `OptionError` where there is none."""
@@ -123,7 +130,7 @@ class Cells(Portable, Mapping[str, Cell]):
         """Centres (C, 2) of all cells, longitude and latitude [deg], rows as `points`."""
         return self.plane.to_lonlat(self.centers(np.arange(len(self.points))))
 
-    def centers(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    def centers(self, rows: NDArray[np.int64] | slice) -> NDArray[np.float64]:
         """Centres (K, 2) of the cells in `rows` of `points`, east and north [m]."""
         row, column = np.divmod(self.points[rows], self.grid.columns)
         return np.stack([column, row], 1) * self.grid.stride + (self.grid.east, self.grid.north)

@@ -210,7 +210,7 @@ class _Around:
         first = objects.name_starts[rows]
         has = first < objects.name_starts[rows + 1]
         names, name = _numbered(objects.name_values[first[has]])
-        named = np.bincount(name * k + place[has], sure[has], len(names) * k)
+        named = np.bincount(name * k + place[has], sure[has], len(names) * k).astype(np.float64)
         return cls(
             [objects.labels[i] for i in labels],
             np.stack(np.divmod(pairs, k)),
@@ -266,7 +266,7 @@ def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
     chosen: list[int] = []
     while len(chosen) < MOST_NAMES and around.names:
         share = sure @ left
-        telling = max(np.flatnonzero(share == share.max()), key=lambda i: around.names[i])
+        telling = max(np.flatnonzero(share == share.max()).tolist(), key=lambda i: around.names[i])
         if share[telling] < 0.02:  # the rest is too unlikely to be asked about
             break
         chosen.append(telling)
@@ -290,5 +290,8 @@ def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
 
 def _gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> float:
     """Mutual information [nat] of the place (K,) and the answer (O, K)."""
-    mean = options @ weights
-    return float(((options * np.log(options)).sum(axis=0) @ weights) - mean @ np.log(mean))
+
+    def entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(-(p * np.log(np.maximum(p, 1e-12))).sum(axis=0))
+
+    return float(entropy(options @ weights) - entropy(options) @ weights)

@@ -8,6 +8,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from placegraph.view.city.estimate_items import place_of, rivals
 from placegraph.view.city.tiles import CityTiles
 from placegraph.view.draw.style import clean, style_sheet
@@ -83,7 +85,7 @@ def write_page(
 
 def told(estimate: CityEstimate) -> dict[str, Any]:
     """An estimate as a page takes it: the dictionary, and the posterior's heaviest points."""
-    support = [[round(x, 6), round(y, 6), round(p, 6)] for x, y, p in estimate.support.tolist()]
+    support = np.round(estimate.support, 6).tolist()
     return {"estimate": estimate.to_dict(), "support": support, "ranked": estimate.ranked}
 
 
