@@ -23,7 +23,7 @@ SAYS = {  # what each has found out
     "08_library": "OK altbau",
     "09_change": "moved armchair",
     "10_own_encoder": "OK:",
-    "11_world": "OK: Stadtbibliothek",
+    "11_world": "OK: Bücherhalle",
 }
 
 

@@ -384,11 +384,14 @@ def test_demo(run, tmp_path):
     assert given == {
         "hafenstadt.osm",
         "hafenstadt.city",
+        "marktstadt.osm",
+        "marktstadt.city",
         "homes.library",
         "altbau.glb",
         "altbau.scene",
         "altbau_twin.scene",
         "walk",
+        "window",
         *(f"home{i}.scene" for i in range(1, 5)),
     }
     assert "placegraph scene localize" in result.out.partition("The same by hand:")[2]

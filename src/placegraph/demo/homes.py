@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.demo.world import FLAT, TOWN
+from placegraph.demo.world import FLAT, TOWN, TOWNS
 from placegraph.earth import Anchor
 
 if TYPE_CHECKING:
@@ -15,82 +15,83 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.outdoor.city import CityMap
     from placegraph.world import World
 
 TWIN = f"{FLAT}_twin"
 """A flat as the first, in another house."""
 STANDS = {
-    FLAT: ("Hotel Hansa", "2", 0.3),
-    TWIN: ("Stadtbibliothek", "1", 1.2),
-    "home1": ("Café am Rathaus", "0", 0.0),
-    "home2": ("Postamt", "1", 0.0),
-    "home3": ("Speichermuseum", "1", 0.5),
-    "home4": ("Zum Anker", "0", 0.0),
+    FLAT: (TOWN, "Hotel Hansa", "2", 0.0),
+    TWIN: (TOWN, "Bücherhalle", "1", np.pi),
+    "home1": (TOWN, "Die Kajüte", "0", np.pi),
+    "home2": (TOWN, "Stadtbibliothek", "2", 0.0),
+    "home3": (TOWNS[1], "Stadtbücherei", "1", np.pi / 2),
+    "home4": (TOWN, "Zum Anker", "0", 0.0),
 }
-"""Building, level and heading [rad] of each scene."""
+"""Town, building, level and heading [rad] of each scene; buildings are tagged as insides need it."""
 STOREY = 3.2
 """Height of a storey [m]."""
 PRECISION = np.diag([0.5, 0.5, 0.5, 0.02]) ** 2
+WINDOW = "I am in the library on Lange Straße, by the window"
 QUESTIONS = (
-    ("I am in the library on Brückenstraße", False),
+    (WINDOW, False),
     ("I am in the dining room of Zum Anker", False),
     (None, True),
-    ("I am in the library on Brückenstraße", True),
+    (WINDOW, True),
     ("I am in the hotel", True),
 )
 """Text, and whether three frames are shown."""
 
 
 def lost_in_the_world(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
-    """Place rooms in the town's buildings, and ask for place, room and pose at once.
+    """Place rooms in the buildings of two towns, and ask for place, room and pose at once.
 
     Returns the commands that do the same.
     """
     from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.city import build_city
     from placegraph.world import open_world
 
-    (world / f"{TOWN}.city").write_bytes((out / f"{TOWN}.city").read_bytes())
-    furnish(world, CityMap.open(world / f"{TOWN}.city"), out / f"{FLAT}.scene")
+    for town in TOWNS:
+        build_city(world / f"{town}.osm", world / f"{town}.city")
+    furnish(world, out / f"{FLAT}.scene")
     library = SceneLibrary()
     for name in STANDS:
         library.add(name, world / f"{name}.scene")
     library.save(world / "homes.library")
     opened = open_world(world)
     say(f"\n{opened} in {world}: rooms stand in buildings, two flats are the same.")
-    frames = open_capture(world / "walk")[:3]
+    frames = open_capture(world / "window")
     for text, shown in QUESTIONS:
         _ask(opened, text, frames if shown else None, say)
-    walk = world / "walk"
     return [
-        f'locate {world} "{QUESTIONS[0][0]}"',
-        f'locate {world} "{QUESTIONS[0][0]}" --capture {walk} --frames :3',
+        f'locate {world} "{WINDOW}"',
+        f'locate {world} "{WINDOW}" --capture {world / "window"}',
     ]
 
 
-def furnish(world: Path, city: CityMap, flat: Path) -> None:
+def furnish(world: Path, flat: Path) -> None:
     """Write the flat, its twin and the homes into a folder, each where it stands on Earth."""
     from placegraph.indoor.scene_map import SceneMap
 
-    for name, (building, level, heading) in STANDS.items():
+    for name, (town, *there) in STANDS.items():
         scene = SceneMap.open(flat if name in (FLAT, TWIN) else world / f"{name}.scene")
-        placed = standing(scene, city, building, level, heading)
-        placed.save(world / f"{name}.scene")
+        standing(scene, world / f"{town}.osm", *there).save(world / f"{name}.scene")
 
 
-def standing(scene: SceneMap, city: CityMap, building: str, level: str, heading: float) -> SceneMap:
-    """The scene with its middle in the middle of what has a name in a city."""
-    o = city.objects
-    row = next(i for i in range(len(o)) if o.name(i) == building)
-    longitude, latitude = city.plane.to_lonlat(o.center[row].astype(np.float64))
-    middle = scene.bounds.mean(axis=0) * (1.0, 1.0, 0.0)
+def standing(scene: SceneMap, town: Path, building: str, level: str, heading: float) -> SceneMap:
+    """The scene in the middle of the building that has, or holds, what has a name in a town."""
+    from placegraph.world.footprints import footprints
+
+    outline = footprints(town, building)[0]
+    ring = outline.rings[0]
+    middle = np.append((ring.min(axis=0) + ring.max(axis=0)) / 2.0, 0.0)
+    longitude, latitude, _ = outline.base.to_earth(middle).tolist()
     there = Anchor(
         longitude, latitude, STOREY * float(level), heading, PRECISION, building=building,
-        osm=o.osm(row), level=level, method="pose",
+        osm=outline.osm, level=level, method="pose",
     )  # fmt: skip
-    return scene.anchored(there.shifted(middle))
+    return scene.anchored(there.shifted(scene.bounds.mean(axis=0) * (1.0, 1.0, 0.0)))
 
 
 def _ask(

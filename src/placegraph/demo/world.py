@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 DATA = files("placegraph.demo") / "data"
 TOWN = "hafenstadt"
 """An extract of OpenStreetMap's kind."""
+TOWNS = (TOWN, "marktstadt")
+"""The other has a library on Lange Straße as well."""
 FLAT = "altbau"
-"""A furnished flat as a .glb file; `walk/` was filmed there, later."""
+"""A furnished flat as a .glb file; `walk/` was filmed there, later, and `window/` by a window of it."""
 
 
 def unpack(folder: Path) -> Path:

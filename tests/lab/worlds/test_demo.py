@@ -46,5 +46,6 @@ def test_the_same_homes_ship(drawn, number):
 def test_what_ships_is_unpacked_to_ordinary_files(tmp_path):
     world = unpack(tmp_path / "world")
     assert len(list((world / "walk/rgb").glob("*.jpg"))) == 18
+    assert len(list((world / "window/rgb").glob("*.jpg"))) == 3
     assert (world / "altbau.glb").read_bytes()[:4] == b"glTF"
     assert not list(world.glob("*.xz")) + list(world.glob("*.zip"))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from placegraph.errors import InputError
+from placegraph_lab.worlds.town.doors import door, with_doors
 from placegraph_lab.worlds.town.town import ROAD_PORTS, Kind, Tags, Town
 from placegraph_lab.worlds.trace import (
     DIAGONAL,
@@ -67,11 +68,13 @@ def _trace(town: Town) -> _File:
 
 
 def _points(town: Town, file: _File) -> None:
+    ground = _ground(town)
     for cell, glyph in town.drawn.items():
         if town.legend[glyph].kind == Kind.POINT:
-            spot = _middle(cell)
+            tags = town.legend[glyph].tags
+            spot = door(town, ground, cell) if "entrance" in tags else _middle(cell)
             file.nodes.setdefault(spot, len(file.nodes) + 1)
-            file.node_tags[spot] = town.legend[glyph].tags
+            file.node_tags[spot] = tags
 
 
 def _roads(town: Town, file: _File) -> None:
@@ -186,12 +189,14 @@ def _line_links(town: Town, glyph: str) -> tuple[Links, set[Cell]]:
 
 def _areas(town: Town, file: _File) -> None:
     ground = _ground(town)
+    doors = [spot for spot, tags in file.node_tags.items() if "entrance" in tags]
     for glyph, symbol in town.legend.items():
         if symbol.kind != Kind.AREA:
             continue
         for blot in blots(cell for cell, drawn in ground.items() if drawn == glyph):
             filled = blot if "building" in symbol.tags else blot | _islands(town, blot)
-            outer, *inner = [[(float(r), float(c)) for r, c in ring] for ring in rings(filled)]
+            traced = [[(float(r), float(c)) for r, c in ring] for ring in rings(filled)]
+            outer, *inner = [with_doors(ring, doors) for ring in traced]
             if not inner:
                 file.way(outer, symbol.tags)
                 continue
@@ -214,6 +219,8 @@ def _ground(town: Town) -> dict[Cell, str]:
             for sides in ((WEST, EAST), (NORTH, SOUTH)):
                 one, other = (_next_area(town, ground, cell, side) for side in sides)
                 in_street = town.legend[glyph].kind in (Kind.ROAD, Kind.LINE)
+                if "entrance" in town.legend[glyph].tags:
+                    one = other = one or other
                 if one and one == other and not (in_street and "building" in town.legend[one].tags):
                     ground[cell] = one
                     changed = True

@@ -35,9 +35,10 @@ Every character is a square of `metres`; the top of the page is north. A legend 
 
 Roads are drawn by ``-``, ``|``, ``/`` and ``\``, which join, cross and bend at ``+`` and go
 straight on where they can. Points and spots stand *in* the area whose glyph lies on both sides of
-them (left and right, or above and below); so do roads and lines, buildings excepted. A road over
-water is a bridge. These glyphs need no legend: ``#`` building, ``"`` park, ``≈`` water, ``~``
-river, ``*`` tree; blanks and ``.`` are nothing.
+them (left and right, or above and below); so do roads and lines, buildings excepted. An
+``entrance=main`` in the edge of a building stands in its wall. A road over water is a bridge. These
+glyphs need no legend: ``#`` building, ``"`` park, ``≈`` water, ``~`` river, ``*`` tree; blanks
+and ``.`` are nothing.
 """
 
 from __future__ import annotations
