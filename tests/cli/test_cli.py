@@ -106,7 +106,7 @@ def test_build(run, osm, tmp_path):
     out = tmp_path / "a.city"
     result = run("city", "build", osm, "-o", out)
     assert result.code == 0
-    assert result.out.startswith(f"{out}: 215 objects in 158 cells")
+    assert result.out.startswith(f"{out}: 222 objects in 158 cells")
     assert "reading" not in result.out, "progress is for stderr"
     assert out.exists()
 
@@ -117,7 +117,7 @@ def test_build_as_json(run, osm, tmp_path):
     assert result.err == ""
     told = result.json
     assert told["bytes"] == out.stat().st_size
-    assert (told["objects"], told["cells"], told["left_out"]) == (215, 158, {})
+    assert (told["objects"], told["cells"], told["left_out"]) == (222, 158, {})
 
 
 def test_build_in_silence(run, osm, tmp_path):
@@ -324,7 +324,7 @@ def test_info(run, city, tmp_path):
     result = run("city", "info", city)
     assert result.code == 0
     assert "objects" in result.out
-    assert "215" in result.out
+    assert "222" in result.out
     told = run("city", "info", city, "--json").json
     assert told["bytes"] == city.stat().st_size
     west, south, east, north = told["west_south_east_north_deg"]

@@ -74,9 +74,10 @@ def furnish(world: Path, flat: Path) -> None:
     """Write the flat, its twin and the homes into a folder, each where it stands on Earth."""
     from placegraph.indoor.scene_map import SceneMap
 
-    for name, (town, *there) in STANDS.items():
+    for name, (town, building, level, heading) in STANDS.items():
         scene = SceneMap.open(flat if name in (FLAT, TWIN) else world / f"{name}.scene")
-        standing(scene, world / f"{town}.osm", *there).save(world / f"{name}.scene")
+        placed = standing(scene, world / f"{town}.osm", building, level, heading)
+        placed.save(world / f"{name}.scene")
 
 
 def standing(scene: SceneMap, town: Path, building: str, level: str, heading: float) -> SceneMap:

@@ -28,6 +28,7 @@ from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms.naming import room_at
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.world.estimate import WorldEstimate, WorldMode
+from placegraph.world.floors import ratio_of
 from placegraph.world.standing import nowhere
 from placegraph.world.words import IN_TOWN, LEAST, MAPPED, by_words
 
@@ -47,6 +48,8 @@ LEFT = 0.005
 """Scenes that hold less of the probability together are not looked into."""
 FAR_OFF = 0.01
 """A fix that fits a scene no better than this contradicts it."""
+OTHER_FLOOR = -1.0
+"""What was said of floors contradicts a level below this [nat]."""
 SHARPNESS, WILD = 8.0, 0.1
 """Of a compass: concentration (about 20 degrees), and the share of headings that are far off."""
 TURNED = float(np.radians(60.0))
@@ -185,6 +188,8 @@ def contradictions(w: Witness, mode: WorldMode, known: Known) -> list[str]:
         out.append("what was said of the outside is not so there")
     if w.inside < 0 and not any(e.verdict == "for" for e in mode.evidence if not e.objects):
         out.append("what was said of the room is not so there")
+    if mode.level and ratio_of(w.floors, mode.level) < OTHER_FLOOR:
+        out.append(f"level {mode.level} is not the floor that was said")
     if known.near is not None and w.standings and w.near < FAR_OFF:
         out.append("it is far from the fix")
     if known.heading is not None and mode.earth is not None:

@@ -17,6 +17,7 @@ from placegraph.language.check import Ignored, check
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.world.floors import said_floors
 from placegraph.world.streets import roads_called
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.description import Statement as Outside
+    from placegraph.world.floors import Floor
 
 SENSE = 0.7
 """Weight from which on a word means such a thing of the map."""
@@ -52,18 +54,19 @@ class Understood:
     """What is said of the inside; None if nothing."""
     ignored: tuple[Ignored, ...] = ()
     """What neither wing could use."""
+    floors: tuple[Floor, ...] = ()
+    """Floors that the speaker was said to be on."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
         outside: dict[str, None] = {}
         for description in self.outside.values():
             outside |= dict.fromkeys(_told(description))
+        inside = [_said(self.inside, s) for s in self.inside.statements] if self.inside else []
         return {
             "text": self.text,
             "outside": list(outside),
-            "inside": [_said(self.inside, s) for s in self.inside.statements]
-            if self.inside
-            else [],
+            "inside": [f"floor: {floor.text}" for floor in self.floors] + inside,
             "ignored": [{"text": i.text, "reason": i.reason} for i in self.ignored],
         }
 
@@ -100,9 +103,10 @@ def understand(
 
     """
     check(text, "I am in the library on Main Street, by the window.")
+    floors, left = said_floors(text)
     whole = {
-        name: addressed(read_outside(city, text, heading=heading, language=language), city)
-        for name, city in cities.items()
+        name: addressed(read_outside(city, left, heading=heading, language=language), city)
+        for name, city in (cities if left else {}).items()
     }
     own = {" ".join(_words(name)) for name in names}
     out = {name: _outside(d, cities[name], things, own) for name, d in whole.items()}
@@ -111,7 +115,7 @@ def understand(
     spoken = {
         word for name, d in whole.items() for i in out[name] for word in _words(d.mentions[i].words)
     }
-    inside = read_inside(text) if things and _english(whole) else None
+    inside = read_inside(left) if left and things and _english(whole) else None
     sentence = None if inside is None else _inside(inside, spoken | _WINDS | _parts(own))
     ignored = tuple(dict.fromkeys(i for d in whole.values() for i in d.ignored))
     if not cities and inside is not None:
@@ -119,7 +123,7 @@ def understand(
     if sentence is not None:  # what the other wing could use
         used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.things}
         ignored = tuple(i for i in ignored if _plain(i.text) not in used)
-    return Understood(text, outside, sentence, ignored)
+    return Understood(text, outside, sentence, ignored, floors)
 
 
 def addressed(description: Description, city: CityMap) -> Description:

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.evidence import Evidence
+from placegraph.indoor.map.floor import storeys
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.locate import Hints
+from placegraph.world.floors import ratio_of
 from placegraph.world.inside import Inside, things_of
 from placegraph.world.outside import Outside, Told
 from placegraph.world.split import Understood, understand
@@ -20,6 +22,7 @@ from placegraph.world.standing import UNANCHORED, Standing
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.world.floors import Floor
     from placegraph.world.known import Known
     from placegraph.world.world import World
 
@@ -46,6 +49,10 @@ class Witness:
     """Whether its building, or the scene itself, was spoken of by name or kind."""
     told: Told | None = None
     """What the city that it stands in says of it, if anything was said of that."""
+    floors: tuple[Floor, ...] = ()
+    """Floors that the speaker was said to be on."""
+    above: int = 0
+    """Storeys above the level of the anchor."""
 
     @property
     def said(self) -> float:
@@ -71,7 +78,11 @@ class Witnesses:
     @property
     def speaks_inside(self) -> bool:
         """Whether somebody inside a mapped scene seems to speak."""
-        return self.inside is not None or any(w.meant for w in self.scenes.values())
+        return (
+            self.inside is not None
+            or any(w.meant for w in self.scenes.values())
+            or (self.understood is not None and bool(self.understood.floors))
+        )
 
     def prior(self, name: str) -> float:
         """Share of a scene among all, by the fix alone; together at most 1."""
@@ -87,6 +98,8 @@ class Witnesses:
             out += w.told.evidence
         if self.inside is not None:
             out += self.inside.evidence(name)
+        if w.standings:
+            out += [floor.evidence(w.standings[0].anchor.level, w.above) for floor in w.floors]
         if self.near is not None and w.standings:
             weight = float(np.log(w.near / 0.5))
             verdict = "for" if weight > 0 else "against"
@@ -112,6 +125,8 @@ def hear(world: World, known: Known) -> Witnesses:
                 towns[city] = told
         if understood.inside is not None and scenes:
             inside = Inside.hear(world.library, understood.inside)
+    floors = understood.floors if understood else ()
+    above = {n: len(storeys(world.scenes[n], 0)) - 1 if floors else 0 for n in scenes}
     spoken = f" {' '.join(tokens(known.text or ''))} "
     refused = [f" {' '.join(tokens(name))} " for name in _denied(understood)]
     for name in refused:
@@ -121,13 +136,16 @@ def hear(world: World, known: Known) -> Witnesses:
         _witness, known=known, towns=towns, inside=inside, spoken=spoken, denied=denied
     )
     near = None if known.near is None else (float(known.near[0]), float(known.near[1]))
-    return Witnesses(understood, towns, inside, {n: witness(n, s) for n, s in scenes.items()}, near)
+    found = {n: witness(n, s, floors=floors, above=above[n]) for n, s in scenes.items()}
+    return Witnesses(understood, towns, inside, found, near)
 
 
 def _witness(
     name: str,
     standings: tuple[Standing, ...],
     *,
+    floors: tuple[Floor, ...],
+    above: int,
     known: Known,
     towns: dict[str, Outside],
     inside: Inside | None,
@@ -147,6 +165,7 @@ def _witness(
     priors = np.array([s.anchor.probability for s in standings])
     told = [_told(s, towns) for s in standings]
     ratios = np.array([t.ratio if t else 0.0 for t in told])
+    ratios += [ratio_of(floors, s.anchor.level, above) for s in standings]
     nears = np.ones(len(standings))
     if known.near is not None:
         nears = np.array([s.near(known.near, known.radius) for s in standings])
@@ -166,6 +185,8 @@ def _witness(
         float(priors @ nears + unknown * UNANCHORED),
         called or any(t is not None and t.meant for t in told),
         told[best],
+        floors,
+        above,
     )  # fmt: skip
 
 

@@ -1,0 +1,65 @@
+"""Floors that somebody says to be on, as evidence on levels."""
+
+import dataclasses
+
+import pytest
+
+from placegraph.estimate import Status
+from placegraph.world import World
+from placegraph.world.floors import ratio_of, said_floors
+
+
+@pytest.mark.parametrize(
+    ("text", "levels", "left"),
+    [
+        ("I am on the second floor of the hotel.", {1, 2}, "I am in the hotel."),
+        ("I'm in the hotel, on the 3rd floor, by the window", {2, 3}, "I'm in the hotel, by the window"),
+        ("In the kitchen, ground floor", {0}, "In the kitchen"),
+        ("We are in the basement.", {-1, -2, -3}, ""),
+        ("Ich bin im zweiten Stock der Bibliothek.", {2}, "Ich bin in der Bibliothek."),
+        ("Ich bin im Hotel, 2. Stock. Ein Bett ist links.", {2}, "Ich bin im Hotel. Ein Bett ist links."),
+        ("Wir sind im Erdgeschoss", {0}, ""),
+        ("Im 1. OG vom Hotel", {1}, "im Hotel"),
+        ("A bakery is on the ground floor of the hotel.", set(), None),
+        ("The floor is dark, and I am next to a bed.", set(), None),
+        ("I am in the 3rd street", set(), None),
+    ],
+)  # fmt: skip
+def test_floors_are_understood_and_taken_out(text, levels, left):
+    floors, rest = said_floors(text)
+    assert {level for floor in floors for level in floor.levels} == levels
+    assert rest == (text if left is None else left)
+
+
+@pytest.mark.parametrize(
+    ("text", "level", "storeys", "sign"),
+    [
+        ("I am on the second floor", "1", 0, 1),
+        ("I am on the second floor", "2", 0, 1),
+        ("I am on the second floor", "0", 0, -1),
+        ("I am on the second floor", "0", 1, 1),  # a house of two storeys
+        ("I am on the second floor", "", 0, 0),
+        ("I am not on the ground floor", "0", 0, -1),
+        ("I am not on the ground floor", "1", 0, 0),
+        ("Ich bin im zweiten Stock", "1", 0, -1),
+        ("I am in the basement", "-1", 0, 1),
+    ],
+)
+def test_what_a_floor_weighs(text, level, storeys, sign):
+    weight = ratio_of(said_floors(text)[0], level, storeys)
+    assert (weight > 0.5) - (weight < -0.5) == sign
+
+
+def test_a_floor_tells_twins_of_one_house_apart(world, films):
+    up = world.scenes["suite"]
+    above = up.anchored(*(dataclasses.replace(a, level="4") for a in up.anchors))
+    house = World({"west": world.cities["west"]}, {"low": up, "high": above})
+    assert house.locate("I am in the hotel", films["parlour"]).status is Status.AMBIGUOUS
+    for text, scene in (("ground floor", "low"), ("fifth floor", "high")):
+        told = house.locate(f"I am in the hotel on the {text}", films["parlour"])
+        assert (told.status, told.best.scene) == (Status.OK, scene)
+    wrong = World(house.cities, {"low": up}).locate(
+        "I am in the hotel on the fifth floor", films["parlour"]
+    )
+    assert wrong.status is Status.AMBIGUOUS
+    assert "level 0 is not the floor that was said" in wrong.reason
