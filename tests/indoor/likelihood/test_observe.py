@@ -407,20 +407,21 @@ def test_colours_are_means_of_cells():
 
 
 def test_scores_add_up():
-    scores = np.array([[1.0, 2.0, 4.0], [-3.0, 0.5, 0.25]], np.float32)
+    scores = np.array([[1.0, 2.0, 4.0, 8.0], [-3.0, 0.5, 0.25, 1.0]], np.float32)
     got = model_of(Likelihood()).combined(scores, ALL)
-    assert got.tolist() == [7.0, -2.25]
-    assert model_of(Likelihood()).combined(scores, np.array([True, False, True])).tolist() == [
-        5.0,
-        -2.75,
-    ]
+    assert got.tolist() == [15.0, -1.25]
+    for terms, sums in (
+        ([True, False, True], [5.0, -2.75]),  # tones count beside depth alone
+        ([False, True, False], [2.0, 0.5]),
+    ):
+        assert model_of(Likelihood()).combined(scores, np.array(terms)).tolist() == sums
 
 
 def test_eq_2():
     """-(2 (1 + l1 + l2) - (s + l1 d + l2 c))^2 / (2 sigma^2)."""
     options = Likelihood(kind="gaussian", sigma=0.3, depth_lambda=0.5, colour_lambda=0.25)
     model = model_of(options)
-    scores = np.array([[2, 2, 2], [1.5, 1.0, 0.4]], np.float32)
+    scores = np.array([[2, 2, 2, 0], [1.5, 1.0, 0.4, 0]], np.float32)
     got = model.combined(scores, ALL)
     assert got[0] == 0.0
     assert got[1] == pytest.approx(-((3.5 - (1.5 + 0.5 + 0.1)) ** 2) / (2 * 0.09))
@@ -434,7 +435,7 @@ def test_eq_2():
 def test_compiled_code_gets_the_options_numbers():
     model = Likelihood(
         depth_floor=0.01, depth_slope=0.02, depth_gain=3.0, near_cost=4.0, far_cost=5.0,
-        depth_weight=6.0, colour_weight=7.0, depth_clip=8.0,
+        depth_weight=6.0, colour_weight=7.0, tone_weight=7.5, depth_clip=8.0,
     )  # fmt: skip
-    assert model_of(model).noise == (False, 0.01, 0.02, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
+    assert model_of(model).noise == (False, 0.01, 0.02, 3.0, 4.0, 5.0, 6.0, 7.0, 7.5, 8.0)
     assert model_of(Likelihood(kind="gaussian")).noise.gaussian is True

@@ -16,6 +16,7 @@ from placegraph.indoor.likelihood.score_kernels import (
     FLAT,
     SEMANTIC,
     STEEPEST,
+    TONE,
     look,
     score_poses,
 )
@@ -45,13 +46,14 @@ def cast(caster, pose, view):
 
 
 def slow_scores(caster, surface, pose, view, model):
-    """Semantic, depth and colour of one pose: the equations of `score` and `options.Likelihood`."""
+    """Semantic, depth, colour and tone of one pose: the equations of `score`, `options.Likelihood`."""
     hits = cast(caster, pose, view)
     used = view.patch >= 0
     return (
         slow_semantic(hits, surface, view, used, model) if view.terms[SEMANTIC] else 0.0,
         slow_depth(hits, view, used, model) if view.terms[DEPTH] else 0.0,
         slow_colour(hits, surface, view, used, model) if view.terms[COLOUR] else 0.0,
+        slow_tone(hits, surface, view, used, model) if all(view.terms[1:]) else 0.0,
     )
 
 
@@ -92,11 +94,30 @@ def slow_depth(hits, view, used, model):
     return model.depth_weight * total / used.sum()
 
 
-def slow_colour(hits, surface, view, used, model):
+def colours_shown(hits, surface, view, used):
+    """(R, 3) what the map shows at samples; NaN: nothing."""
     shown = np.full((len(used), 3), np.nan)
     for r in np.flatnonzero(used & (hits.triangle >= 0)):
         footprint = np.float32(hits.distance[r] * view.footprint)
         shown[r] = opponent(*colour_at(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint))
+    return shown
+
+
+def slow_tone(hits, surface, view, used, model):
+    """Mean over channels of what the correlation of colours tells, times the share that hits."""
+    shown = colours_shown(hits, surface, view, used)
+    there = ~np.isnan(shown[:, 0])
+    if model.gaussian or there.sum() < 16:
+        return 0.0
+    told = 0.0
+    for q, r in zip(view.colour[there].T.astype(float), shown[there].T, strict=True):
+        if q.var() > 1e-4 and r.var() > 1e-4:
+            told -= math.log(1 - np.clip(np.corrcoef(q, r)[0, 1], 0, 0.99) ** 2) / 6
+    return model.tone_weight * there.sum() / used.sum() * told
+
+
+def slow_colour(hits, surface, view, used, model):
+    shown = colours_shown(hits, surface, view, used)
     seen = view.colour.astype(float)
     there = ~np.isnan(shown[:, 0])
     if model.gaussian:  # SSIM of the lightness of each tile of 4 x 4
@@ -205,7 +226,7 @@ def test_scores_of_chance(model, room, backend, rng):
     poses = poses_in(room.bounds + np.array([[-0.3], [0.3]]), rng, 60)
     got, expected = compared(caster, room.surface, poses, view, model)
     agree(got, expected)
-    assert (np.ptp(got, axis=0) > 0.1).all()
+    assert (np.ptp(got, axis=0) > 0.1)[: TONE if model.gaussian else None].all()
 
 
 @MODELS
@@ -227,7 +248,8 @@ def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
     far = poses_in(room.bounds, rng, 40)
     elsewhere = score_poses(room.caster.tracer, room.surface, far, view, model)
     wanted = view.terms
-    assert (np.median(got, axis=0) > np.median(elsewhere, axis=0))[wanted].all()
+    assert (np.median(got, axis=0) > np.median(elsewhere, axis=0))[:TONE][wanted].all()
+    assert model.gaussian or np.median(got[:, TONE]) > np.median(elsewhere[:, TONE])
 
 
 @MODELS
@@ -251,7 +273,7 @@ def test_maps_with_holes(model, room, rng):
 @MODELS
 @pytest.mark.parametrize(
     "terms",
-    [(True, False, False), (False, True, False), (False, False, True), (True, True, False)],
+    [(True, False, False), (False, True, False), (False, False, True), (False, True, True)],
 )
 def test_only_the_terms_asked_for(model, terms, room, rng):
     view = camera_view(rng, len(room), model, terms=terms)
@@ -260,8 +282,9 @@ def test_only_the_terms_asked_for(model, terms, room, rng):
     whole = score_poses(
         room.caster.tracer, room.surface, poses, view._replace(terms=np.ones(3, bool)), model
     )
-    np.testing.assert_allclose(got[:, terms], whole[:, terms], rtol=1e-5, atol=1e-5)
-    assert not got[:, ~np.array(terms)].any()
+    asked = np.array([*terms, terms[DEPTH] and terms[COLOUR]])
+    np.testing.assert_allclose(got[:, asked], whole[:, asked], rtol=1e-5, atol=1e-5)
+    assert not got[:, ~asked].any()
 
 
 # ---------------------------------------------------------------------------------- Eq. 2
@@ -274,6 +297,7 @@ def test_the_papers_scores_lie_between_0_and_2(room, rng):
         scores = score_poses(room.caster.tracer, room.surface, poses, view, PAPER)
         assert scores.min() >= 0
         assert scores.max() <= 2
+        assert not scores[:, TONE].any()
 
 
 def test_a_perfect_camera_scores_2(room, rng):
@@ -293,8 +317,8 @@ def test_a_perfect_camera_scores_2(room, rng):
     view = view._replace(patch=patch, semantic=semantic, weight=weight)
     poses = pose + np.array([[0, 0, 0, 0], [0.3, 0, 0, 0], [0, 0, 0, 0.3], [0, 0, 0.3, 0]])
     scores = score_poses(room.caster.tracer, room.surface, poses, view, PAPER)
-    np.testing.assert_allclose(scores[0], 2.0, atol=0.02)
-    assert (scores[1:] < scores[0] - 0.05).all()
+    np.testing.assert_allclose(scores[0, :TONE], 2.0, atol=0.02)
+    assert (scores[1:, :TONE] < scores[0, :TONE] - 0.05).all()
     best = score_poses(room.caster.tracer, room.surface, poses, view, CALIBRATED)
     assert (best[1:, 1:] < best[0, 1:]).all()
 
@@ -323,7 +347,7 @@ def test_frames_without_readings_or_patches_score_nothing(model, room, rng):
     scores = score_poses(
         room.caster.tracer, room.surface, poses_in(room.bounds, rng, 9), view, model
     )
-    assert not scores[:, :2].any()
+    assert not scores[:, [SEMANTIC, DEPTH]].any()
     assert np.isfinite(scores).all()
 
 
@@ -336,14 +360,41 @@ def test_grey_images_tell_nothing_of_colour(model, room, rng):
     scores = score_poses(room.caster.tracer, room.surface, poses, view, model)
     assert np.isfinite(scores).all()
     if not model.gaussian:
-        assert not scores[:, COLOUR].any()
+        assert not scores[:, [COLOUR, TONE]].any()
     mesh = room.mesh
     plain = Mesh.plain(mesh.vertices, mesh.triangles, mesh.object_of)
     view = camera_view(rng, len(room), model)
     blank = score_poses(room.caster.tracer, Surface.of(plain), poses, view, model)
     assert np.isfinite(blank).all()
     if not model.gaussian:
-        assert abs(blank[:, COLOUR]).max() < 1e-6
+        assert abs(blank[:, [COLOUR, TONE]]).max() < 1e-6
+
+
+def test_tones_tell_rooms_apart_whose_steps_are_alike(boxes):
+    """A wall a little brighter than the floor, and one a little darker than the ceiling.
+
+    Depth is the same before either, and so is every step: steep ones count no more than others. That
+    is how a camera in half a map of an office was put before the wrong wall, and said to be LOST.
+    """
+    drawn = boxes({"hall": ((0, 0, 0), (6, 4, 3))})
+    corners = drawn.vertices[drawn.triangles]
+    flat = corners.mean(axis=1)
+    grey = np.full(len(corners), 225)
+    planes = ((2, 0, 40), (2, 3, 250), (0, 6, 70), (0, 0, 200))  # floor, ceiling, east, west
+    for axis, at, light in planes:
+        grey[np.ptp(corners[..., axis], axis=1) + abs(flat[:, axis] - at) < 1e-6] = light
+    triangles = np.arange(3 * len(corners)).reshape(-1, 3)
+    colours = np.repeat(grey, 3)[:, None].repeat(3, axis=1)
+    mesh = Mesh.plain(corners.reshape(-1, 3), triangles, drawn.thing_of, colours)
+    caster, surface = RayCaster(mesh.vertices, mesh.triangles), Surface.of(mesh)
+    view = camera_view(np.random.default_rng(0), 1, CALIBRATED, terms=(False, True, True))
+    poses = np.array([[3, 2, 1.5, 0], [3, 2, 1.5, np.pi]])
+    seen = seen_by_itself(caster, surface, poses[0], view)
+    seen = seen._replace(usual_depth=np.zeros_like(seen.usual_depth))
+    right, wrong = score_poses(caster.tracer, surface, poses, seen, CALIBRATED)
+    np.testing.assert_allclose(right[[DEPTH, COLOUR]], wrong[[DEPTH, COLOUR]], rtol=0.02)
+    right, wrong = model_of(Likelihood()).combined(np.array([right, wrong]), seen.terms)
+    assert right > wrong + 30  # nat, of one frame
 
 
 # ------------------------------------------------------------------- one by one, in parallel
@@ -356,7 +407,7 @@ def test_poses_are_scored_one_by_one(model, count, room, rng):
     view = camera_view(rng, len(room), model, stride=16)
     poses = poses_in(room.bounds, rng, count)
     together = score_poses(room.caster.tracer, room.surface, poses, view, model)
-    assert together.shape == (count, 3)
+    assert together.shape == (count, 4)
     for k in range(0, count, 13):
         alone = score_poses(room.caster.tracer, room.surface, poses[k : k + 1], view, model)
         np.testing.assert_array_equal(alone[0], together[k])

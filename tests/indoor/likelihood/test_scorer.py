@@ -26,7 +26,7 @@ def test_scores_are_counted(room, seen):
     scorer = Scorer(room, OPTIONS.likelihood)
     poses = np.array([[2.0, 1.5, 1.6, 0.1], [2.2, 1.5, 1.6, 0.3]])
     terms = scorer.terms(poses, seen[0])
-    assert terms.shape == (2, 3)
+    assert terms.shape == (2, 4)
     assert scorer.poses == 2
     assert scorer.rays == 2 * len(seen[0].directions)
     values = scorer(poses, seen[0])

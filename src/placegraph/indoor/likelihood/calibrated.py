@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH
 from placegraph.indoor.likelihood.view import Noise
 
 if TYPE_CHECKING:
@@ -71,8 +72,9 @@ class Calibrated:
         return out
 
     def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
-        """Log-likelihoods (N,): the sum of the terms that are there."""
-        return np.asarray(scores.astype(np.float64)[:, terms].sum(axis=1))
+        """Log-likelihoods (N,): the sum of the terms that are there; tones count beside depth."""
+        asked = np.append(terms, terms[COLOUR] and terms[DEPTH])
+        return np.asarray(scores.astype(np.float64)[:, asked].sum(axis=1))
 
     def heat(self, frames: int, *, depth: bool) -> float:
         """Nats that count as one where so many frames are summed."""

@@ -38,7 +38,7 @@ class Model(Protocol):
         """What each reading (R,) [m] along directions (R, 3) scores if nothing is known of the pose."""
 
     def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
-        """Log-likelihoods (N,) of scores (N, 3), semantic, depth, colour, of which `terms` (3,) are."""
+        """Log-likelihoods (N,) of scores (N, 4) of `score_poses`; `terms` (3,) are asked for."""
 
     def heat(self, frames: int, *, depth: bool) -> float:
         """Nats that count as one among modes, of so many frames; `depth`: whether it takes part."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.likelihood.score_kernels import TONE
 from placegraph.indoor.likelihood.view import Noise
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Paper:
         """Eq. 2: -(2 (1 + l1 + l2) - (s + l1 d + l2 c))^2 / (2 sigma^2); terms not there ask nothing."""
         o = self.options
         factors = np.array([1.0, o.depth_lambda, o.colour_lambda]) * terms
-        missing = 2.0 * factors.sum() - scores.astype(np.float64) @ factors
+        missing = 2.0 * factors.sum() - scores[:, :TONE].astype(np.float64) @ factors
         return np.asarray(-(missing**2) / (2.0 * o.sigma**2))
 
     def heat(self, frames: int, *, depth: bool) -> float:

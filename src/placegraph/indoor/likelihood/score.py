@@ -46,7 +46,7 @@ class Scorer:
             self._warp = WarpScorer(scene, self.device)
 
     def terms(self, poses: Floats, view: View) -> NDArray[np.float32]:
-        """Scores (N, 3) of poses (N, 4): semantic, depth, colour; see `score_poses`."""
+        """Scores (N, 4) of poses (N, 4), a column a term; see `score_poses`."""
         start = perf_counter()
         poses = np.ascontiguousarray(poses, np.float64)
         if self._warp is not None:

@@ -11,28 +11,27 @@ from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGL
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 from placegraph.threads import share
 
-SEMANTIC, DEPTH, COLOUR = range(3)
-"""Columns of scores."""
-
+SEMANTIC, DEPTH, COLOUR, TONE = range(4)
+"""Columns of scores: of images their steps of colour and, beside depth, their tones."""
 
 _FEW = 8
 """So few poses are scored sooner than other threads wake."""
-
 
 STEEPEST = np.array([0.1, 0.02, 0.02], np.float32)
 """Steps of `surface.opponent` between neighbouring samples count no more than this: a bright window
 or a dark gap says no more of a place than the outline of a table."""
 FLAT = np.float32(0.01)
 """Mean square of steps, as shares of `STEEPEST`, that is taken for noise: bare walls say nothing."""
+_STILL = 1e-4  # variance of colours below which there is none to compare
 
 
 def score_poses(tracer, surface, poses, view, noise):
-    """Scores (N, 3) float32 of poses (N, 4) float64 x, y, z [m], yaw [rad] against one view.
+    """Scores (N, 4) float32 of poses (N, 4) float64 x, y, z [m], yaw [rad] against one view.
 
-    Columns: semantic, depth, colour; log-likelihood ratios against a place the map does not know
-    or, under ``gaussian``, the paper's scores in [0, 2] (Sec. 3.3, 3.4).
+    Columns: semantic, depth, colour, tone; log-likelihood ratios against a place the map does not
+    know or, under ``gaussian``, the paper's scores in [0, 2] (Sec. 3.3, 3.4), which has no tone.
     """
-    scores = np.zeros((len(poses), 3), np.float32)
+    scores = np.zeros((len(poses), 4), np.float32)
     if len(poses) <= _FEW:
         _score(tracer, surface, poses, view, noise, scores, 0, len(poses))
     else:
@@ -42,17 +41,18 @@ def score_poses(tracer, surface, poses, view, noise):
 
 @kernel(fastmath=True, error_model="numpy")
 def _score(tracer, surface, poses, view, noise, scores, first, last):
-    """Fill rows `first` to `last` of scores (N, 3)."""
+    """Fill rows `first` to `last` of scores (N, 4)."""
     patches = len(view.weight)
     packet, ints, valid = new_packet()
     seen = np.zeros(patches, np.float32)
     count = np.zeros(patches, np.float32)
     shown, hit = np.zeros((LANES, 3), np.float32), np.zeros(LANES, np.bool_)
-    moments = np.zeros(5, np.float64)
+    steps, tones = np.zeros(5, np.float64), np.zeros((3, 6), np.float64)
     for k in range(first, last):
         seen[:] = 0.0
         count[:] = 0.0
-        moments[:] = 0.0
+        steps[:] = 0.0
+        tones[:] = 0.0
         far = np.float32(0.0)
         readings = 0
         missed = 0.0
@@ -85,7 +85,10 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 if view.terms[COLOUR]:
                     ssim += _ssim(tile, packet, ints, surface, view)
             elif view.terms[COLOUR]:
-                _steps(tile, packet, ints, surface, view, shown, hit, moments)
+                _show(tile, packet, ints, surface, view, shown, hit)
+                _steps(tile, view, shown, hit, steps)
+                if view.terms[DEPTH]:
+                    _tones(tile, view, shown, hit, tones)
         if view.terms[SEMANTIC]:
             scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
         samples = np.float32(0.0)
@@ -99,7 +102,8 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 scores[k, COLOUR] = max(0.0, 2.0 * ssim / samples)
         else:
             scores[k, DEPTH] = np.float32(noise.depth_weight) * far / samples
-            scores[k, COLOUR] = np.float32(noise.colour_weight) * _correlation(moments)
+            scores[k, COLOUR] = np.float32(noise.colour_weight) * _correlation(steps)
+            scores[k, TONE] = np.float32(noise.tone_weight) * _tone(tones) / samples
 
 
 @kernel(inline="always")
@@ -149,18 +153,39 @@ def _depth(expected, measured, noise):
 
 
 @kernel(inline="always", fastmath=True)
-def _steps(tile, packet, ints, surface, view, shown, hit, moments):
-    """Add steps of colour between neighbours of a tile to a frame's moments.
-
-    Moments: pairs of neighbours in the image, those of them that hit, and over these the sums of
-    squares of the image's steps, of the map's, and of their products.
-    """
+def _show(tile, packet, ints, surface, view, shown, hit):
+    """What the map shows at the samples of a tile: `shown` (16, 3) where `hit` (16,)."""
     for lane in range(LANES):
         triangle = ints[TRIANGLE, lane]
         hit[lane] = triangle >= 0 and view.patch[tile * LANES + lane] >= 0
         if hit[lane]:
             red, green, blue = _shown(packet, lane, triangle, surface, view)
             shown[lane, 0], shown[lane, 1], shown[lane, 2] = red, green, blue
+
+
+@kernel(inline="always", fastmath=True)
+def _tones(tile, view, shown, hit, moments):
+    """Add the colours of a tile to a frame's moments (3, 6) of each channel."""
+    for lane in range(LANES):
+        if not hit[lane]:
+            continue
+        for c in range(3):
+            q, r = view.colour[tile * LANES + lane, c], shown[lane, c]
+            moments[c, 0] += q
+            moments[c, 1] += r
+            moments[c, 2] += q * q
+            moments[c, 3] += r * r
+            moments[c, 4] += q * r
+            moments[c, 5] += 1.0
+
+
+@kernel(inline="always", fastmath=True)
+def _steps(tile, view, shown, hit, moments):
+    """Add steps of colour between neighbours of a tile to a frame's moments.
+
+    Moments: pairs of neighbours in the image, those of them that hit, and over these the sums of
+    squares of the image's steps, of the map's, and of their products.
+    """
     pairs = both = 0
     qq = rr = qr = np.float32(0.0)
     for lane in range(LANES):
@@ -238,6 +263,24 @@ def _correlation(moments):
     rho = qr / np.sqrt((qq + flat) * (rr + flat))
     rho = min(max(rho, 0.0), 0.99)
     return np.float32(-0.5 * np.log(1.0 - rho * rho) * both / pairs)
+
+
+@kernel(inline="always", fastmath=True)
+def _tone(moments):
+    """-log(1 - rho^2) / 2 of colours, the mean of their channels, times the samples that hit [nat].
+
+    A channel's gain and offset are free: a lamp's brightness and colour are not known.
+    """
+    hits, total = moments[0, 5], 0.0
+    if hits < LANES:
+        return np.float32(0.0)
+    for c in range(3):
+        q, r = moments[c, 0] / hits, moments[c, 1] / hits
+        vq, vr = moments[c, 2] / hits - q * q, moments[c, 3] / hits - r * r
+        if vq > _STILL and vr > _STILL:
+            rho = min(max((moments[c, 4] / hits - q * r) / np.sqrt(vq * vr), 0.0), 0.99)
+            total -= np.log(1.0 - rho * rho) / 6.0
+    return np.float32(total * hits)
 
 
 @kernel

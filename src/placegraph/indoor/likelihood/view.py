@@ -57,7 +57,7 @@ class View(NamedTuple):
     footprint: float
     """Angle between neighbouring samples [rad]."""
     terms: NDArray[np.bool_]
-    """(3,) which terms are there and wanted."""
+    """(3,) which terms are there and wanted: semantic, depth, colour."""
 
 
 class Noise(NamedTuple):
@@ -78,7 +78,9 @@ class Noise(NamedTuple):
     depth_weight: float
     """Independent readings that a full image of depth is worth."""
     colour_weight: float
-    """Independent samples that a full image of colour is worth."""
+    """Independent samples that a full image is worth by its steps of colour ..."""
+    tone_weight: float
+    """... and by tones, where they count."""
     depth_clip: float
     """Eq. of Sec. 3.4: depth errors are clipped here [m], and count as shares of it; 0: nowhere."""
 

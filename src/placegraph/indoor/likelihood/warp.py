@@ -53,8 +53,8 @@ class WarpScorer:
         self._last: tuple[View, Any] | None = None
 
     def score(self, poses: Floats, view: View, noise: Noise) -> NDArray[np.float32]:
-        """Scores (N, 3) of poses (N, 4) x, y, z [m], yaw [rad]: semantic, depth, colour."""
-        scores = np.zeros((len(poses), 3), np.float32)
+        """Scores (N, 4) of poses (N, 4) x, y, z [m], yaw [rad], a column a term."""
+        scores = np.zeros((len(poses), 4), np.float32)
         if self._last is None or self._last[0] is not view:
             self._last = view, self._upload(view)
         seen, model = self._last[1], self._kernels.Noise()
@@ -78,7 +78,7 @@ class WarpScorer:
         colour = wp.empty((n, rays), dtype=wp.vec3, device=device)
         sums = wp.empty((n, rays // LANES, kernels.SUMS), dtype=wp.float32, device=device)
         said = wp.empty((n, patches), dtype=wp.float32, device=device)
-        scores = wp.empty((n, 3), dtype=wp.float32, device=device)
+        scores = wp.empty((n, 4), dtype=wp.float32, device=device)
         places = caster.vectors(poses[:, :3]), wp.array(turns, dtype=wp.vec2, device=device)
         for kernel, shape, arguments in (
             (

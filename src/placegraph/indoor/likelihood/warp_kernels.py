@@ -7,15 +7,19 @@ then over the frame (`finish`), so that the same poses get the same scores every
 
 import warp as wp
 
+from placegraph.indoor.likelihood.warp_colours_kernels import (
+    LANES,
+    TONES,
+    correlation,
+    step,
+    tone,
+)
 from placegraph.indoor.rays.warp_kernels import Surface
 
 FARTHEST = wp.constant(wp.float32(3.0e38))
-LANES = wp.constant(16)
-SUMS = wp.constant(8)
-"""A tile's sums: depth, hits, SSIM times hits, and the moments of `score_kernels._steps`."""
-STEEPEST = wp.constant(wp.vec3(0.1, 0.02, 0.02))
-"""`score_kernels.STEEPEST`."""
-FLAT = wp.constant(wp.float64(0.01))  # `score_kernels.FLAT`
+SUMS = wp.constant(23)
+"""A tile's sums: depth, hits, SSIM times hits, and the moments of `score_kernels._steps` and
+`score_kernels._tones`."""
 NO_COLOUR = wp.constant(wp.float32(-1.0))  # lightness of a ray that hits nothing
 
 
@@ -31,6 +35,7 @@ class Noise:
     far_cost: float
     depth_weight: float
     colour_weight: float
+    tone_weight: float
     depth_clip: float
 
 
@@ -154,38 +159,44 @@ def sum_tiles(
     colour: wp.array2d(dtype=wp.vec3),
     sums: wp.array3d(dtype=wp.float32),
 ):
-    """Pose n, tile t: sums over its 16 samples, steps of colour, and the SSIM of its lightness."""
+    """Pose n, tile t: sums over its 16 samples, colours, their steps, and the SSIM of lightness."""
     n, t = wp.tid()
     far = float(0.0)
     hits = float(0.0)
-    q1 = float(0.0)
-    r1 = float(0.0)
-    q2 = float(0.0)
-    r2 = float(0.0)
-    qr = float(0.0)
+    q1 = wp.vec3(0.0)
+    r1 = wp.vec3(0.0)
+    q2 = wp.vec3(0.0)
+    r2 = wp.vec3(0.0)
+    qr = wp.vec3(0.0)
     for lane in range(LANES):
         sample = t * LANES + lane
         far = far + depth[n, sample]
-        light = colour[n, sample][0]
-        if light >= 0.0:
-            seen = view.colour[sample][0]
+        shown = colour[n, sample]
+        if shown[0] >= 0.0:
+            seen = view.colour[sample]
             hits = hits + 1.0
             q1 = q1 + seen
-            r1 = r1 + light
-            q2 = q2 + seen * seen
-            r2 = r2 + light * light
-            qr = qr + seen * light
+            r1 = r1 + shown
+            q2 = q2 + wp.cw_mul(seen, seen)
+            r2 = r2 + wp.cw_mul(shown, shown)
+            qr = qr + wp.cw_mul(seen, shown)
     ssim = float(0.0)
     if hits >= 2.0:
         c1 = 9.0e-4
         c2 = 81.0e-4
-        mq = q1 / hits
-        mr = r1 / hits
-        vq = q2 / hits - mq * mq
-        vr = r2 / hits - mr * mr
-        cov = qr / hits - mq * mr
+        mq = q1[0] / hits
+        mr = r1[0] / hits
+        vq = q2[0] / hits - mq * mq
+        vr = r2[0] / hits - mr * mr
+        cov = qr[0] / hits - mq * mr
         ssim = (2.0 * mq * mr + c1) * (2.0 * cov + c2)
         ssim = ssim / ((mq * mq + mr * mr + c1) * (vq + vr + c2))
+    for c in range(3):
+        sums[n, t, TONES + 5 * c] = q1[c]
+        sums[n, t, TONES + 5 * c + 1] = r1[c]
+        sums[n, t, TONES + 5 * c + 2] = q2[c]
+        sums[n, t, TONES + 5 * c + 3] = r2[c]
+        sums[n, t, TONES + 5 * c + 4] = qr[c]
     sums[n, t, 0] = far
     sums[n, t, 1] = hits
     sums[n, t, 2] = ssim * hits
@@ -213,13 +224,6 @@ def sum_tiles(
     sums[n, t, 5] = qq
     sums[n, t, 6] = rr
     sums[n, t, 7] = along
-
-
-@wp.func
-def step(here: wp.vec3, there: wp.vec3) -> wp.vec3:
-    """`score_kernels._step` of all channels."""
-    one = wp.vec3(1.0, 1.0, 1.0)
-    return wp.max(wp.min(wp.cw_div(there - here, STEEPEST), one), -one)
 
 
 @wp.kernel(enable_backward=False)
@@ -253,7 +257,7 @@ def finish(
     said: wp.array2d(dtype=wp.float32),
     scores: wp.array2d(dtype=wp.float32),
 ):
-    """Pose n: its three scores (`score_kernels.score_poses`)."""
+    """Pose n: its scores (`score_kernels.score_poses`)."""
     n = wp.tid()
     total = float(0.0)
     if view.has_semantic != 0:
@@ -269,6 +273,7 @@ def finish(
         far = far + sums[n, t, 0]
         hits = hits + sums[n, t, 1]
         ssim = ssim + sums[n, t, 2]
+    scores[n, 3] = 0.0
     if noise.gaussian != 0:
         scores[n, 1] = 0.0
         if view.readings > 0.0:
@@ -277,24 +282,5 @@ def finish(
     else:
         scores[n, 1] = noise.depth_weight * far / wp.max(view.number, 1.0)
         scores[n, 2] = noise.colour_weight * correlation(sums, n)
-
-
-@wp.func
-def correlation(sums: wp.array3d(dtype=wp.float32), n: int) -> float:
-    """`score_kernels._correlation` of pose n."""
-    pairs = wp.float64(0.0)
-    both = wp.float64(0.0)
-    qq = wp.float64(0.0)
-    rr = wp.float64(0.0)
-    qr = wp.float64(0.0)
-    for t in range(sums.shape[1]):
-        pairs = pairs + wp.float64(sums[n, t, 3])
-        both = both + wp.float64(sums[n, t, 4])
-        qq = qq + wp.float64(sums[n, t, 5])
-        rr = rr + wp.float64(sums[n, t, 6])
-        qr = qr + wp.float64(sums[n, t, 7])
-    if both < wp.float64(LANES):
-        return 0.0
-    flat = wp.float64(3.0) * both * FLAT
-    rho = wp.clamp(qr / wp.sqrt((qq + flat) * (rr + flat)), wp.float64(0.0), wp.float64(0.99))
-    return float(wp.float64(-0.5) * wp.log(wp.float64(1.0) - rho * rho) * both / pairs)
+        if view.has_colour != 0 and view.has_depth != 0:
+            scores[n, 3] = noise.tone_weight * tone(sums, n, hits) / wp.max(view.number, 1.0)

@@ -99,11 +99,11 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
             share = noise.depth_weight / max(1, int(used.sum()))
             np.add.at(weights, objects[read], ratio * share)
             np.add.at(told, objects[read], share)
-        terms = scorer.terms(at[None], view)[0].astype(np.float64)
-        total += float(terms[view.terms].sum())
+        scores = scorer.terms(at[None], view)[0].astype(np.float64)
+        total += float(scores.sum())
         if view.terms[COLOUR]:
             worth = noise.colour_weight * float(hit.sum()) / used.sum()
-            fit[COLOUR] = terms[COLOUR], max(1e-9, worth)
+            fit[COLOUR] = scores[COLOUR], max(1e-9, worth)
     with np.errstate(invalid="ignore"):
         semantic, depth, colour = np.divide(*fits.sum(axis=0).T).tolist()
         return Agreement(
