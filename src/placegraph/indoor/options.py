@@ -84,8 +84,8 @@ class Likelihood:
     colour_weight: float = 360.0
     """Independent samples in a full colour image, by steps of colour between neighbours ..."""
     tone_weight: float = 180.0
-    """... and by the colours themselves, which count beside depth only: alone, they let bright
-    ceilings over dark floors decide."""
+    """... and by the colours themselves, which count beside depth only: without it, light and large
+    areas would decide."""
     sigma: float = 0.2
     """Of Eq. 2 (``gaussian`` only)."""
     depth_clip: float = 0.5

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from placegraph.estimate import PoseMode, Status
 from placegraph.indoor.pose.evidence import Agreement
 from placegraph.indoor.pose.trust import SURE, TRUST
-from placegraph.indoor.pose.verdict import judge
+from placegraph.indoor.pose.verdict import believed, judge
 
 ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
 GOOD = Agreement(1.0, 0.95, 0.97, 0.2, np.full(8, 5.0), np.full(8, 4.0), held=0.1)
@@ -165,3 +165,15 @@ def test_a_bare_wall_has_no_cliff(weights):
     assert steps.min() > 0
     assert steps.max() < 1.0
     assert TRUST.of(replace(bare, colour=0.0), 1.0) < SURE
+
+
+def test_the_likeliest_pose_is_not_where_frames_do_not_fit():
+    """Depth alone put cameras of the office before bare walls, whatever the colours said."""
+    shares = np.array([0.9, 0.08, 0.015, 0.005])
+    got = believed(shares, np.array([-8.2, 1.3, -8.0]))
+    assert got.argmax() == 1
+    assert got[1] > 0.95
+    assert got[3] <= min(got[0], got[2])  # nobody looked
+    np.testing.assert_allclose(believed(shares, np.full(3, 5.0)), shares)
+    np.testing.assert_allclose(believed(shares, np.full(3, -np.inf)), shares)  # labels alone
+    assert got.sum() == pytest.approx(1.0)

@@ -59,7 +59,13 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
 
         depth = not np.isnan(agreed_at(fits[0]).depth)
         fits, shares = _shared(window, fits, window.scorer.model.heat(len(looked), depth=depth))
-        agreed = [agreed_at(fit) for fit in fits[:_EXPLAINED]]
+        count = max(_EXPLAINED, int((shares > _RIVAL).sum()))
+        agreed = [agreed_at(fit) for fit in fits[:count]]
+        if window.options.likelihood.tempered:
+            shares = believed(shares, np.array([TRUST.odds(a) for a in agreed]))
+            order = np.argsort(-shares, kind="stable")
+            shares, fits = shares[order], [fits[i] for i in order]
+            agreed = [agreed[i] for i in order[: len(agreed)]]
         modes = tuple(
             _mode(window, fit, share, agreed[i] if i < len(agreed) else None)
             for i, (fit, share) in enumerate(zip(fits, shares.tolist(), strict=True))
@@ -100,6 +106,21 @@ def _shared(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Fl
     return [fits[i] for i in order], shares[order] / shares.sum()
 
 
+def believed(shares: Floats, odds: Floats) -> Floats:
+    """Probabilities (M,) of fits by their shares (M,), falling, and the log odds (K,) of the first.
+
+    A pose is right where frames fit, and no other place fits better: both are multiplied. Depth may
+    lie on the surfaces of a wrong place while colours contradict, and outweigh a place half of which
+    the map does not show. Those left are no likelier than the least of the first.
+    """
+    if not np.isfinite(odds).all():
+        return shares
+    out = shares / (1.0 + np.exp(-odds.max()))
+    out[: len(odds)] = shares[: len(odds)] / (1.0 + np.exp(-odds))
+    out[len(odds) :] = np.minimum(out[len(odds) :], out[: len(odds)].min())
+    return np.asarray(out / out.sum())
+
+
 def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> PoseMode:
     scene, matrix = window.scene, pose_matrix(fit.pose, window.levels[-1])
     row = scene.scene_at(fit.pose[:2])
@@ -133,6 +154,7 @@ def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, .
 
 
 _EXPLAINED = 3  # modes that can be explained
+_RIVAL = 0.01  # share of a mode that is looked at closely
 
 
 def _status(
@@ -195,7 +217,7 @@ def judge(agreed: Agreement, modes: Sequence[PoseMode], told: float) -> tuple[St
         what = "its height is" if abs(axis[2]) > _UPRIGHT else "it is"
         return Status.AMBIGUOUS, f"One place fits best, but {what} known only to {loose:.1f} m."
     if _sure(agreed, 1.0) and not _sure(agreed, best.probability):
-        rivals = sum(m.probability > 0.01 for m in modes[1:])
+        rivals = sum(m.probability > _RIVAL for m in modes[1:])
         others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
         return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
     if not _sure(agreed, best.probability):
