@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { button, el } from "./parts/base.js";
 import { chipRow } from "./you.js";
-import { evidence, places, verdict } from "./parts/panel.js";
+import { evidence, places, question, verdict } from "./parts/panel.js";
 
 export class Walk {
   constructor(app) {
@@ -71,7 +71,7 @@ export class Walk {
         + "“I walked about 100 metres south.” Each sentence makes the place clearer.");
     const mode = result?.estimate.modes[app.view.selected];
     app.show(chipRow(app.you.chips()), told, this.busy ? el("p", { class: "busy", role: "status" }, "Thinking …") : null,
-      this.error ? app.problem(this.error) : null, result ? verdict(result.estimate) : null,
+      this.error ? app.problem(this.error) : null, result ? verdict(result.estimate) : null, result ? question(result.question) : null,
       result ? places(result, app.view.selected, (k) => app.view.select(k)) : null,
       mode ? evidence(mode, app.view.selected, app.hands) : null);
   }

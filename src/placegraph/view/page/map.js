@@ -6,7 +6,7 @@ import { covering, lettered, Taken, write } from "./letters.js";
 import { gestures } from "./gestures.js";
 import { painted, Tiles } from "./tiles.js";
 
-const PAD = 0.25, SLICE = 7, BUILDINGS = ["building", "landmark"];
+const PAD = 0.25, SLICE = 7, NARROW = 600, BUILDINGS = ["building", "landmark"];
 
 export class MapView {
   /** `canvas` fills its parent; `on` has `view()`, `hover(shape, event)`, `tap(point, shape, event)`. */
@@ -101,14 +101,11 @@ export class MapView {
 
   move(to) { this.view = this.limited({ ...this.view, ...to }); this.draw(); }
 
+  /** The view that shows a rectangle [m], beside what stands on the map. */
   fitting([w, s, e, n], largest = 2.4) {
-    const inset = this.inset ?? [0, 0, 0, 0]; // what covers the map: left, top, right, bottom [px]
-    const width = Math.max(80, this.width - inset[0] - inset[2]), height = Math.max(80, this.height - inset[1] - inset[3]);
-    const scale = Math.min(width / Math.max(e - w, 1), height / Math.max(n - s, 1), largest);
-    return this.limited({
-      x: (w + e) / 2 - (inset[0] - inset[2]) / 2 / scale,
-      y: (s + n) / 2 + (inset[1] - inset[3]) / 2 / scale, scale,
-    });
+    const tools = this.width < NARROW ? 46 : 0, height = Math.max(80, this.height - 1.4 * tools);
+    const scale = Math.min(this.width / Math.max(e - w, 1), height / Math.max(n - s, 1), largest);
+    return this.limited({ x: (w + e) / 2, y: (s + n) / 2 + (0.3 * tools) / scale, scale });
   }
 
   /** The view that shows all there is. */
