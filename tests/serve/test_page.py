@@ -96,6 +96,7 @@ def test_keys_and_labels_suffice(browser, url):
         page.focus("#tab-here")
         page.keyboard.press("ArrowRight")
         assert page.get_attribute("#tab-walk", "aria-selected") == "true"
+        assert page.locator("[aria-selected]:not([role=tab])").count() == 0
         page.keyboard.press("ArrowLeft")
         page.wait_for_selector(".pin")
         seen = []

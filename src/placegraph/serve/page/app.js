@@ -104,7 +104,7 @@ class App {
       tab.tabIndex = on ? 0 : -1;
       if (on) $("panel").setAttribute("aria-label", tab.textContent);
     }
-    document.body.dataset.tab = name;
+    document.body.dataset.way = name;
     this.tab.enter();
     this.tab.render();
   }

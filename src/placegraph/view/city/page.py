@@ -71,7 +71,6 @@ def write_page(
         "heading": clean(heading),
         "css": style_sheet() + "\n" + part("style.css"),
         "source": clean(f"{city.source}: {len(city.objects):,} objects, {len(city.cells):,} cells"),
-        "map": part("map.html"),
         "data": _json(data),
         "script": _joined(),
     }

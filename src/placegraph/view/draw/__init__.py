@@ -1,1 +1,1 @@
-"""What every picture is made of: canvas, painter, letters, sheets, SVG."""
+"""What every picture is made of: canvas, painter, letters, sheets."""

@@ -1,4 +1,4 @@
-"""The drawing model: a display list in metres, which `painter` and `svg` draw.
+"""The drawing model: a display list in metres, which `painter` draws.
 
 Map items (`Area`, `Line`, `Dot`) name a paint of `style.PAINTS`; marks that stand on the map
 (`Stroke`, `Disc`, `Text`, `Glow`) name colours of `style.PALETTE` and have sizes in pixels.

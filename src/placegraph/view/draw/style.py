@@ -1,7 +1,7 @@
 """How things look: one table from map labels to paints, one palette for light and for dark.
 
 The style is quiet: the map is paper, and only what the estimate says is in colour. To change the
-looks, change the tables here; both back ends (PNG and SVG) read them.
+looks, change the tables here; pictures and pages read them.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ const INDOORS = 12; // from this scale on one is seen to be inside [px/m]
 export class AnswerMap {
   constructor(root, { changed = () => {} } = {}) {
     this.root = root;
+    furnish(root);
     this.changed = changed;
     this.heat = new Heat();
     this.places = [];
@@ -227,4 +228,18 @@ export class AnswerMap {
     const below = at.y + 18 + tip.offsetHeight < this.map.height;
     tip.style.translate = `${left}px ${below ? at.y + 18 : Math.max(4, at.y - 10 - tip.offsetHeight)}px`;
   }
+}
+
+/** What stands on a map, besides it. */
+function furnish(root) {
+  const sign = (name, ...words) => [el("span", { class: name }), ...words];
+  root.append(
+    el("canvas", { tabindex: "0", role: "application", "aria-label": "Map. Arrow keys move it, plus and minus zoom, 0 shows all of it." }),
+    el("div", { class: "pins", role: "group", "aria-label": "Places on the map" }),
+    el("div", { class: "tools", role: "group", "aria-label": "Map tools" }),
+    el("div", { class: "scale", "aria-hidden": "true" }, el("span")),
+    el("div", { class: "legend", "aria-hidden": "true" }, sign("dot", "place, with its 86 % ellipse"),
+      sign("ramp", "how probable"), sign("line", "for"), sign("line against", "against")),
+    el("div", { class: "credit" }, "© ", el("a", { href: "https://www.openstreetmap.org/copyright", target: "_blank", rel: "noopener noreferrer" }, "OpenStreetMap contributors")),
+    el("div", { class: "tip", role: "status", hidden: true }));
 }
