@@ -56,8 +56,7 @@ def test_hostile_names_are_only_names(browser, url):
     with opened(browser, url + "#map=hostile") as page:
         still(page)
         typed(page, "A bakery is to my west. A fountain is to my east. A café is south of me.")
-        page.wait_for_selector(".evidence .object")
-        assert "onerror=" in page.inner_text("#answer")
+        page.wait_for_selector(".evidence .object:has-text('onerror=')")
         assert "\u202e" not in page.inner_text("body")
         assert page.evaluate("window.hacked === undefined")
         assert page.locator("#answer img, #answer script, .map svg").count() == 0
@@ -85,7 +84,7 @@ def test_a_phone(browser, url, scheme):
 
 def test_keys_and_labels_suffice(browser, url):
     with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE) as page:
-        page.wait_for_selector(".pin")
+        page.wait_for_selector(".pin.on")
         still(page)
         nameless = page.eval_on_selector_all(
             "button, select, textarea, a, canvas, [role=tab], [role=img]",
@@ -98,7 +97,7 @@ def test_keys_and_labels_suffice(browser, url):
         assert page.get_attribute("#tab-walk", "aria-selected") == "true"
         assert page.locator("[aria-selected]:not([role=tab])").count() == 0
         page.keyboard.press("ArrowLeft")
-        page.wait_for_selector(".pin")
+        page.wait_for_selector(".pin.on")
         seen = []
         for _ in range(40):
             page.keyboard.press("Tab")
@@ -109,9 +108,9 @@ def test_keys_and_labels_suffice(browser, url):
                 break
         assert seen[0] == "text"  # then what is found, and the map at last
         assert seen[-1] == "CANVAS"
-        before = page.get_attribute(".pin >> nth=0", "style")
+        before = page.get_attribute(".pin.on", "style")
         page.keyboard.press("ArrowRight")
-        page.wait_for_selector(f".pin >> nth=0 >> css=:scope:not([style='{before}'])")
+        page.wait_for_selector(f".pin.on:not([style='{before}'])")
         page.wait_for_selector("#live:has-text('places')", state="attached")
 
 

@@ -56,7 +56,9 @@ def test_satellites_and_compass_go_along_only_when_asked(browser, url):
     link = f"{url}#map=hafenstadt&q={SQUARE}"
     asked = []
     with opened(browser, link, permissions=["geolocation"], geolocation=here, **PHONE) as page:
-        page.on("websocket", lambda socket: socket.on("framesent", asked.append))
+        page.on(
+            "websocket", lambda socket: socket.on("framesent", lambda sent: asked.extend([sent]))
+        )
         page.reload()
         page.wait_for_selector(".status")
         assert asked

@@ -196,7 +196,7 @@ export class Stage {
   }
 
   thingAt(point) {
-    const plan = this.view.map.view.scale > 2 * OPEN && this.visible().find((known) => known.image && known.holds(point));
+    const plan = this.view.map.view.scale > 2 * OPEN && this.visible().find((known) => known.holds(point));
     const thing = plan && plan.thingAt(point);
     if (!plan) return undefined;
     return thing ? { osm: thing.id, name: thing.name, label: thing.room ? "room" : thing.label, thing: true } : null;
