@@ -78,7 +78,11 @@ export class Here {
       ...(this.answers.length ? { answers: this.answers } : {}),
     });
     clearTimeout(this.rest);
-    this.rest = setTimeout(() => { if (this.result && this.app.tab === this) this.app.view.home(); this.app.write(); }, REST);
+    this.app.view.map.byHand = false;
+    this.rest = setTimeout(() => {
+      if (this.result && this.app.tab === this && !this.app.view.map.byHand) this.app.view.home();
+      this.app.write();
+    }, REST);
   }
 
   answered(result) {

@@ -147,6 +147,7 @@ export class Stage {
 
   /** Go into a building, to the floor of a plan. */
   async enter(plan) {
+    this.view.map.byHand = true;
     this.shown.set(plan.house, plan);
     try { await this.learn(plan); } catch (error) { this.app.trouble(error); return; }
     const { map } = this.view;

@@ -65,6 +65,7 @@ export class AnswerMap {
   }
 
   select(k) {
+    this.map.byHand = true;
     this.selected = k;
     this.lit.clear();
     this.on(k, true, () => this.enter(k));

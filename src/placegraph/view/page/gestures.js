@@ -18,11 +18,13 @@ export function gestures(map) {
     return b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
   };
   const zoom = (factor, at = { x: map.width / 2, y: map.height / 2 }) => {
+    map.byHand = true;
     const [x, y] = map.plane(at.x, at.y), { scale } = map.limited({ ...map.view, scale: map.view.scale * factor });
     map.move({ scale, x: x - (at.x - map.width / 2) / scale, y: y + (at.y - map.height / 2) / scale });
   };
   const shift = (x, y) => {
     map.stop();
+    map.byHand = true;
     map.move({ x: map.view.x + (90 * x) / map.view.scale, y: map.view.y + (90 * y) / map.view.scale });
   };
 
@@ -41,6 +43,7 @@ export function gestures(map) {
     const last = held.get(event.pointerId);
     if (!moved && Math.hypot(at.x - last.x, at.y - last.y) < 5) return;
     if (!moved) { moved = true; canvas.classList.add("held"); map.on.hover?.(null); }
+    map.byHand = true;
     if (!canvas.hasPointerCapture(event.pointerId)) canvas.setPointerCapture(event.pointerId);
     const before = middle(), far = apart();
     held.set(event.pointerId, at);

@@ -14,6 +14,7 @@ export class MapView {
     Object.assign(this, { canvas, on, ctx: canvas.getContext("2d") });
     this.view = { x: 0, y: 0, scale: 1 };
     this.largest = 12; // scale [px/m]
+    this.byHand = false; // whether somebody moved it
     this.under = []; // painters below the names, and above: (ctx, map) => void
     this.over = [];
     this.names = [];
