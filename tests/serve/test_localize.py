@@ -178,6 +178,21 @@ def test_a_pose_of_before_helps(client, frame, truth, flat):
     assert helped["geopose"]["position"]["lat"] == pytest.approx(there["position"]["lat"], abs=5e-6)
 
 
+@pytest.mark.parametrize(("north", "says"), [(0.05, "5.6 km from map"), (1e-4, "")])
+def test_a_geolocation_far_from_the_map_is_left_out_and_told(client, frame, flat, north, says):
+    here = pg.open_map(flat).anchors[0]
+    request = oscp(frame, 2)
+    request["sensorReadings"]["geolocationReadings"] = [
+        {"sensorId": "2", "timestamp": 1608995990381, "accuracy": 10,
+         "latitude": here.latitude + north, "longitude": here.longitude}
+    ]  # fmt: skip
+    told = client.post("/geopose", json=request).json()
+    assert told["source"] == "images"
+    assert told["geopose"]["position"]["lat"] == pytest.approx(here.latitude, abs=1e-3)
+    assert len(told["notes"]) == bool(says)
+    assert all(says in note and "was left out" in note for note in told["notes"])
+
+
 def test_the_protocols_own_example(client, shared):
     """It has no picture: what is left is where its geolocation says."""
     jsonschema = pytest.importorskip("jsonschema")

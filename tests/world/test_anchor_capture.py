@@ -103,5 +103,8 @@ def test_too_little_is_refused(maps, tmp_path):
     near_scene = replace(scene, viewpoints=np.round(near[::4], 2))
     with pytest.raises(OptionError, match="tell no heading"):
         fit_capture(near_scene, walk(near, tmp_path))
+    (rough,) = fit_capture(near_scene, walk(near, tmp_path), rough=True).anchors
+    assert rough.covariance[3, 3] > np.radians(45) ** 2
+    assert error(rough, (0, 0, 0))[0] < 4.0
     with pytest.raises(OptionError, match=r"not surely found in the map.*Give --pair"):
         fit_capture(maps["parlour"], walk(near, tmp_path)[:4])

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from placegraph.cli.command import Option
+from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Container, Iterator
 
     from rich.console import Console
     from rich.progress import Progress
@@ -21,6 +22,17 @@ if TYPE_CHECKING:
 
 AsJson = Annotated[bool, Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
+
+
+def numbers_of(text: str, option: str, counts: Container[int], mend: str) -> list[float]:
+    """Finite numbers of a text, commas between; `OptionError` with the mend where they are not so many."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) not in counts or not all(map(isfinite, found)):
+        raise OptionError(f"{option} is {text!r}; {mend}")
+    return found
 
 
 def echo_json(told: object) -> None:

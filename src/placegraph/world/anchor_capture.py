@@ -43,7 +43,12 @@ class _Paired(NamedTuple):
 
 
 def fit_capture(
-    scene: SceneMap, capture: Capture, *, seed: int = 0, progress: Progress | None = None
+    scene: SceneMap,
+    capture: Capture,
+    *,
+    rough: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> Fitted:
     """Anchor of a map by the GPS fixes of a capture: of `fixes.txt`, else of its images' EXIF.
 
@@ -56,6 +61,8 @@ def fit_capture(
         A map of one scene.
     capture
         Frames of it, or of the way around it.
+    rough
+        Whether a heading that is hardly known will do, as for the `prior` of `fit_building`.
     seed, progress
         As of `SceneMap.localize`.
 
@@ -85,7 +92,7 @@ def fit_capture(
     anchor = found.anchors[0]
     covariance = anchor.covariance + np.diag([_COMMON**2, _COMMON**2, _COMMON**2, 0.0])
     turn = float(np.sqrt(covariance[3, 3]))
-    if turn > _LOST:
+    if turn > _LOST and not rough:
         reach = float(np.ptp(paired.points[:, :2], axis=0).max())
         raise OptionError(
             f"The fixes (±{np.median(paired.accuracy):.0f} m) lie within {reach:.0f} m of the map and tell "

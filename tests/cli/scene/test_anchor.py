@@ -92,9 +92,9 @@ def test_by_a_pose_in_place_and_off_again(run, scene):
         (["--pose", "7,43,0,0", "--remove"], "one of"),
         (["--in", "town.osm", "--building", "x", "--remove"], "--remove alone"),
         (["--in", "town.osm"], "--in needs --building"),
-        (["--pose", "7,43"], "4 numbers"),
+        (["--pose", "7,43"], "give longitude, latitude, height"),
         (["--pose", "7,99,0,0"], "latitude is 99"),
-        (["--pair", "0,0"], "2 or 3 numbers"),
+        (["--pair", "0,0"], "give x and y in the map"),
         (["--pair", "0,0=7,43"], "at least 3"),
     ],
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph.cli.command import Argument, Option
-from placegraph.errors import OptionError
+from placegraph.cli.common import numbers_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -115,10 +115,6 @@ def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     """Longitude and latitude of an option's text [deg]; raises `OptionError` where it is none."""
     if value is None:
         return None
-    try:
-        longitude, latitude = (float(part) for part in value.split(","))
-    except ValueError as error:
-        raise OptionError(
-            f"{option} is {value!r}; give longitude and latitude as 7.42,43.73."
-        ) from error
+    mend = "give longitude and latitude as 7.42,43.73."
+    longitude, latitude = numbers_of(value, option, {2}, mend)
     return longitude, latitude

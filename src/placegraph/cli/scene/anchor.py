@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from math import degrees, radians, sqrt
+from math import degrees, nan, radians, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from placegraph.cli.command import Option
-from placegraph.cli.common import AsJson, Quiet, progress_of, table
+from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of, table
 from placegraph.cli.scene.query import MapFile
 from placegraph.errors import OptionError
 
@@ -107,7 +107,7 @@ def anchor(
         raise OptionError("--in needs --building: the name of the building that the map is of.")
     scene = SceneMap.open(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
-        fitted = _fitted(scene, pair, pose, accuracy, capture, tell)
+        fitted = _fitted(scene, pair, pose, accuracy, capture, tell, rough=place is not None)
     if place is not None:
         on = fit_building(scene, place, building, level, prior=next(iter(fitted.anchors), None))
         fitted = on._replace(notes=(*fitted.notes, *on.notes))
@@ -141,6 +141,8 @@ def _fitted(
     accuracy: str,
     capture: Path | None,
     tell: Progress,
+    *,
+    rough: bool,
 ) -> Fitted:
     """Anchors by pairs, a pose or fixes, whichever is given; else none."""
     from placegraph.formats.capture.capture import open_capture
@@ -151,7 +153,7 @@ def _fitted(
     if pose is not None:
         return Fitted((_posed(pose, accuracy),), ())
     if capture is not None:
-        return fit_capture(scene, open_capture(capture), progress=tell)
+        return fit_capture(scene, open_capture(capture), rough=rough, progress=tell)
     return Fitted((), ())
 
 
@@ -214,8 +216,9 @@ def _posed(text: str, accuracy: str) -> Anchor:
 
     from placegraph.earth import Anchor
 
-    lon, lat, height, heading = _numbers(text, "--pose", 4)
-    metres, turn = _numbers(accuracy, "--accuracy", 2)
+    mend = "give longitude, latitude, height and heading_deg, as 7.42,43.73,50,90."
+    lon, lat, height, heading = numbers_of(text, "--pose", {4}, mend)
+    metres, turn = numbers_of(accuracy, "--accuracy", {2}, "give metres and degrees, as 1,2.")
     spread = np.square([metres, metres, metres, radians(turn)])
     return Anchor(lon, lat, height, radians(heading), np.diag(spread), method="pose")
 
@@ -223,17 +226,6 @@ def _posed(text: str, accuracy: str) -> Anchor:
 def _pair(text: str) -> tuple[list[float], list[float]]:
     """Point (3,) and place (3,), heights NaN where they are not given."""
     point, _, place = text.partition("=")
-    both = [[*_numbers(side, "--pair", 2, 3), float("nan")][:3] for side in (point, place)]
+    mend = "give x and y in the map, and longitude and latitude, as 8,0=7.42,43.73."
+    both = [[*numbers_of(side, "--pair", {2, 3}, mend), nan][:3] for side in (point, place)]
     return both[0], both[1]
-
-
-def _numbers(text: str, option: str, *counts: int) -> list[float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in counts:
-        raise OptionError(
-            f"{option} {text!r}: {' or '.join(map(str, counts))} numbers with commas belong there."
-        )
-    return values

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from math import isfinite, radians
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from placegraph.cli.command import Argument, Option
-from placegraph.cli.common import AsJson, console, progress_of, table
+from placegraph.cli.common import AsJson, console, numbers_of, progress_of, table
 from placegraph.cli.scene.query import (
     Frames,
     MapFile,
@@ -233,12 +233,6 @@ def _motion(axes: str | None) -> Floats | None:
     from placegraph.geometry import rotation_z
     from placegraph.indoor.mapping.change.register import rigid
 
-    try:
-        numbers = [float(part) for part in axes.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 4 or not all(map(isfinite, numbers)):
-        raise OptionError(
-            f"--b-from-a is {axes!r}; give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."
-        )
+    mend = "give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."
+    numbers = numbers_of(axes, "--b-from-a", {4}, mend)
     return rigid(rotation_z(radians(numbers[3])), np.array(numbers[:3]))

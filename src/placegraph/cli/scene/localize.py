@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from placegraph.cli.command import Option
-from placegraph.cli.common import AsJson, progress_of
+from placegraph.cli.common import AsJson, numbers_of, progress_of
 from placegraph.cli.scene.answer import Files, show
 from placegraph.cli.scene.query import (
     KNOWN,
@@ -216,15 +216,10 @@ def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | No
         if yaw_deg is not None:
             raise OptionError("--yaw-deg belongs to --near; give both.")
         return None
-    try:
-        numbers = [float(part) for part in near.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in {2, 3}:
-        raise OptionError(f"--near is {near!r}; give x and y, and z if it is known, as 1.5,-2.")
+    mend = "give x and y, and z if it is known, as 1.5,-2."
+    x, y, *z = numbers_of(near, "--near", {2, 3}, mend)
     if not (isfinite(radius) and radius > 0):
         raise OptionError(f"--radius is {radius}; it must be greater than 0.")
-    x, y, *z = numbers
     yaw = None if yaw_deg is None else radians(yaw_deg)
     # half of a round Gaussian lies within 1.177 standard deviations
     return Prior(x, y, z[0] if z else None, yaw, spread=radius / sqrt(2.0 * log(2.0)))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.cli.common import numbers_of
 from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
@@ -24,15 +24,11 @@ def map_from_camera_of(text: str, down: Floats | None = None) -> Floats:
     """
     from placegraph.geometry import level_from_camera, pose_matrix
 
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not (4 <= len(numbers) <= 6 and all(isfinite(number) for number in numbers)):
-        raise OptionError(
-            f"--pose is {text!r}; give x, y, z in metres and yaw in degrees, and pitch and roll if "
-            "need be, as 1.5,2,1.6,90 or 1.5,2,1.6,90,-10,0."
-        )
+    mend = (
+        "give x, y, z in metres and yaw in degrees, and pitch and roll if need be, as 1.5,2,1.6,90 or "
+        "1.5,2,1.6,90,-10,0."
+    )
+    numbers = numbers_of(text, "--pose", {4, 5, 6}, mend)
     x, y, z = numbers[:3]
     if down is not None and len(numbers) == 4:
         return pose_matrix([x, y, z, np.deg2rad(numbers[3])], level_from_camera(down))
