@@ -101,6 +101,16 @@ def test_frames_alone_are_as_in_the_library(world, films):
     np.testing.assert_allclose(told.best.pose.map_from_camera, alone.best.map_from_camera)
 
 
+def test_a_room_is_found_in_german(world):
+    one = World({"west": world.cities["west"]}, world.scenes)
+    told = one.locate(
+        "Ich bin in der Stadtbibliothek. Da ist ein Schreibtisch neben einem Bücherregal."
+    )
+    assert (told.best.scene, told.best.room) == ("reading", "study")
+    against = {e.statement: e.verdict for e in told.best.evidence}
+    assert "against" not in against.values()
+
+
 def test_text_alone_names_building_and_room_where_it_can(world):
     told = World({"west": world.cities["west"]}, world.scenes).locate(
         "I am in the Stadtbibliothek. There is a desk and a bookcase."

@@ -23,6 +23,26 @@ def test_split(world, text, outside, inside):
     assert told.to_dict()["inside"] == inside
 
 
+@pytest.mark.parametrize(
+    ("text", "outside", "inside"),
+    [
+        ("Ich bin in der Bibliothek in der Langen Straße, am Fenster", True, ["near: window"]),
+        ("Ich sitze neben dem Sofa. Ein Bett ist links.", False, ["near: sofa", "holds: bed"]),
+        ("Im Schlafzimmer steht ein Bett.", False, ["room: bedroom", "holds: bed"]),
+        ("Im 1. Stock vom Hotel Hansa, in der Küche", True, ["floor: Im 1. Stock", "room: kitchen"]),
+        ("Je suis dans la cuisine, près de la fenêtre.", False, ["room: kitchen", "near: window"]),
+        ("Estoy en el hotel, al lado de la cama", True, ["near: bed"]),
+        ("Ik ben in de keuken, naast het raam.", False, ["room: kitchen", "near: window"]),
+        ("Eine Bäckerei ist nördlich von mir.", True, []),
+    ],
+)  # fmt: skip
+def test_rooms_are_understood_in_other_languages(world, text, outside, inside):
+    told = understand(text, {"west": world.cities["west"]}, THINGS)
+    assert bool(told.outside) is outside
+    assert told.to_dict()["inside"] == inside
+    assert not [i for i in told.ignored if "unknown" in i.reason]
+
+
 def test_addresses_are_known_number_last(world):
     told = understand("I am at Lange Straße 7", {"west": world.cities["west"]}, THINGS)
     assert told.outside["west"].mentions[2].name == "7 Lange Straße"

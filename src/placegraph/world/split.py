@@ -17,6 +17,7 @@ from placegraph.language.check import Ignored, check
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.world.abroad import in_english, of_rooms
 from placegraph.world.floors import said_floors
 from placegraph.world.streets import roads_called
 
@@ -105,7 +106,9 @@ def understand(
     check(text, "I am in the library on Main Street, by the window.")
     floors, left = said_floors(text)
     whole = {
-        name: addressed(read_outside(city, left, heading=heading, language=language), city)
+        name: in_english(
+            addressed(read_outside(city, left, heading=heading, language=language), city), city
+        )
         for name, city in (cities if left else {}).items()
     }
     own = {" ".join(_words(name)) for name in names}
@@ -115,7 +118,10 @@ def understand(
     spoken = {
         word for name, d in whole.items() for i in out[name] for word in _words(d.mentions[i].words)
     }
-    inside = read_inside(left) if left and things and _english(whole) else None
+    inside = None
+    if left and things:
+        foreign = next((d for d in whole.values() if d.language != "en"), None)
+        inside = read_inside(left) if foreign is None else of_rooms(foreign)
     sentence = None if inside is None else _inside(inside, spoken | _WINDS | _parts(own))
     ignored = tuple(dict.fromkeys(i for d in whole.values() for i in d.ignored))
     if not cities and inside is not None:
@@ -237,10 +243,6 @@ def _within(thing: Thing, outside: Collection[str]) -> Thing | None:
         return thing
     own = " ".join(w for w in left if w != "of")
     return replace(thing, label=own, room=room_kind(own)) if room_kind(own) else None
-
-
-def _english(read: Mapping[str, Description]) -> bool:
-    return not read or any(d.language == "en" for d in read.values())
 
 
 def _words(text: str) -> list[str]:

@@ -89,7 +89,7 @@ class World:
         ----------
         text
             What is said of the place, outside or inside: "in the library on Lange Straße, by the
-            window". Indoor language is English.
+            window". Rooms and things are known in English and five other languages.
         capture, frames
             A capture, or frames in order of time, and which of them; all if not given.
         near, radius
