@@ -1,19 +1,25 @@
-"""Open a map of any kind."""
+"""Open a map of any kind, and find those of folders."""
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph import store
-from placegraph.errors import MapError
+from placegraph.errors import InputError, MapError, PlacegraphError
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Sequence
 
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
+
+KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
+"""Kind of map that a file of each name holds."""
 
 
 def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
@@ -52,3 +58,77 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
     raise MapError(
         f"{path} is a {kind} map, which this placegraph does not know; update placegraph."
     )
+
+
+@dataclass(frozen=True)
+class Found:
+    """Files of a world, as they are called; none was looked into."""
+
+    paths: dict[str, dict[str, Path]]
+    """Of each kind of map its files by name."""
+    ignored: tuple[tuple[Path, str], ...]
+    """Files and folders left alone, and why."""
+    twins: tuple[str, ...]
+    """What is wrong with their names."""
+
+    def check(self) -> None:
+        """Read the head of each; `MapError` where some are no maps, or others than they are called."""
+        bad = list(self.twins)
+        for kind, paths in self.paths.items():
+            for path in paths.values():
+                try:
+                    held = store.read_header(path).kind
+                except PlacegraphError as error:
+                    bad.append(str(error))
+                    continue
+                if held != kind:
+                    bad.append(f"{path} holds a {held} map; call it {path.stem}.{held}.")
+        if bad:
+            raise MapError(" ".join(bad))
+
+
+def find(places: Sequence[Path]) -> Found:
+    """Map files that are named, or lie in folders that are named, by what they are called."""
+    paths: dict[str, dict[str, Path]] = {kind: {} for kind in KINDS.values()}
+    ignored, twins = [], []
+    for path in itertools.chain.from_iterable(map(_files, places)):
+        kind = KINDS.get(path.suffix)
+        if path.is_dir():
+            ignored.append((path, "a folder"))
+        elif kind is None:
+            ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
+        elif (known := paths[kind].setdefault(path.stem, path)).resolve() != path.resolve():
+            twins.append(f"{known} and {path} have one name; rename one of them.")
+    return Found(paths, tuple(ignored), tuple(twins))
+
+
+def checked(places: Sequence[Path]) -> Found:
+    """What `find` finds, which is something, and sound as far as the heads of files tell.
+
+    Raises
+    ------
+    InputError
+        A place is missing, or there is no map in any.
+    MapError
+        Map files are damaged, or are called what they are not: all of them, each with its mend.
+
+    """
+    for place in places:
+        if not place.exists():
+            raise InputError(f"{place} does not exist; name a folder with maps, or map files.")
+    found = find(places)
+    found.check()
+    if not any(found.paths.values()):
+        said = ", ".join(map(str, places)) or "nothing"
+        raise InputError(
+            f"{said} holds no map ({', '.join(KINDS)}); build some with `placegraph city build` and "
+            "`placegraph scene build`."
+        )
+    return found
+
+
+def _files(place: Path) -> list[Path]:
+    try:
+        return sorted(place.iterdir())
+    except OSError:  # a file, or gone by now
+        return [place]

@@ -69,6 +69,7 @@ def warm_up(quiet: Quiet = False) -> None:
     if kept.FOLDERS.write is None:
         raise OptionError("--compiled: name a folder that can be written; nothing is kept else.")
     start = perf_counter()
+    _read_once()
     calls = list(dict.fromkeys(call for its in commands().values() for call in its))
     lacking = missing(calls)
     failed = compile_all(lacking, hidden=quiet)
@@ -82,6 +83,15 @@ def warm_up(quiet: Quiet = False) -> None:
         )
     if failed:
         sys.exit(1)
+
+
+def _read_once() -> None:
+    """Make what sentences are read by, which is kept beside compiled code: grammars, tables of words."""
+    from placegraph.indoor.language import read
+    from placegraph.outdoor.language import describe
+
+    describe("A bakery is north of me. Eine Bank ist links von mir.")
+    read("A lamp is on the table.")
 
 
 def _line(done: int, total: int) -> str:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph import store
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
-from placegraph.maps import open_map
-from placegraph.world.maps import checked, find
+from placegraph.maps import checked, find, open_map
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

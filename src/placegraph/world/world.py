@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
 from placegraph.indoor.library import SceneLibrary
-from placegraph.maps import open_map
-from placegraph.world.maps import Maps, checked
+from placegraph.maps import checked, open_map
+from placegraph.world.maps import Maps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
