@@ -12,6 +12,10 @@ from tests.serve.conftest import serving
 
 import placegraph as pg
 from placegraph.formats.capture.tum import read_tum
+from placegraph.serve.desk import Desk
+from placegraph.serve.options import ServeOptions
+from placegraph.serve.places import Places
+from placegraph.serve.worker import answer
 
 ROW = 17
 
@@ -243,10 +247,10 @@ def test_plain_pixels(client, frame, channels):
 
 
 def test_a_map_that_stands_nowhere_has_no_geopose(maps, frame):
-    with serving(maps / "home1.scene", sentence_workers=1) as client:
-        answer = client.post("/geopose", json=oscp(frame, 2))
-        assert (answer.status_code, answer.json()["code"]) == (409, "geopose")
-        assert "placegraph scene anchor" in answer.json()["mend"]
+    desk = Desk(Places([maps / "home1.scene"]), ServeOptions())
+    body, told = answer(desk, "geopose", {"body": json.dumps(oscp(frame, 2)), "version": 2})
+    assert (body, told["status"], told["code"]) == (None, 409, "geopose")
+    assert "placegraph scene anchor" in told["mend"]
 
 
 def test_no_image_and_no_fix(client):

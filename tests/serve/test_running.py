@@ -90,15 +90,21 @@ def test_a_websocket_may_be_silent_for_longer_than_a_head(small):
     [
         (500, b'{"text": "a"}', b"408", b"slow"),  # less than announced
         (10**15, b"{", b"413", b"body_size"),
-        (5, b'{"text": "a"}', b"400", b"request"),  # more than announced: cut, and then no HTTP
+        (5, b'{"text": "a"}', b"422", b"fields"),  # more than announced: cut, and the rest no HTTP
     ],
 )
 def test_lengths_that_lie(small, length, body, status, code):
     told = spoken(small, head(length), body)
-    assert told.startswith(b"HTTP/1.1 " + status) or code == b"request"
-    if code != b"request":
-        assert b'"code":"' + code in told
+    assert told.startswith(b"HTTP/1.1 " + status)
+    assert b'"code":"' + code in told
     assert b'"estimate"' not in told
+
+
+def test_what_is_no_http(small):
+    told = spoken(small, b"\x16\x03\x01 let me in\r\n\r\n")
+    assert told.startswith(b"HTTP/1.1 400")
+    assert b"content-type: application/problem+json" in told.lower()
+    assert json.loads(told.partition(b"\r\n\r\n")[2])["code"] == "http"
 
 
 def test_chunks_without_end_are_counted(small):

@@ -1,10 +1,13 @@
 """Sessions of somebody who walks through a town."""
 
-import threading
-import time
+import asyncio
 
 import pytest
-from tests.serve.conftest import serving
+
+from placegraph.errors import RequestError
+from placegraph.serve.options import ServeOptions
+from placegraph.serve.schema import Begin, Step
+from placegraph.serve.sessions import Sessions
 
 SAID = "A bakery is north of me. The church is east of the bakery."
 
@@ -35,15 +38,26 @@ def test_words_and_ways(walker, town):
     assert "give text, east and north, or distance" in nothing.json()["detail"]
 
 
-def test_their_number_is_bounded_and_they_end(town):
-    with serving(town, sentence_workers=1, sessions=2, session_seconds=2.0) as client:
-        ids = [client.post("/v1/sessions", json={}).json()["session"] for _ in range(2)]
-        full = client.post("/v1/sessions", json={})
-        assert (full.status_code, full.json()["code"]) == (503, "busy")
-        assert int(full.headers["retry-after"]) > 0
-        end = time.monotonic() + 30
-        while client.post("/v1/sessions", json={}).status_code != 201:
-            assert time.monotonic() < end
-            threading.Event().wait(0.1)
-        gone = client.post(f"/v1/sessions/{ids[0]}", json={"text": SAID})
-        assert (gone.status_code, gone.json()["code"]) == (404, "session_unknown")
+def test_their_number_is_bounded_and_they_end():
+    class Lane:
+        over = asyncio.Queue()
+
+        async def ask(self, verb, asked):
+            if verb == "end":
+                self.over.put_nowait(asked["session"])
+            return b"{}", None
+
+    async def visits():
+        sessions = Sessions(Lane(), ServeOptions(sessions=2, session_seconds=0.05))
+        begun = [(await sessions.begin(Begin()))[0]["session"] for _ in range(2)]
+        with pytest.raises(RequestError, match="end one, or come again") as full:
+            await sessions.begin(Begin())
+        assert (full.value.status, full.value.code) == (503, "busy")
+        assert full.value.retry_after > 0
+        assert [await Lane.over.get() for _ in range(2)] == begun
+        with pytest.raises(RequestError) as gone:
+            await sessions.step(begun[0], Step(text=SAID))
+        assert (gone.value.status, gone.value.code) == (404, "session_unknown")
+        assert (await sessions.begin(Begin()))[0]["expires_s"] == 0.05
+
+    asyncio.run(visits())

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from h11 import Data, EndOfMessage, Response
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from placegraph.errors import RequestError
+from placegraph.serve.problem import MEDIA_TYPE, problem
+from placegraph.serve.worker import dumped
 
 if TYPE_CHECKING:
     import asyncio
@@ -32,6 +37,17 @@ class Patient(H11Protocol):
             self._rest()
         elif self.cycle is not None and self._end is None:
             self._wait()
+
+    def send_400_response(self, _msg: str) -> None:
+        """Answer what is no HTTP with a problem, as everything else."""
+        told = problem(
+            RequestError("This is no HTTP; send a request as RFC 9112 has it.", code="http")
+        )
+        headers = [("content-type", MEDIA_TYPE), ("connection", "close")]
+        start = Response(status_code=told["status"], headers=headers)
+        for event in (start, Data(data=dumped(told)), EndOfMessage()):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()
 
     def handle_websocket_upgrade(self, event: Request) -> None:
         """Hand the connection on; from now on it may be silent."""
