@@ -58,6 +58,7 @@ def test_images_show_where_they_were_taken(browser, url, walk):
         assert chooser.first.get_attribute("capture") == "environment"
         chooser.last.set_input_files(walk / "rgb" / "000005.jpg")
         page.wait_for_selector(".status")
+        assert page.get_by_role("button", name="altbau").inner_text().endswith("floor 2")
         assert page.locator(".pin").count() >= 1
         assert "Hotel Hansa, floor 2" in page.inner_text(".mode .named >> nth=0")
         page.wait_for_selector('.pictures img[src^="data:image/png"]')

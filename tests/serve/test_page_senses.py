@@ -24,7 +24,7 @@ TURN = """a => dispatchEvent(new DeviceOrientationEvent(
 PHONE = {"has_touch": True, "is_mobile": True, "viewport": {"width": 360, "height": 640}}
 
 
-def test_what_is_spoken_is_asked(browser, url):
+def test_what_is_spoken_is_asked_however_early(browser, url):
     with opened(browser, f"{url}#map=hafenstadt", first=EAR) as page:
         page.click("#voice")
         assert page.get_attribute("#voice", "aria-pressed") == "true"

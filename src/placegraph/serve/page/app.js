@@ -27,12 +27,12 @@ class App {
     $("city").addEventListener("change", (event) => this.choose(event.target.value, { afresh: true }).catch((e) => this.trouble(e)));
     $("theme").addEventListener("click", () => this.theme());
     $("share").addEventListener("click", () => this.shared());
-    $("say").addEventListener("submit", (event) => { event.preventDefault(); this.tab.tell?.(); });
-    $("text").addEventListener("input", () => this.tab.typed?.());
+    $("say").addEventListener("submit", (event) => { event.preventDefault(); this.tab?.tell?.(); });
+    $("text").addEventListener("input", () => this.tab?.typed?.());
     $("text").addEventListener("keydown", (event) => {
-      if (event.key === "Enter" && !event.shiftKey && !event.isComposing) { event.preventDefault(); this.tab.tell?.(); }
+      if (event.key === "Enter" && !event.shiftKey && !event.isComposing) { event.preventDefault(); this.tab?.tell?.(); }
     });
-    $("clear").addEventListener("click", () => { this.tab.clear?.(); $("text").focus(); });
+    $("clear").addEventListener("click", () => { this.tab?.clear?.(); $("text").focus(); });
     addEventListener("hashchange", () => { if (location.hash.slice(1) !== this.written) this.read(); });
     this.dress(sessionStorage.getItem("theme"));
   }

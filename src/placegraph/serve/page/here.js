@@ -16,7 +16,7 @@ export class Here {
   }
 
   read(hash) {
-    this.text = hash.get("q") ?? "";
+    this.text = hash.get("q") ?? (this.app.tab ? "" : this.app.text); // typed while the page was being made
     this.answers = [];
     try {
       const told = JSON.parse(hash.get("answers") ?? "[]");

@@ -105,11 +105,12 @@ export class Inside {
   }
 
   list() {
-    const facts = ({ kind, objects, anchored }) =>
-      `${objects.toLocaleString("en")} ${kind === "library" ? "scenes" : "objects"}${anchored ? " · on the map" : ""}`;
+    const stands = ([anchor]) => [anchor.building, anchor.level && `floor ${anchor.level}`].filter(Boolean).join(", ") || "on the map";
+    const facts = ({ kind, objects, anchors = [] }) => (anchors.length ? stands(anchors)
+      : `${objects.toLocaleString("en")} ${kind === "library" ? "scenes" : "objects"}`);
     return el("section", { "aria-label": "Rooms" }, el("h2", {}, "Where"), el("div", { class: "scenes" },
       this.scenes.map((scene) => button(null, { "aria-pressed": String(scene === this.chosen), onclick: () => this.choose(scene) },
-        el("bdi", {}, scene.name || "Anywhere"), el("small", {}, scene === ANYWHERE ? "all maps of rooms" : facts(scene))))));
+        el("bdi", {}, scene.name || "Anywhere"), el("small", {}, el("bdi", {}, scene === ANYWHERE ? "all maps of rooms" : facts(scene)))))));
   }
 
   drop() {

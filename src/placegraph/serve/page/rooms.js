@@ -7,6 +7,9 @@ import { covering, Taken, widthOf, write } from "./parts/letters.js";
 export const OPEN = 3; // plans are drawn from this scale on [px/m], and filled with names from the next
 const NAMED = 18, RESERVED = 24;
 
+/** Middle of a box. */
+export const middle = ([w, s, e, n]) => [(w + e) / 2, (s + n) / 2];
+
 /** A plan of a scene: where it stands, and, once it was asked for, what is in it. */
 export class Plan {
   constructor(map, anchor) {
@@ -40,9 +43,7 @@ export class Plan {
   }
 
   get middle() {
-    if (!this.index) return this.origin;
-    const [w, s, e, n] = this.index.bounds;
-    return this.to([(w + e) / 2, (s + n) / 2]);
+    return this.index ? this.to(middle(this.index.bounds)) : this.origin;
   }
 
   ring([w, s, e, n]) { return [[w, s], [e, s], [e, n], [w, n]].map((corner) => this.to(corner)); }
@@ -103,8 +104,8 @@ export class Plan {
     const taken = new Taken(), texts = [], size = ({ box: [w, s, e, n] }) => (e - w) * (n - s);
     for (const [x, y] of pins) taken.claim([[x * scale, -y * scale, 15]], true);
     const named = this.index.things.filter(({ name }) => name).sort((a, b) => b.room - a.room || size(b) - size(a));
-    for (const { name, room, box: [w, s, e, n] } of named) {
-      const height = room ? 13 : 11, [x, y] = this.to([(w + e) / 2, (s + n) / 2]);
+    for (const { name, room, box } of named) {
+      const height = room ? 13 : 11, [x, y] = this.to(middle(box)), [w, s, e, n] = box;
       const text = { text: tidy(name).slice(0, 60), x, y, dx: 0, dy: 0, size: height, angle: 0, anchor: "center",
         ink: room ? "ink" : "soft-ink", bold: room };
       if (!room && widthOf(text.text, height) > 1.25 * Math.max(e - w, n - s) * scale) continue;

@@ -2,7 +2,7 @@
 
 import { call, mapPath, picture } from "./api.js";
 import { button, el } from "./parts/base.js";
-import { OPEN, Plan } from "./rooms.js";
+import { middle, OPEN, Plan } from "./rooms.js";
 
 const CLOSEST = 90, ENTERED = 0.35, DOORS = 0.35, NAMED = 1;
 
@@ -92,19 +92,19 @@ export class Stage {
     return city ? city.name === this.name : !this.scenes.some(({ name }) => name === map);
   }
 
-  /** What is known of a room, or of the map that holds it, on this stage. */
+  /** What is known of a map of rooms on this stage, and of a room in it; null where it is not on it. */
   indoors(map, room) {
     const plan = this.planOf(map);
-    if (!plan) return null;
-    const box = plan.room(room)?.box ?? (plan.anchor ? null : plan.index.bounds);
-    const ring = box && plan.ring(box);
-    return { house: plan.house, around: plan.around, ...(box && { at: plan.to([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]), ring: [...ring, ring[0]] }) };
+    if (!plan?.index) return plan ? { house: plan.house, around: plan.around } : null;
+    const box = plan.room(room)?.box ?? (plan.anchor ? null : plan.index.bounds), ring = box && plan.ring(box);
+    return { house: plan.house, around: plan.around, heading: plan.heading, to: (point) => plan.to(point),
+      ...(box && { at: plan.to(middle(box)), ring: [...ring, ring[0]] }) };
   }
 
-  /** Where a thing of a map is on this stage; null where it is not on it. */
+  /** Where a thing of a map is; walls and floors are everywhere, and quiet. Null where it is not on this stage. */
   thing(map, id) {
     const plan = this.planOf(map), thing = plan?.things?.get(id);
-    return thing ? plan.to([(thing.box[0] + thing.box[2]) / 2, (thing.box[1] + thing.box[3]) / 2]) : null;
+    return thing ? { at: plan.to(middle(thing.box)), quiet: thing.role !== "thing" } : null;
   }
 
   planOf(map) { return map ? this.plans.find((plan) => plan.map === map) : undefined; }

@@ -23,7 +23,7 @@ export class You {
     };
     this.stops = [position($("gps"), { here, said }),
       compass($("compass"), { towards: (heading) => { this.heading = heading; this.changed(); }, said })];
-    voice($("voice"), { said, heard: (text, final) => { app.text = text; app.tab.typed?.(); if (final) app.tab.tell?.(); } });
+    voice($("voice"), { said, heard: (text, final) => { app.text = text; app.tab?.typed?.(); if (final) app.tab?.tell?.(); } });
     $("middle").addEventListener("click", () => this.toggle());
     app.view.map.over.unshift((ctx, map) => this.paint(ctx, map));
   }

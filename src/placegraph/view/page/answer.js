@@ -183,7 +183,7 @@ export class AnswerMap {
   /** Witnesses of a place: what is inside where that is seen from near by, else what is outside. */
   speaking({ found, within }) {
     const near = Boolean(within) && this.map.view.scale > INDOORS;
-    return found.filter(({ inside }) => inside === near);
+    return found.filter(({ id, inside, quiet }) => inside === near && (!quiet || this.lit.has(id)));
   }
 
   paint(ctx, map) {

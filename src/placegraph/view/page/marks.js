@@ -71,21 +71,19 @@ export const posed = (mode) => mode?.pose ?? (mode?.map_from_camera && mode);
 
 /**
  * Where a mode stands on the plane: point and ring around it [m], and where it looks, clockwise from
- * north [rad]. Without a plane of a city it is that of a map of rooms; `within`: what is known of the
- * room. Null where it stands nowhere on it.
+ * north [rad]. `within`: what is known of the map of rooms that it is in. Null where it stands nowhere.
  */
 export function standing(mode, plane, within) {
-  const pose = posed(mode), earth = plane && pose?.earth?.[0], known = earth || mode;
-  const turned = (degrees) => ((degrees ?? 0) * Math.PI) / 180;
-  if (pose && !plane) {
+  const pose = posed(mode), earth = pose?.earth?.[0], turned = (degrees) => ((degrees ?? 0) * Math.PI) / 180;
+  if (pose && within?.to) {
     const at = [pose.x, pose.y];
-    return { at, ring: ellipse(at, pose.covariance, FINEST), heading: turned(90 - pose.yaw_deg) };
+    return { at: within.to(at), ring: ellipse(at, pose.covariance, FINEST).map(within.to), heading: within.heading + turned(90 - pose.yaw_deg) };
   }
-  if (!earth && within?.at) return { at: within.at, ring: within.ring };
+  if (!pose && within?.at) return { at: within.at, ring: within.ring };
+  const known = earth ?? mode;
   if (!plane || !Number.isFinite(known.longitude)) return null;
   const at = plane.to(known.longitude, known.latitude);
-  if (earth) return { at, ring: ellipse(at, earth.covariance, FINEST), heading: turned(earth.heading_deg) };
-  return { at, ring: ellipse(at, mode.covariance) };
+  return { at, ring: ellipse(at, known.covariance, earth ? FINEST : 1), ...(earth && { heading: turned(earth.heading_deg) }) };
 }
 
 /** Paint what a camera looks at. */
@@ -114,7 +112,7 @@ export function ellipse([x, y], [[a, b], [, d]], least = 1) {
   });
 }
 
-/** Objects that spoke for or against a mode, each once, the weightiest first; `thing(id)`: inside, where it is. */
+/** Objects that spoke for or against a mode, each once, the weightiest first; `thing(id)`: what is known of it inside. */
 export function witnesses(mode, plane, thing = () => null) {
   const found = new Map();
   const spoke = mode.evidence.filter((e) => e.verdict === "for" || e.verdict === "against");
@@ -123,8 +121,8 @@ export function witnesses(mode, plane, thing = () => null) {
       if (found.has(object.id)) continue;
       const inside = thing(object.id), outside = plane && Number.isFinite(object.longitude);
       if (!inside && !outside) continue;
-      const at = inside ?? plane.to(object.longitude, object.latitude);
-      found.set(object.id, { id: object.id, inside: Boolean(inside), verdict: evidence.verdict, at, middle: at,
+      const at = inside?.at ?? plane.to(object.longitude, object.latitude);
+      found.set(object.id, { id: object.id, inside: Boolean(inside), quiet: inside?.quiet, verdict: evidence.verdict, at, middle: at,
         words: tidy(object.name ?? "") || commonName(object.label), pieces: [] });
     }
   }

@@ -34,8 +34,8 @@ def plan_of(scene: SceneMap, name: str = "") -> RoomPlan:
 def told(plan: RoomPlan) -> dict[str, Any]:
     """What a page must know of a plan: bounds and things, all in the map's x and y [m].
 
-    A thing has its id, label, name to be written (empty: none), box (low x, low y, high x, high y) and
-    whether it is a room.
+    A thing has its id, label, name to be written (empty: none), box (low x, low y, high x, high y),
+    whether it is a room, and how it is drawn (`RoomPlan.role`).
     """
     scene = plan.scene
     return {
@@ -61,6 +61,7 @@ def _thing(plan: RoomPlan, row: int) -> dict[str, Any]:
         "name": room if is_room else plain_words(label) if named else "",
         "box": [*low, *high],
         "room": is_room,
+        "role": plan.role(row),
     }
 
 
