@@ -10,18 +10,34 @@ from placegraph.errors import InputError
 
 MOST = 1 << 30
 """Bytes of a message or of an unpacked chunk beyond which a number is not believed."""
+_STEP = 1 << 16
 
 
-def inflated(data: bytes, compression: str, name: str) -> bytes:
-    """Content of compressed bytes; `InputError`, which begins with `name`: damaged, or too large."""
-    unpacker = _unpacker(compression, name)
-    try:
-        content: bytes = unpacker.decompress(data, MOST)
-    except Exception as error:  # each library has its own, without a common root
-        raise InputError(f"{name} is damaged ({error}); copy the bag again.") from error
-    if len(content) >= MOST:
-        raise InputError(f"{name} would unpack to more than {MOST:,} bytes; it is refused.")
-    return content
+class Packed:
+    """Compressed bytes, unpacked from their beginning as far as somebody reads."""
+
+    def __init__(self, data: bytes, compression: str, name: str) -> None:
+        """`name` is what the parts are called in messages: "walk.mcap, the chunk at byte 8,"."""
+        self._unpacker = _unpacker(compression, name)
+        self._left, self._content, self._name = data, bytearray(), name
+
+    def read(self, offset: int, count: int) -> bytes:
+        """At most `count` bytes: fewer where they end. `InputError`: damaged, or beyond `MOST`."""
+        if offset + count > MOST:
+            raise InputError(
+                f"{self._name} would unpack to more than {MOST:,} bytes; it is refused."
+            )
+        try:
+            while len(self._content) < offset + count and not self._unpacker.eof:
+                wanted = max(offset + count - len(self._content), _STEP)
+                part = self._unpacker.decompress(self._left, wanted)
+                self._left = b""
+                if not part:
+                    break
+                self._content += part
+        except Exception as error:  # each library has its own, without a common root
+            raise InputError(f"{self._name} is damaged ({error}); copy the bag again.") from error
+        return bytes(memoryview(self._content)[offset : offset + count])
 
 
 def _unpacker(compression: str, name: str) -> Any:  # noqa: ANN401  # of three libraries

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.ros.files.packed import MOST, inflated
+from placegraph.formats.ros.files.packed import MOST, Packed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -53,7 +53,7 @@ class File:
         self.path = path
         self._handle: int | None = None
         self._lock = Lock()
-        self._unpacked: OrderedDict[int, bytes] = OrderedDict()
+        self._unpacked: OrderedDict[int, Packed] = OrderedDict()
 
     def __reduce__(self) -> tuple[type[File], tuple[Path]]:
         return File, (self.path,)
@@ -80,16 +80,17 @@ class File:
         """Bytes."""
         return self.path.stat().st_size
 
-    def unpacked(self, start: int, size: int, compression: str) -> bytes:
-        """What a compressed part of the file holds; the last ones are kept."""
+    def unpacked(self, chunk: Chunk, offset: int, count: int) -> bytes:
+        """At most `count` bytes of a compressed part; the last ones are kept as far as unpacked."""
         with self._lock:
-            if start in self._unpacked:
-                self._unpacked.move_to_end(start)
-                return self._unpacked[start]
-        data = self.read(start, min(size, MOST))
-        content = inflated(data, compression, f"{self.path}, the chunk at byte {start},")
+            packed = self._unpacked.pop(chunk.start, None)
+        if packed is None:
+            name = f"{self.path}, the chunk at byte {chunk.start},"
+            data = self.read(chunk.start, min(chunk.size, MOST))
+            packed = Packed(data, chunk.compression, name)
+        content = packed.read(offset, count)
         with self._lock:
-            self._unpacked[start] = content
+            self._unpacked[chunk.start] = packed
             while len(self._unpacked) > _KEPT:
                 self._unpacked.popitem(last=False)
         return content
@@ -114,8 +115,7 @@ class Chunk:
     def peek(self, offset: int, count: int) -> bytes:
         """Bytes of the unpacked chunk; fewer where it ends."""
         if self.compression:
-            content = self.file.unpacked(self.start, self.size, self.compression)
-            return content[offset : offset + count]
+            return self.file.unpacked(self, offset, count)
         return self.file.read(self.start + offset, max(0, min(count, self.size - offset)))
 
     def read(self, offset: int, most: int | None = None) -> bytes:
@@ -180,7 +180,8 @@ class Database:
                 f"`sqlite3 {self.path.name} .recover` saves what is left."
             ) from error
         if self.packed:
-            data = inflated(data, "zstd", f"{self.path}, message {offset},")[:most]
+            whole = MOST if most is None else most
+            return Packed(data, "zstd", f"{self.path}, message {offset},").read(0, whole)
         return data
 
 

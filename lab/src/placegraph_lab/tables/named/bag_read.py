@@ -1,0 +1,186 @@
+"""What does reading a bag cost, beside `rosbags` and `mcap` alone? MB/s of each.
+
+A walk through the house, repeated until the bag is large enough, is written in every container and read
+by each reader: colour and depth of all frames, opening included.
+
+    placegraph-lab table bag_read
+    placegraph-lab table bag_read --quick
+
+Prints Markdown, writes JSON. Times are CPU seconds, the median of interleaved rounds; the page cache is warm.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from statistics import median
+from time import process_time
+from typing import TYPE_CHECKING, Annotated, Any
+
+from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.frames import Capture
+from placegraph_lab.tables.run import Quick, Run, option, table
+from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.worlds.bags import BagWriter, Container, Layout, write_capture
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+IMAGES = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw")
+AIM = 1.3
+"""Of the CPU time of `rosbags` alone."""
+KINDS: tuple[tuple[str, Container, bool], ...] = (
+    ("MCAP", "mcap", False),
+    ("MCAP, zstd", "mcap", True),
+    ("sqlite", "sqlite3", False),
+    ("rosbag1", "rosbag1", False),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of one container; seconds of CPU."""
+
+    container: str
+    megabytes: float
+    """Of the pixels that are read."""
+    frames: int
+    open: float
+    """Until there is a capture."""
+    messages: float
+    """Opening, and colour and depth as messages, as `rosbags` gives them."""
+    arrays: float
+    """Opening, and colour and depth as arrays: RGB and metres."""
+    rosbags: float
+    """`rosbags` alone: opening, and the same messages."""
+    mcap: float | None
+    """`mcap` with `mcap-ros2-support`; None where it is no MCAP."""
+
+    @property
+    def ratio(self) -> float:
+        """Of what is aimed at."""
+        return self.messages / self.rosbags
+
+
+@table()
+def bag_read(
+    run: Run,
+    megabytes: Annotated[int, option("Size of each bag.")] = 300,
+    rounds: Annotated[int, option("Of which the median counts.")] = 5,
+    *,
+    quick: Quick = False,
+) -> None:
+    """What does reading a bag cost, beside `rosbags` and `mcap` alone? MB/s of each."""
+    if quick:
+        megabytes, rounds = 40, 3
+    walk = open_capture(run.data / "house/seq00", labels=None)
+    with tempfile.TemporaryDirectory() as name:
+        rows = [
+            measured(repeated(walk, megabytes), kind, Path(name), rounds)
+            for kind in run.track(KINDS, "reading")
+        ]
+    print(report(rows))
+    run.save({"rows": [asdict(row) for row in rows]})
+
+
+def repeated(walk: Capture, megabytes: float) -> Capture:
+    """Frames of a walk, over and over, until their pixels have that many megabytes."""
+    frame = walk[0]
+    depth = frame.depth()
+    each = (frame.rgb().nbytes + (0 if depth is None else depth.size * 2)) / 1e6
+    count = max(2, round(megabytes / each))
+    frames = (replace(walk[i % len(walk)], stamp=i / 10) for i in range(count))
+    return Capture.from_frames(frames)
+
+
+def measured(capture: Capture, kind: tuple[str, Container, bool], folder: Path, rounds: int) -> Row:
+    """Write a bag and read it by every reader."""
+    name, container, packed = kind
+    path = folder / name.replace(", ", "_").lower()
+    path = path.with_suffix(".bag") if container == "rosbag1" else path
+    with BagWriter(path, container, packed=packed) as writer:
+        write_capture(writer, capture, Layout())
+    readers: dict[str, Callable[[], Any]] = {
+        "open": lambda: open_capture(path),
+        "messages": lambda: ours(path),
+        "arrays": lambda: sum(f.rgb().nbytes + f.depth().nbytes for f in open_capture(path)),
+        "rosbags": lambda: by_rosbags(path),
+    }
+    if container == "mcap":
+        readers["mcap"] = lambda: by_mcap(next(path.glob("*.mcap")))
+    seconds: dict[str, list[float]] = {reader: [] for reader in readers}
+    for done in range(rounds + 1):
+        for reader, read in readers.items():
+            start = process_time()
+            read()
+            if done:  # the first warms the cache, and what is compiled
+                seconds[reader].append(process_time() - start)
+    taken: dict[str, Any] = {reader: median(times) for reader, times in seconds.items()}
+    depth = capture[0].depth()
+    each = capture[0].rgb().nbytes + (0 if depth is None else depth.size * 2)
+    return Row(name, each * len(capture) / 1e6, len(capture), **{"mcap": None} | taken)
+
+
+def ours(path: Path) -> int:
+    """Open a bag as a capture, and decode the messages of its images; their bytes."""
+    from placegraph.formats.ros.decode import decoded
+
+    total = 0
+    for frame in open_capture(path):
+        images: Any = frame.images
+        for read in (images.colours, images.metres):
+            message, source = read.args[:2]
+            total += len(decoded(message, *source).data)
+    return total
+
+
+def by_rosbags(path: Path) -> int:
+    """The same by `rosbags` alone."""
+    from rosbags.highlevel import AnyReader
+
+    total = 0
+    with AnyReader([path]) as reader:
+        wanted = [c for c in reader.connections if c.topic in IMAGES]
+        for connection, _, raw in reader.messages(wanted):
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            total += len(message.data)
+    return total
+
+
+def by_mcap(path: Path) -> int:
+    """The same by `mcap` and its decoder for ROS 2."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        held = reader.iter_decoded_messages(topics=list(IMAGES))
+        return sum(len(message.data) for *_, message in held)
+
+
+def report(rows: list[Row]) -> str:
+    """Markdown: MB/s of each reader, and how many times the CPU time of `rosbags` ours takes."""
+    cells = []
+    for row in rows:
+        speeds = [
+            None if taken is None else row.megabytes / taken
+            for taken in (row.messages, row.arrays, row.rosbags, row.mcap)
+        ]
+        cells.append([
+            row.container, number(row.megabytes), number(1000 * row.open, 0, "ms"),
+            *(number(speed) for speed in speeds), number(row.ratio, 2),
+            number(row.arrays / row.rosbags, 2),
+        ])  # fmt: skip
+    head = [
+        "",
+        "MB",
+        "open",
+        "messages",
+        "arrays",
+        "rosbags",
+        "mcap",
+        "messages/rosbags",
+        "arrays/rosbags",
+    ]
+    return f"MB/s of CPU time; aim: messages/rosbags at most {AIM}\n\n{markdown(head, cells)}"
