@@ -111,7 +111,9 @@ def measured(capture: Capture, kind: tuple[str, Container, bool], folder: Path, 
     readers: dict[str, Callable[[], Any]] = {
         "open": lambda: open_capture(path),
         "messages": lambda: ours(path),
-        "arrays": lambda: sum(f.rgb().nbytes + f.depth().nbytes for f in open_capture(path)),
+        "arrays": lambda: [
+            np.asarray(a).nbytes for f in open_capture(path) for a in (f.rgb(), f.depth())
+        ],
         "rosbags": lambda: by_rosbags(path),
     }
     if container == "mcap":
