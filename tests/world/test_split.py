@@ -34,6 +34,7 @@ def test_split(world, text, outside, inside):
         ("Estoy en el hotel, al lado de la cama", True, ["near: bed"]),
         ("Ik ben in de keuken, naast het raam.", False, ["room: kitchen", "near: window"]),
         ("Eine Bäckerei ist nördlich von mir.", True, []),
+        ("Ich bin neben dem Bett. I am in the bedroom.", False, ["near: bed", "room: bedroom"]),
     ],
 )  # fmt: skip
 def test_rooms_are_understood_in_other_languages(world, text, outside, inside):

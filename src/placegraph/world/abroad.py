@@ -45,7 +45,11 @@ def in_english(said: Description, city: CityMap) -> Description:
 def of_rooms(said: Description) -> Sentence:
     """What a description `in_english` says of rooms, as a sentence of the inside."""
     table = _tables().get(said.language, {})
-    own = {m.id for m in said.mentions[LISTENER + 1 :] if m.words in table.values()}
+    own = {
+        m.id
+        for m in said.mentions[LISTENER + 1 :]
+        if m.words in table.values() or (table and room_kind(m.words) and not m.name)
+    }
     things = [
         Mention(m.words, m.words, m.count, room=room_kind(m.words))
         for m in said.mentions[LISTENER + 1 :]
@@ -90,7 +94,10 @@ def _english(words: str, table: Mapping[str, str]) -> str:
     """English word of the thing that words end with, whatever its case or number; empty: not known."""
     last = words.casefold().split()[-1:] or [""]
     fits = [w for w in table if last[0].startswith(w) and len(last[0]) - len(w) <= ENDING]
-    return table[max(fits, key=len)] if fits else ""
+    if fits:
+        return table[max(fits, key=len)]
+    plain = words.casefold().removeprefix("the ")  # an answer to a question is English
+    return plain if room_kind(plain) else ""
 
 
 @lru_cache(maxsize=1)
