@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import OptionError
+from placegraph.errors import GeoPoseError, OptionError
 from placegraph.geometry import quaternion_from_rotation, rotation_z
 from placegraph.geopose import CAMERA_FROM_BODY
 from placegraph.geopose import EarthPose as EarthPose  # noqa: PLC0414 - found here too
@@ -209,6 +209,13 @@ class Anchor:
         if wrong := [name for name in texts & given.keys() if not isinstance(given[name], str)]:
             raise OptionError(f"anchor: {wrong[0]} is no text.")
         return cls(**given)
+
+
+def unplaced(scene: str) -> GeoPoseError:
+    """What is raised where a scene map is asked for its place, and nobody has said it."""
+    return GeoPoseError(
+        f"The scene map {scene!r} has no place on Earth; give it one with `placegraph scene anchor`."
+    )
 
 
 def _raised(level: str, storeys: int) -> str:

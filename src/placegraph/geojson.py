@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.earth import EarthPose
+from placegraph.earth import EarthPose, unplaced
 from placegraph.errors import GeoPoseError
 from placegraph.features import collection, feature
 from placegraph.geometry import LocalPlane
@@ -51,7 +51,7 @@ class OnEarth:
             raise GeoPoseError(f"There is no pose: {self.reason}")
         poses = poses_of(self.modes[0])
         if not poses:
-            raise _unplaced(self.modes[0])
+            raise unplaced(getattr(self.modes[0], "scene", ""))
         return poses[0].geopose() | {"status": self.status.name, "reason": self.reason}
 
     def geojson(self) -> dict[str, Any]:
@@ -70,7 +70,7 @@ class OnEarth:
         """
         features = list(_features(self.modes))
         if self.modes and not features:
-            raise _unplaced(self.modes[0])
+            raise unplaced(getattr(self.modes[0], "scene", ""))
         return collection(features) | {"status": self.status.name, "reason": self.reason}
 
 
@@ -86,13 +86,6 @@ def poses_of(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
         given = mode.longitude, mode.latitude, mode.covariance
         return (EarthPose.of_place(*given, probability=mode.probability),)
     return ()
-
-
-def _unplaced(mode: Any) -> GeoPoseError:  # noqa: ANN401
-    scene = getattr(mode, "scene", "")
-    return GeoPoseError(
-        f"The scene map {scene!r} has no place on Earth; give it one with `placegraph scene anchor`."
-    )
 
 
 def _features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:

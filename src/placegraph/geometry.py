@@ -1,4 +1,4 @@
-"""Geometry of the ground floor: the local east-north plane, poses and cameras.
+"""Geometry of the ground floor: the local east-north plane, and poses.
 
 Bearings are radians clockwise from north, as on a compass: north 0, east pi/2. Yaw is radians
 counter-clockwise from the map's x axis, seen from above. Conventions: `docs/conventions.md`.
@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, radians, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph import lens
-from placegraph.errors import OptionError
+from placegraph.lens import Camera as Camera  # noqa: PLC0414 - found here too
 
 Floats = NDArray[np.float64]
 
@@ -245,79 +243,3 @@ def cross_matrix(vector: ArrayLike) -> Floats:
     o = np.zeros_like(x)
     rows = [[o, -z, y], [z, o, -x], [-y, x, o]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-# ----------------------------------------------------------------------------------- cameras
-
-
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """Camera of one of OpenCV's models; pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = ()
-    """Of the lens, empty: none. OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its four."""
-    model: str = "opencv"
-    """`lens.MODELS`: a pinhole ("opencv"), or "fisheye", which shows up to 85 degrees off its axis."""
-
-    def __post_init__(self) -> None:
-        sizes = (self.width, self.height, self.fx, self.fy)
-        if not all(np.isfinite(v) and v > 0 for v in sizes):
-            raise OptionError(
-                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0."
-            )
-        if not all(np.isfinite(v) for v in (self.cx, self.cy, *self.distortion)):
-            raise OptionError("camera: cx, cy or the distortion is not a number.")
-        if self.model not in lens.MODELS:
-            raise OptionError(
-                f"camera: model is {self.model!r}; it is one of {', '.join(lens.MODELS)}."
-            )
-        if len(self.distortion) not in lens.COEFFICIENTS[self.model]:
-            raise OptionError(
-                f"camera: {len(self.distortion)} distortion coefficients; OpenCV's "
-                "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8, those of its fisheye 4."
-            )
-
-    @property
-    def straight(self) -> bool:
-        """Whether straight lines are straight in its images."""
-        return self.model == "opencv" and not any(self.distortion)
-
-    def resized(self, width: int, height: int) -> Camera:
-        """Intrinsics of the same camera with images of another size."""
-        sx, sy = width / self.width, height / self.height
-        focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)
-        return Camera(width, height, *focal, *centre, self.distortion, self.model)
-
-    def directions(self, uv: ArrayLike) -> Floats:
-        """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].
-
-        x and y are NaN where a fisheye's image shows nothing, or what is beyond `lens.WIDEST`.
-        """
-        places = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
-        xy = lens.unbent(self.model, self.distortion, places)
-        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
-
-    def project(self, points: ArrayLike) -> Floats:
-        """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN where it sees none.
-
-        It sees none behind it, and a fisheye none beyond `lens.WIDEST`.
-        """
-        points = np.asarray(points, np.float64)
-        depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
-        places = lens.bent(self.model, self.distortion, points[..., :2] / depth)
-        uv: Floats = places * (self.fx, self.fy) + (self.cx, self.cy)
-        return uv
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, as in `camera.json`."""
-        out: dict[str, Any] = {
-            name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")
-        }
-        out |= {"distortion": list(self.distortion)} if self.distortion else {}
-        return out | ({} if self.model == "opencv" else {"model": self.model})

@@ -1,4 +1,4 @@
-"""How lenses bend rays: OpenCV's two models, on an image plane of focal length 1.
+"""Cameras, and how their lenses bend rays: OpenCV's two models, on an image plane of focal length 1.
 
 A ray is x and y where z is 1; a place is where the image shows it. "opencv": a pinhole, whose lens
 moves places along the radius and a little across it. "fisheye": the angle off the axis tells how
@@ -7,11 +7,15 @@ far from the centre a ray is shown (Kannala and Brandt 2006).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from math import radians
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from placegraph.errors import OptionError
 
 Floats = NDArray[np.float64]
 
@@ -22,6 +26,77 @@ WIDEST = radians(85.0)
 """Angle off a fisheye's axis beyond which it is not asked: rays with z = 1 grow without end."""
 _ROUNDS = 100
 _NEWTON = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Camera of one of OpenCV's models; pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    """Of the lens, empty: none. OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its four."""
+    model: str = "opencv"
+    """`MODELS`: a pinhole ("opencv"), or "fisheye", which shows up to 85 degrees off its axis."""
+
+    def __post_init__(self) -> None:
+        sizes = (self.width, self.height, self.fx, self.fy)
+        if not all(np.isfinite(v) and v > 0 for v in sizes):
+            raise OptionError(
+                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0."
+            )
+        if not all(np.isfinite(v) for v in (self.cx, self.cy, *self.distortion)):
+            raise OptionError("camera: cx, cy or the distortion is not a number.")
+        if self.model not in MODELS:
+            raise OptionError(f"camera: model is {self.model!r}; it is one of {', '.join(MODELS)}.")
+        if len(self.distortion) not in COEFFICIENTS[self.model]:
+            raise OptionError(
+                f"camera: {len(self.distortion)} distortion coefficients; OpenCV's "
+                "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8, those of its fisheye 4."
+            )
+
+    @property
+    def straight(self) -> bool:
+        """Whether straight lines are straight in its images."""
+        return self.model == "opencv" and not any(self.distortion)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Intrinsics of the same camera with images of another size."""
+        sx, sy = width / self.width, height / self.height
+        focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)
+        return Camera(width, height, *focal, *centre, self.distortion, self.model)
+
+    def directions(self, uv: ArrayLike) -> Floats:
+        """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].
+
+        x and y are NaN where a fisheye's image shows nothing, or what is beyond `WIDEST`.
+        """
+        places = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        xy = unbent(self.model, self.distortion, places)
+        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
+    def project(self, points: ArrayLike) -> Floats:
+        """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN where it sees none.
+
+        It sees none behind it, and a fisheye none beyond `WIDEST`.
+        """
+        points = np.asarray(points, np.float64)
+        depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
+        places = bent(self.model, self.distortion, points[..., :2] / depth)
+        uv: Floats = places * (self.fx, self.fy) + (self.cx, self.cy)
+        return uv
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, as in `camera.json`."""
+        out: dict[str, Any] = {
+            name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")
+        }
+        out |= {"distortion": list(self.distortion)} if self.distortion else {}
+        return out | ({} if self.model == "opencv" else {"model": self.model})
 
 
 def bent(model: str, distortion: tuple[float, ...], rays: Floats) -> Floats:

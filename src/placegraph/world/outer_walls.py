@@ -15,6 +15,7 @@ from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.rooms.rooms_kernels import nearest
 from placegraph.indoor.mapping.osm.export import ends_of
 from placegraph.indoor.mapping.osm.outlines import area, rings_of_cells
+from placegraph.indoor.mapping.osm.walls import off_segments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -106,13 +107,3 @@ def _openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.i
         if beside.any():
             kind[beside], opening[beside], number = what, number, number + 1
     return kind, opening
-
-
-def off_segments(points: Floats, starts: Floats, ends: Floats) -> Floats:
-    """Distance (N, M) [m] of points (N, 2) to segments (M, 2) and (M, 2)."""
-    along = ends - starts
-    away = points[:, None] - starts[None]
-    share = (away * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12)
-    off = away - np.clip(share, 0.0, 1.0)[:, :, None] * along
-    distances: Floats = np.sqrt((off**2).sum(axis=2))
-    return distances

@@ -12,8 +12,9 @@ import numpy as np
 
 from placegraph.geometry import rotation_z
 from placegraph.indoor.map.rooms.rooms_kernels import nearest
+from placegraph.indoor.mapping.osm.walls import off_segments
 from placegraph.world.footprints import within
-from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls, off_segments
+from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import GeoPoseError
+from placegraph.earth import unplaced
 from placegraph.features import areas, collection, feature
 
 if TYPE_CHECKING:
@@ -29,10 +29,7 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
         name = scene.scenes[scene.scene_of[row]]
         anchors = scene.anchors_of(name)
         if not anchors:
-            raise GeoPoseError(
-                f"The scene map {name!r} has no place on Earth; give it one with `placegraph scene "
-                "anchor`."
-            )
+            raise unplaced(name)
         corners = np.where(_RING, high[:2], low[:2])
         there = anchors[0].to_earth(np.column_stack([corners, np.full(len(_RING), low[2])]))
         said = {

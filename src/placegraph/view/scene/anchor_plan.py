@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import GeoPoseError
+from placegraph.earth import unplaced
 from placegraph.view.draw.canvas import Disc, Frame, Item, Stroke
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture
@@ -58,10 +58,7 @@ def draw_anchors(
 
     """
     if not scene.anchors:
-        raise GeoPoseError(
-            f"The scene map {scene.source!r} has no place on Earth; give it one with `placegraph scene "
-            "anchor`."
-        )
+        raise unplaced(scene.source)
     best = scene.anchors[0]
     plan = RoomPlan(_turned(scene, best))
     origin = {k: _there(best, a, np.zeros(2)) for k, a in enumerate(scene.anchors, 1)}

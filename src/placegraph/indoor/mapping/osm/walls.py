@@ -76,11 +76,17 @@ class Wall:
 def distances(walls: list[Wall], at: Floats) -> Floats:
     """How far (W,) a point (2,) is from the lines of walls [m]."""
     start, end = (np.array([getattr(w, name) for w in walls]) for name in ("start", "end"))
-    along = end - start
-    share = ((at - start) * along).sum(axis=1) / (along**2).sum(axis=1)
-    off = at - start - np.clip(share, 0.0, 1.0)[:, None] * along
-    far: Floats = np.linalg.norm(off, axis=1)
-    return far
+    return off_segments(at[None], start, end)[0]
+
+
+def off_segments(points: Floats, starts: Floats, ends: Floats) -> Floats:
+    """Distance (N, M) [m] of points (N, 2) to segments (M, 2) and (M, 2)."""
+    along = ends - starts
+    away = points[:, None] - starts[None]
+    share = (away * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12)
+    off = away - np.clip(share, 0.0, 1.0)[:, :, None] * along
+    distances: Floats = np.sqrt((off**2).sum(axis=2))
+    return distances
 
 
 def walls_of(level: Level) -> list[Wall]:
