@@ -3,6 +3,7 @@
 import pickle
 import sqlite3
 import struct
+import sys
 from contextlib import suppress
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph.errors import InputError, PlacegraphError
+from placegraph.errors import InputError, MissingExtraError, PlacegraphError
 from placegraph.formats.capture.frame import Frame
 from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera
@@ -320,3 +321,23 @@ def test_a_bag_without_images(tmp_path):
         writer.transform("odom", "base_link", np.eye(4), START)
         writer.compressed("/cam/compressed", START, b"h264", "h264")
     fails(tmp_path / "walk", r"holds no colour images.*'h264'.*cannot be read.*Record the camera")
+
+
+def test_poses_that_are_no_numbers(bag, clip):
+    """NaN and quaternions of no length are left out, and counted; zero covariances mean nothing."""
+
+    def broken(writer):
+        nowhere = np.full((4, 4), np.nan)
+        nowhere[:3, :3] = np.eye(3)
+        writer.odometry("/odom", START + clip.stamps[1] + 0.01, nowhere)
+
+    capture = pg.open_capture(bag(layout=Layout(poses="odometry"), more=broken))
+    np.testing.assert_allclose(capture.odometry, clip.odometry, atol=1e-9)
+    assert any("1 transforms held NaN or no quaternion" in note for note in capture.notes)
+
+
+def test_the_extra_is_named(bag, monkeypatch):
+    path = bag()
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(MissingExtraError, match=r"placegraph\[ros\]"):
+        pg.open_capture(path)

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType, Writer
+from rosbags.highlevel import AnyReader
 
 import placegraph as pg
 from placegraph.errors import InputError, OptionError
@@ -60,6 +62,28 @@ def test_a_file_alone_and_what_was_chosen(bag, clip, recorded, tmp_path):
     assert "Colour is /camera/color/image_raw (sensor_msgs/Image, rgb8, 96 x 72" in said
     assert "/camera/aligned_depth_to_color/image_raw" in said
     assert "camera_optical_frame in odom, by /tf" in said
+
+
+@pytest.mark.parametrize("packing", ["NONE", "LZ4", "ZSTD"])
+@pytest.mark.parametrize("container", ["mcap", "rosbag1"])
+def test_what_the_library_mcap_writes(container, packing, bag, clip, tmp_path):
+    """Another writer's chunks, of messages of ROS 2, or, as `mcap convert` leaves them, of ROS 1."""
+    ros1 = container == "rosbag1"
+    with (
+        AnyReader([bag(container)]) as reader,
+        (tmp_path / "other.mcap").open("wb") as file,
+    ):
+        writer = Writer(file, chunk_size=30_000, compression=CompressionType[packing])
+        writer.start("ros1" if ros1 else "ros2", "tests")
+        channels = {}
+        for c in reader.connections:
+            name = c.msgtype.replace("/msg/", "/") if ros1 else c.msgtype
+            schema = writer.register_schema(name, "ros1msg" if ros1 else "ros2msg", b"")
+            channels[c.id] = writer.register_channel(c.topic, "ros1" if ros1 else "cdr", schema)
+        for c, time, data in reader.messages():
+            writer.add_message(channels[c.id], time, data, time)
+        writer.finish()
+    same(pg.open_capture(tmp_path / "other.mcap"), clip)
 
 
 def test_frames_are_read_elsewhere(bag, clip):
