@@ -170,6 +170,21 @@ def test_gaps_and_two_parents(bag, clip):
     np.testing.assert_allclose(whole.odometry, [BASE_FROM_CAMERA] * 4, atol=1e-9)
 
 
+def test_a_joint_is_no_odometry(bag, clip):
+    """A camera that is turned on its robot is told of in the frame in which the robot moves, too."""
+
+    def joint(writer):
+        for frame in clip:
+            stamp = START + frame.stamp
+            writer.transform("world", "base_footprint", np.linalg.inv(frame.odometry), stamp)
+            writer.transform("base_footprint", "pan", frame.odometry, stamp)
+            writer.transform("pan", "base_link", np.linalg.inv(BASE_FROM_CAMERA), stamp)
+
+    capture = pg.open_capture(bag(layout=Layout(poses="none"), more=joint))
+    np.testing.assert_allclose(capture.odometry, [np.eye(4)] * 4, atol=1e-9)
+    assert any("world is a frame in which a localization or SLAM" in n for n in capture.notes)
+
+
 def test_odometry_that_leads_nowhere(bag):
     def wheels(writer):
         writer.odometry("/odom", START + 100.0, np.eye(4), child="wheels")

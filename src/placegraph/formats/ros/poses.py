@@ -126,7 +126,7 @@ class Placing:
         wishes, bag = self.wishes, self.bag
         above = self.tree.above(self.colour.frame)
         moving = [f for f, moves in above.items() if moves or f in OF_OTHERS]
-        odom = next((f for f in above if f.rpartition("/")[2].startswith("odom")), "")
+        odom = next((f for f in above if "odom" in f.rpartition("/")[2]), "")
         asked = odom if wishes.frame is None else wishes.frame
         if wishes.odometry is None and asked in above:
             self.frame = asked
@@ -153,7 +153,8 @@ class Placing:
             )
         if not moving or wishes.frame is not None or wishes.odometry is not None:
             raise self._nowhere(lost)
-        self.frame = next((f for f in moving if f not in OF_OTHERS), moving[-1])
+        own = [f for f in moving if f not in OF_OTHERS and "base" not in f]
+        self.frame = own[-1] if own else moving[-1]  # the outermost: in inner ones, joints move
 
     def _odometry(self, topic: Topic, window: tuple[int, int]) -> tuple[str, str]:
         """Make an edge of odometry; the names of its frames."""
