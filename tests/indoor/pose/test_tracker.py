@@ -162,6 +162,36 @@ def test_a_camera_that_stands_still_and_is_lost_is_looked_up_again(room, film):
     assert costs[0] > 0
 
 
+def bare(frame):
+    """The same frame without labels, with colours of nothing, and depth of one surface alone."""
+    seen, count = np.unique(frame.labels(), return_counts=True)
+    depth = np.where(frame.labels() == seen[count.argmax()], frame.depth(), np.nan)
+    noise = np.random.default_rng(frame.index).integers(0, 255, frame.rgb().shape, np.uint8)
+    return Frame.from_arrays(
+        noise, frame.camera, depth=depth, depth_camera=frame.depth_camera, stamp=frame.stamp,
+        gravity=frame.gravity, odometry=frame.odometry, index=frame.index,
+    )  # fmt: skip
+
+
+def test_frames_too_bare_to_tell_a_place_do_not_deny_one(room, film, truth):
+    options = FilterOptions().only(depth=True, colour=True)
+    plain = [bare(frame) for frame in film]
+    assert room.tracker(film.camera, options=options).update(plain[8]).status is not Status.OK
+    tracker = room.tracker(film.camera, options=options, seed=0)
+    for frame in film[:8]:
+        tracker.update(frame)
+    assert tracker.following
+    estimates = [tracker.update(frame) for frame in plain[8:]]
+    assert tracker.following
+    carried = [e.status for e in estimates if "too bare" in e.reason]
+    assert carried[0] is Status.OK
+    spread = [np.trace(e.best.covariance[:2, :2]) for e in estimates]
+    assert spread[-1] > 2 * spread[0]  # nothing holds it but odometry
+    near = [off(e, pose)[0] for e, pose in zip(estimates, truth(film)[8:], strict=True)]
+    sure = [d for d, e in zip(near, estimates, strict=True) if e.status is Status.OK]
+    assert max(sure) < 0.5
+
+
 def test_forgetting(room, film):
     tracker = room.tracker(film.camera, seed=0)
     for frame in film[:6]:

@@ -66,31 +66,38 @@ def sight(frame: Frame, encoder: MapEncoder | None, options: FilterOptions) -> S
     )
 
 
+Cut = dict[tuple[Sighting, float], View]
+"""Views of frames by their stride, before patches are weighted."""
+
+
 def views(
-    sightings: Sequence[Sighting], stride: float, model: Model, background: Background
+    sightings: Sequence[Sighting],
+    stride: float,
+    model: Model,
+    background: Background,
+    cut: Cut | None = None,
 ) -> list[View]:
     """Views of frames of one window, `stride` pixels of the colour image between samples.
 
     An object seen in many patches of the window is weighted down (`Likelihood.object_patches`),
-    which is why the frames come together.
+    which is why the frames come together. `cut`: what windows of the same map have cut before, and
+    where what is new is added.
     """
+    cut = {} if cut is None else cut
+    for sighting in sightings:
+        if (sighting, stride) not in cut:
+            cut[sighting, stride] = _view(sighting, stride, model, background)
     weights = _patch_weights([s.patches for s in sightings], model)
     pairs = zip(sightings, weights, strict=True)
-    return [_view(sighting, weight, stride, model, background) for sighting, weight in pairs]
+    return [cut[sighting, stride]._replace(weight=weight) for sighting, weight in pairs]
 
 
-def _view(
-    sighting: Sighting,
-    weight: NDArray[np.float32],
-    stride: float,
-    model: Model,
-    background: Background,
-) -> View:
+def _view(sighting: Sighting, stride: float, model: Model, background: Background) -> View:
     frame, patches = sighting.frame, sighting.patches
     samples = _samples(frame.camera, float(stride))
     inside = samples.inside
     patch = np.where(inside, 0, -1).astype(np.int32)
-    semantic = np.ones((len(weight), len(background.objects) + 1), np.float32)
+    semantic = np.ones((1, len(background.objects) + 1), np.float32)
     if patches is not None:
         cell = samples.cells(patches.camera, *patches.grid)
         patch = np.where(inside, np.where(cell >= 0, cell, len(patches.rows)), -1)
@@ -109,7 +116,7 @@ def _view(
         directions=directions.astype(np.float32),
         patch=patch.astype(np.int32),
         semantic=semantic,
-        weight=weight,
+        weight=np.zeros(len(semantic), np.float32),
         depth=depth,
         usual_depth=model.usual_depth(depth, directions, background),
         colour=colour,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.geometry import between, compose, wrap
+from placegraph.indoor.pose.motion import deviations
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,10 +44,7 @@ class Chain:
     @classmethod
     def of(cls, poses: Floats, noise: MotionNoise) -> Chain:
         """Chain of level odometry (T, 4)."""
-        steps = between(poses[:-1], poses[1:])
-        way = noise.translation + noise.translation_per_metre * np.linalg.norm(steps[:, :3], axis=1)
-        turn = noise.rotation + noise.rotation_per_radian * np.abs(steps[:, 3])
-        return cls(poses, np.stack([way, way, way, turn], axis=1))
+        return cls(poses, deviations(between(poses[:-1], poses[1:]), noise))
 
     @cached_property
     def steps(self) -> Floats:

@@ -41,10 +41,16 @@ def propagate(
     rng: Generator,
 ) -> NDArray[np.float64]:
     """Poses (N, 4) after a step (4,) with noise: s_{t+1} = s_t (+) (t_t + w_t), Eq. 1."""
-    way = noise.translation + noise.translation_per_metre * float(np.linalg.norm(step[:3]))
-    turn = noise.rotation + noise.rotation_per_radian * abs(float(wrap(step[3])))
-    errors = rng.normal(size=poses.shape) * np.array([way, way, way, turn])
+    errors = rng.normal(size=poses.shape) * deviations(step, noise)
     return compose(poses, step + errors)
+
+
+def deviations(steps: NDArray[np.float64], noise: MotionNoise) -> NDArray[np.float64]:
+    """Standard deviations (..., 4) [m, rad] of steps (..., 4)."""
+    length, turned = np.linalg.norm(steps[..., :3], axis=-1), np.abs(wrap(steps[..., 3]))
+    way = noise.translation + noise.translation_per_metre * length
+    turn = noise.rotation + noise.rotation_per_radian * turned
+    return np.stack([way, way, way, turn], axis=-1)
 
 
 def keyframes(

@@ -90,7 +90,8 @@ def spoiled(window: Window) -> str:
 
 def _covered(sightings: list[Sighting]) -> bool:
     """Whether all images are flat, and no frame has depth or labels."""
-    return blank(sightings) and not any(s.depth is not None or s.patches for s in sightings)
+    bare = not any(s.depth is not None or s.patches for s in sightings)
+    return bare and blank(sightings)
 
 
 def blank(sightings: list[Sighting]) -> bool:
@@ -134,8 +135,8 @@ def _same(one: Sighting, other: Sighting) -> bool:
         a is not None
         and b is not None
         and a.shape == b.shape
-        and not (a.ndim == 3 and _flat(a))
         and np.array_equal(a[::7, ::5], b[::7, ::5], equal_nan=a.dtype.kind == "f")
+        and not (a.ndim == 3 and _flat(a))
         for a, b in pairs
     )
 
@@ -154,8 +155,10 @@ def divided(window: Window, frames: Floats) -> str:
     A frame that fits and one that does not cannot both have been taken where odometry says.
     """
     depth, colour = frames[:, 1], frames[:, 2]
-    shows = [s.rgb is not None and not _flat(s.rgb) for s in window.sightings[-len(frames) :]]
-    images = np.isnan(depth) & np.isnan(frames[:, 0]) & shows  # these alone say where a frame is
+    alone = np.isnan(depth) & np.isnan(frames[:, 0])
+    pairs = zip(alone, window.sightings[-len(frames) :], strict=True)
+    # frames of which images alone say where they are
+    images = np.array([one and s.rgb is not None and not _flat(s.rgb) for one, s in pairs])
     misses = np.where(images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
     fit = np.where(images, colour > SPEAK, depth > _FITS)
     few = misses.sum() < max(2, round(0.3 * len(depth)))

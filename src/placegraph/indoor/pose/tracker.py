@@ -13,14 +13,14 @@ from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import between, compose, level_from_camera, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import FINE, sight
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.pose.filter import ParticleFilter
-from placegraph.indoor.pose.particles import Particles, moments
+from placegraph.indoor.pose.motion import deviations
 from placegraph.indoor.pose.placed import placed
-from placegraph.indoor.pose.polish import NARROWEST, Fit, polished, refine, round_of
+from placegraph.indoor.pose.polish import FITTED, NARROWEST, Fit, polished, refine, round_of
 from placegraph.indoor.pose.query import leveled
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.slide import freed
-from placegraph.indoor.pose.verdict import verdict
+from placegraph.indoor.pose.slide import freed, least_known
+from placegraph.indoor.pose.trust import SPEAK
+from placegraph.indoor.pose.verdict import DEPTH_AGREES, LOOSE, PATCHES_AGREE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
 if TYPE_CHECKING:
@@ -28,14 +28,19 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.likelihood.observe import Cut, Sighting
     from placegraph.indoor.pose.query import PoseQuery
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""
-FITTED = 5
+NEWEST = 4
 """Newest of them that the pose is fitted to while it is known."""
-PARTICLES = 80
+ROUNDS, SAMPLES = 2, 40
+"""Of the fit to a new frame."""
+DOUBT = 2.0
+"""Errors of a step, in units of the noise that is allowed for, that are reckoned with."""
+NEAREST, FARTHEST = 2.0 * NARROWEST, 12.0 * NARROWEST
+"""Bounds of how widely its samples are spread."""
 APART, TURNED = 0.15, 0.12
 """A new keyframe is this far on [m], or turned by this much [rad]."""
 WAIT = 5
@@ -48,8 +53,9 @@ class Tracker:
     """Localizes a stream of frames in one map; time and memory a frame are bounded.
 
     Until the pose is known, the newest keyframes are looked up in the visibility table and polished
-    together; then a small particle cloud follows the camera and is fitted to the last keyframes. A
-    pose that the frames contradict for a while is given up, and searched for anew.
+    together; then the pose is carried on by odometry and fitted to the last keyframes. Where these
+    fit, but are too bare to tell a place alone, it stays known by where it was, ever more loosely; a
+    pose that they contradict for a while is given up, and searched for anew.
 
     Parameters
     ----------
@@ -77,7 +83,9 @@ class Tracker:
         self.rng = np.random.default_rng(query.seed)
         self.scorer = Scorer(query.scene, query.options.likelihood, query.device)
         self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
-        self._filter: ParticleFilter | None = None
+        self._cut: Cut = {}
+        self._since = np.zeros(4)
+        self._fit: Fit | None = None
         self._last: Frame | None = None
         self._answer: PoseEstimate | None = None
         self._doubts = 0
@@ -86,7 +94,7 @@ class Tracker:
     @property
     def following(self) -> bool:
         """Whether the pose is known."""
-        return self._filter is not None
+        return self._fit is not None
 
     def update(self, frame: Frame) -> PoseEstimate:
         """Estimate of this frame's pose.
@@ -147,43 +155,65 @@ class Tracker:
     def reset(self) -> None:
         """Forget the pose and all frames."""
         self.keyframes.clear()
-        self._filter, self._last, self._answer = None, None, None
+        self._fit, self._last, self._answer = None, None, None
+        self._cut = {}
         self._doubts = self._waited = 0
 
     # ------------------------------------------------------------------------------ following
 
     def _follow(self, sighting: Sighting) -> PoseEstimate | None:
         """Move, weigh and fit; None where the pose had to be given up."""
-        assert self._filter is not None and self._last is not None  # noqa: S101, PT018  following
+        assert self._fit is not None and self._last is not None  # noqa: S101, PT018  following
         frame = sighting.frame
-        recent = [*list(self.keyframes)[-FITTED + 1 :], sighting]
-        window = Window(self.query, self.scorer, recent)
+        recent = [*list(self.keyframes)[-NEWEST + 1 :], sighting]
+        window = self._window(recent)
         step = _steps([self._last, frame])[1]
-        self._filter.renew()
-        self._filter.move(step)
-        view = window.views(FINE)[-1]
-        self._filter.weigh(view)
-        mean, covariance = moments(self._filter.particles.poses, self._filter.particles.weights)
-        spread = np.clip(np.sqrt(np.diag(covariance)), 2.0 * NARROWEST, 10.0 * NARROWEST)
-        level = round_of(window, FINE, rounds=2)
-        fit = refine(self.scorer, mean, spread, level, self.rng)
-        estimate = verdict(window, [fit])
-        self._doubts = 0 if estimate.status is Status.OK else self._doubts + 1
+        erred = DOUBT * deviations(step, self.query.options.motion)
+        spread = np.clip(np.hypot(self._fit.spread, erred), NEAREST, FARTHEST)
+        level = round_of(window, FINE, rounds=ROUNDS, samples=SAMPLES)
+        fit = refine(self.scorer, compose(self._fit.pose, step), spread, level, self.rng)
+        estimate = self._believed(verdict(window, [fit]), erred)
+        against = estimate.status is Status.LOST
+        self._doubts = self._doubts + 1 if against else 0
         if self._doubts >= PATIENCE:
-            self._filter, self._doubts = None, 0
+            self._fit, self._doubts = None, 0
             self.keyframes.clear()  # they led to a wrong belief
             return replace(estimate, status=Status.LOST, reason=f"Lost: {estimate.reason}")
         self._settle(fit)
         return estimate
 
+    def _believed(self, estimate: PoseEstimate, erred: Floats) -> PoseEstimate:
+        """What is known by where the camera was: frames too bare to tell a place do not deny one.
+
+        `erred`: (4,) standard deviations of the last step. They add up until frames tell the place
+        by themselves, or the pose is known too loosely.
+        """
+        if estimate.status is Status.OK:
+            self._since = np.zeros(4)
+            return estimate
+        if not _fits(estimate):
+            return estimate
+        self._since = self._since + erred**2
+        best = estimate.modes[0]
+        covariance = best.covariance.copy()
+        covariance[FITTED, FITTED] += self._since
+        mode = replace(best, covariance=covariance)
+        loose, _ = least_known(covariance)
+        status, known = Status.OK, "followed here from where it was sure"
+        if loose > LOOSE:
+            status, known = Status.AMBIGUOUS, f"by odometry known only to {loose:.1f} m"
+        reason = f"What is seen fits, but is too bare to tell the place alone; {known}."
+        return replace(estimate, status=status, modes=(mode, *estimate.modes[1:]), reason=reason)
+
     def _settle(self, fit: Fit) -> None:
-        """Gather the particles around a fit."""
+        """Follow a fit; what was said was of where the stream began."""
         self.query = replace(self.query, description=None, shares=None)
-        spread = np.maximum(fit.spread, 2.0 * NARROWEST)
-        poses = fit.pose + self.rng.normal(size=(PARTICLES, 4)) * spread
-        self._filter = ParticleFilter(
-            self.scorer, self.query.options, self.rng, Particles.even(poses), PARTICLES
-        )
+        self._fit = fit
+
+    def _window(self, sightings: list[Sighting]) -> Window:
+        """A window of the stream; of frames that were in the last one, views are not cut anew."""
+        self._cut = {key: view for key, view in self._cut.items() if key[0] in sightings}
+        return Window(self.query, self.scorer, sightings, cut=self._cut)
 
     # ------------------------------------------------------------------------------ searching
 
@@ -191,7 +221,7 @@ class Tracker:
         """Look the keyframes, and the newest frame, up in the whole map."""
         self._waited = 0
         known = [s for s in self.keyframes if s is not newest]
-        window = Window(self.query, self.scorer, [*known[-KEPT + 1 :], newest])
+        window = self._window([*known[-KEPT + 1 :], newest])
         seeds = search(window, self.rng)
         fits = freed(window, polished(window, seeds, self.rng), self.rng)
         estimate = verdict(window, fits)
@@ -227,6 +257,16 @@ class Tracker:
             return True
         step = _steps([self.keyframes[-1].frame, frame])[1]
         return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
+
+
+def _fits(estimate: PoseEstimate) -> bool:
+    """Whether frames agree with a pose, however little they say."""
+    told = estimate.stats["trust"]
+    if told["semantic"] is not None and told["semantic"] < PATCHES_AGREE:
+        return False
+    if told["depth"] is not None:
+        return bool(told["depth"] >= DEPTH_AGREES)
+    return bool(told["colour"] is not None and told["colour"] > SPEAK / 2.0)
 
 
 def _steps(frames: Sequence[Frame]) -> Floats:

@@ -39,9 +39,9 @@ _BLIND = 0.2
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
-_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
+PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
 """Of labels: the share that agrees, and what they tell a frame without depth [nat]."""
-_DEPTH_AGREES = 0.85
+DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _HALF, _LENIENT = 0.55, 0.15
 """Share of the newest frame's readings that has to agree, and how much less where other senses do."""
@@ -57,10 +57,11 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             steps = between(fit.pose, fit.poses[looked])
             return agreement(judging.scorer, fit.pose, told_apart, steps)
 
-        depth = not np.isnan(agreed_at(fits[0]).depth)
+        likeliest, first = fits[0], agreed_at(fits[0])
+        depth = not np.isnan(first.depth)
         fits, shares = _shared(window, fits, window.scorer.model.heat(len(looked), depth=depth))
         count = max(_EXPLAINED, int((shares > _RIVAL).sum()))
-        agreed = [agreed_at(fit) for fit in fits[:count]]
+        agreed = [first if fit is likeliest else agreed_at(fit) for fit in fits[:count]]
         if window.options.likelihood.tempered:
             shares = believed(shares, np.array([TRUST.odds(a) for a in agreed]))
             order = np.argsort(-shares, kind="stable")
@@ -243,7 +244,7 @@ def _sure(agreed: Agreement, probability: float) -> bool:
 def _newest_against(frame: Floats) -> str:
     """Why the newest frame by itself, its agreements (3,), contradicts the pose; empty: it does not."""
     semantic, depth, colour = frame.tolist()
-    if semantic < _PATCHES_AGREE - _LENIENT:
+    if semantic < PATCHES_AGREE - _LENIENT:
         return f"only {semantic:.0%} of its labelled patches see their object"
     if depth < (_HALF - _LENIENT if colour > SPEAK else _HALF):
         return f"only {depth:.0%} of its depth readings lie on the map's surfaces"
@@ -254,7 +255,7 @@ def disagreement(agreed: Agreement, told: float) -> str:
     """Why the best pose cannot be right; empty where it can."""
     if agreed.covered < _BLIND:
         return f"the map shows only {agreed.covered:.0%} of what the frames see"
-    if agreed.semantic < _PATCHES_AGREE:
+    if agreed.semantic < PATCHES_AGREE:
         return f"only {agreed.semantic:.0%} of the labelled patches see their object"
     if _named_alone(agreed):
         poor = told < _PATCHES_TELL
@@ -271,7 +272,7 @@ def _weakest(agreed: Agreement) -> str:
         return f"only {int((agreed.weights > TELLING).sum())} of its objects were seen"
     if np.isnan(agreed.depth):
         return "the colours hardly correlate with the map's"
-    if agreed.depth < _DEPTH_AGREES:
+    if agreed.depth < DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
     if np.isnan(agreed.colour) or agreed.colour > SPEAK:
         return "what is seen is too bare to tell where along its surfaces the camera is"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.encode import MapEncoder
-    from placegraph.indoor.likelihood.observe import Sighting
+    from placegraph.indoor.likelihood.observe import Cut, Sighting
     from placegraph.indoor.likelihood.view import View
     from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.map.scene import Scene
@@ -63,6 +63,8 @@ class Window:
     sightings: list[Sighting]
     seconds: dict[str, float] = field(default_factory=dict)
     """What each stage took."""
+    cut: Cut = field(default_factory=dict)
+    """Views of its frames, which other windows of the same frames and map may share."""
     _views: dict[float, list[View]] = field(default_factory=dict)
     _derived: dict[Hashable, Any] = field(default_factory=dict)
 
@@ -115,7 +117,7 @@ class Window:
 
     def last(self, count: int) -> Window:
         """The newest frames alone, so many at most."""
-        newest = Window(self.query, self.scorer, self.sightings[-count:])
+        newest = Window(self.query, self.scorer, self.sightings[-count:], cut=self.cut)
         newest._derived = self._derived
         return newest
 
@@ -134,7 +136,9 @@ class Window:
         """Views of all frames at a stride."""
         if stride not in self._views:
             background = self.table.background
-            self._views[stride] = views(self.sightings, stride, self.scorer.model, background)
+            self._views[stride] = views(
+                self.sightings, stride, self.scorer.model, background, self.cut
+            )
         return self._views[stride]
 
 
