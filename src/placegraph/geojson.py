@@ -21,7 +21,8 @@ DIGITS = 7
 """Of a degree of the corners of an ellipse: 1 cm."""
 SHARE = 0.95
 """Probability that an ellipse holds, were its mode the right one."""
-_CORNERS = 48
+_TURN = np.linspace(0.0, 2.0 * np.pi, 49)
+_CIRCLE = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _SCALE = float(np.sqrt(-2.0 * np.log(1.0 - SHARE)))  # of a Gaussian in the plane
 
 
@@ -105,10 +106,11 @@ def _features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:
 
 
 def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
+    heading = pose.heading
     known: dict[str, Any] = {
         "probability": pose.probability,
         "height": pose.height if isfinite(pose.height) else None,
-        "heading_deg": degrees(pose.heading) if isfinite(pose.heading) else None,
+        "heading_deg": degrees(heading) if isfinite(heading) else None,
     }
     known |= {name: getattr(pose, name) for name in ("level", "room", "building", "osm")}
     known |= {name: getattr(mode, name, None) for name in ("scene", "cell")}
@@ -120,11 +122,9 @@ def _ellipse(pose: EarthPose) -> list[list[float]]:
     values, axes = np.linalg.eigh(pose.covariance[:2, :2])
     if not values[-1] > 0:
         return []
-    turn = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
-    unit = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     # counter-clockwise, as RFC 7946 wants outer rings
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
-    corners = unit * (_SCALE * np.sqrt(np.maximum(values, 0.0))) @ axes.T
+    axes[:, 0] *= np.sign(axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0])
+    corners = _CIRCLE * (_SCALE * np.sqrt(np.maximum(values, 0.0))) @ axes.T
     ring = LocalPlane(pose.longitude, pose.latitude).to_lonlat(corners)
     ring[:, 0] += 360.0 * np.round((pose.longitude - ring[:, 0]) / 360.0)  # across the date line
     ring[-1] = ring[0]

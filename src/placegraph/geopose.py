@@ -68,6 +68,8 @@ class EarthPose:
     @property
     def heading(self) -> float:
         """Where it looks, clockwise from north [rad, 0 to 2 pi), as `geometry.split_pose` has it."""
+        if not np.isfinite(self.quaternion).all():
+            return np.nan
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_from_quaternion(self.quaternion) @ CAMERA_FROM_BODY.T
         if not np.isfinite(matrix).all():

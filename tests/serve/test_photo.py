@@ -32,8 +32,9 @@ def exif(*, film=None, orientation=1, gps=None):
     return made.tobytes()
 
 
-def test_the_focal_length_comes_from_exif():
-    photo = read_photo(picture((4032, 3024), exif=exif(film=26)), "a", OPTIONS)
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP"])
+def test_the_focal_length_comes_from_exif(kind):
+    photo = read_photo(picture((4032, 3024), kind, exif=exif(film=26)), "a", OPTIONS)
     assert photo.size == (4032, 3024)
     assert photo.rgb.shape == (960, 1280, 3)
     # 26 mm on film of 43.27 mm across
