@@ -213,10 +213,9 @@ def _evidence(text: str, signs: _Signs, things: Collection[str], folder: Path | 
         own = tuple(code for code in own if signs.letters[code].issuperset(word)) or own
         for code in own:
             scores[code] = scores.get(code, 0.0) + 0.7 / len(own)
-    for code, letters in signs.letters.items():
-        foreign = sum(not letters.issuperset(word) for word in words if not word.isascii())
-        if code in scores and code != "en":
-            scores[code] -= _FOREIGN * foreign
+    odd = [word for word in words if not word.isascii()]
+    for code in scores.keys() & signs.letters.keys() - {"en"}:
+        scores[code] -= _FOREIGN * sum(not signs.letters[code].issuperset(word) for word in odd)
     _untie(scores, [word for word in words if word not in signs.words], folder)
     return _Evidence(scores, count, known)
 
