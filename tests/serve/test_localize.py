@@ -12,9 +12,12 @@ from tests.serve.conftest import serving
 
 import placegraph as pg
 from placegraph.formats.capture.tum import read_tum
+from placegraph.indoor.pose.prior import Prior
 from placegraph.serve.desk import Desk
+from placegraph.serve.localize import in_radians
 from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Places
+from placegraph.serve.schema import PriorPose
 from placegraph.serve.worker import answer
 
 ROW = 17
@@ -119,6 +122,11 @@ def test_bad_uploads(client, files, request_, status, says):
     import re
 
     assert re.search(says, answer.json()["detail"])
+
+
+def test_a_prior_is_given_in_degrees_and_in_part():
+    given = PriorPose(x=1, y=2, yaw_deg=90, turn_deg=180).model_dump()
+    assert Prior(**in_radians(given)) == Prior(1.0, 2.0, yaw=np.pi / 2, turn=np.pi)
 
 
 def test_a_plan_of_a_scene(client):

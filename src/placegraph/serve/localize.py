@@ -98,12 +98,17 @@ def read(folder: Path, asked: dict[str, Any], options: ServeOptions) -> tuple[Im
         map=known["map"], description=known["description"] or None, near=near,
         radius=known["radius"], seed=known["seed"],
         heading=None if heading is None else radians(heading),
-        prior=None if prior is None else Prior(
-            prior["x"], prior["y"], prior["z"],
-            None if prior["yaw_deg"] is None else radians(prior["yaw_deg"]),
-            prior["spread"], radians(prior["turn_deg"]),
-        ),
+        prior=None if prior is None else Prior(**in_radians(prior)),
     )  # fmt: skip
+
+
+def in_radians(given: dict[str, float | None]) -> dict[str, float]:
+    """What was given of some fields, those in degrees in radians and without the ending of their names."""
+    return {
+        name.removesuffix("_deg"): radians(value) if name.endswith("_deg") else value
+        for name, value in given.items()
+        if value is not None
+    }
 
 
 def found(

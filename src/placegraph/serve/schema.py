@@ -77,8 +77,8 @@ class PriorPose(_Body):
     y: Finite
     z: Finite | None = None
     yaw_deg: Finite | None = None
-    spread: Positive = 1.0
-    turn_deg: Positive = 17.0
+    spread: Positive | None = None
+    turn_deg: Positive | None = None
 
 
 class Localize(_Body):
