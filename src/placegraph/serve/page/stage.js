@@ -1,7 +1,7 @@
 // What lies on the map: a city with the plans of its buildings, or a scene that stands nowhere on Earth.
 
 import { call, mapPath, picture } from "./api.js";
-import { button, el } from "./parts/base.js";
+import { button, clamp, el } from "./parts/base.js";
 import { middle, OPEN, Plan } from "./rooms.js";
 
 const CLOSEST = 90, ENTERED = 0.35, DOORS = 0.35, NAMED = 1;
@@ -163,9 +163,9 @@ export class Stage {
   visible() { return [...this.shown.values()]; }
 
   paint(ctx, map) {
-    const outside = map.view.scale < OPEN + 2, pins = this.view.pinned().map(({ at }) => at);
+    const pins = this.view.pinned().map(({ at }) => at);
     for (const plan of this.visible()) {
-      if (plan.anchor && outside) this.outline(ctx, map, plan);
+      if (plan.anchor) this.outline(ctx, map, plan);
       if (plan.anchor && map.view.scale < OPEN) continue;
       if (plan.anchor && !plan.asked && this.near(plan)) this.learn(plan).catch(() => {});
       plan.paint(ctx, map, pins);
@@ -188,7 +188,7 @@ export class Stage {
         for (let i = 0; i < part.length; i += 2) ctx[i ? "lineTo" : "moveTo"](...map.px(part[i], part[i + 1]));
         ctx.closePath();
       }
-      ctx.globalAlpha = 0.16;
+      ctx.globalAlpha = 0.16 * clamp((2 * OPEN - map.view.scale) / OPEN, 0, 1);
       ctx.fill("evenodd");
       ctx.globalAlpha = 0.9;
       ctx.stroke();
