@@ -35,6 +35,8 @@ def test_a_sentence_leads_from_the_city_into_the_room_and_back(browser, url):
         still(page)
         page.get_by_role("button", name="Enter Hotel Hansa").click()
         inside(page)
+        page.click("#tab-inside")  # images that are taken now are of this flat
+        page.wait_for_selector(".scenes [aria-pressed=true]:has-text('altbau')")
         assert {a.split("/")[2] for a in page.asked} == {url.split("/")[2]}
 
 

@@ -152,7 +152,6 @@ export class Stage {
     try { await this.learn(plan); } catch (error) { this.app.trouble(error); return; }
     const { map } = this.view;
     map.fly(map.fitting(plan.around, CLOSEST));
-    this.app.entered(plan);
   }
 
   leave() {
@@ -228,7 +227,10 @@ export class Stage {
       return plan.anchor && plan.index && plan.holds([x, y], 2) && Math.max(e - w, n - s) * scale > least;
     });
     const key = this.inside ? `${this.inside.map}/${this.inside.part}` : "";
-    if (key !== this.barred) { this.barred = key; this.write(); }
+    if (key === this.barred) return;
+    this.barred = key;
+    this.write();
+    if (this.inside) this.app.entered(this.inside);
   }
 
   /** The bar of a building that one is in: its name, its floors, and the way out. */
