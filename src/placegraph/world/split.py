@@ -17,9 +17,9 @@ from placegraph.language.check import Ignored, check
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
-from placegraph.world.abroad import in_english, of_rooms
 from placegraph.world.floors import said_floors
 from placegraph.world.streets import roads_called
+from placegraph.world.translate import in_english, of_rooms
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
