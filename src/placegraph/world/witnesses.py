@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -132,62 +131,62 @@ def hear(world: World, known: Known) -> Witnesses:
     for name in refused:
         spoken = spoken.replace(name, " | ")
     denied = "|".join(refused)
-    witness = partial(
-        _witness, known=known, towns=towns, inside=inside, spoken=spoken, denied=denied
-    )
+    heard = _Heard(known, floors, towns, inside, spoken, denied)
     near = None if known.near is None else (float(known.near[0]), float(known.near[1]))
-    found = {n: witness(n, s, floors=floors, above=above[n]) for n, s in scenes.items()}
+    found = {n: heard.witness(n, s, above[n]) for n, s in scenes.items()}
     return Witnesses(understood, towns, inside, found, near)
 
 
-def _witness(
-    name: str,
-    standings: tuple[Standing, ...],
-    *,
-    floors: tuple[Floor, ...],
-    above: int,
-    known: Known,
-    towns: dict[str, Outside],
-    inside: Inside | None,
-    spoken: str,
-    denied: str,
-) -> Witness:
-    """What words and the fix say of one scene and the candidates of its place."""
-    names = {name, *(s.anchor.building for s in standings)}
-    called = any(_called(n, spoken) for n in names)
-    refused = CALLED * any(_called(n, denied) for n in names)
-    said = inside.scenes[name] if inside else 0.0
-    if not standings:
-        fits = 1.0 if known.near is None else UNANCHORED
+@dataclass(frozen=True, eq=False)
+class _Heard:
+    """What was said, by who can judge it."""
+
+    known: Known
+    floors: tuple[Floor, ...]
+    towns: dict[str, Outside]
+    inside: Inside | None
+    spoken: str
+    """All words, but for those that deny."""
+    denied: str
+    """Names that the speaker is not in."""
+
+    def witness(self, name: str, standings: tuple[Standing, ...], above: int) -> Witness:
+        """What they say of one scene and the candidates of its place."""
+        names = {name, *(s.anchor.building for s in standings)}
+        called = any(_called(n, self.spoken) for n in names)
+        refused = CALLED * any(_called(n, self.denied) for n in names)
+        said = self.inside.scenes[name] if self.inside else 0.0
+        if not standings:
+            fits = 1.0 if self.known.near is None else UNANCHORED
+            return Witness(
+                name, outside=CALLED * called - refused, inside=said, near=fits, meant=called
+            )
+        priors = np.array([s.anchor.probability for s in standings])
+        told = [_told(s, self.towns) for s in standings]
+        ratios = np.array([t.ratio if t else 0.0 for t in told])
+        ratios += [ratio_of(self.floors, s.anchor.level, above) for s in standings]
+        nears = np.ones(len(standings))
+        if self.known.near is not None:
+            nears = np.array([s.near(self.known.near, self.known.radius) for s in standings])
+        logs = np.log(priors) + ratios + np.log(nears)
+        shares = np.exp(logs - logs.max())
+        shares /= shares.sum()
+        order = np.argsort(-shares, kind="stable")
+        best = int(order[0])
+        unknown = max(0.0, 1.0 - float(priors.sum()))
+        outside = float(np.log(priors @ np.exp(ratios) + unknown))
         return Witness(
-            name, outside=CALLED * called - refused, inside=said, near=fits, meant=called
-        )
-    priors = np.array([s.anchor.probability for s in standings])
-    told = [_told(s, towns) for s in standings]
-    ratios = np.array([t.ratio if t else 0.0 for t in told])
-    ratios += [ratio_of(floors, s.anchor.level, above) for s in standings]
-    nears = np.ones(len(standings))
-    if known.near is not None:
-        nears = np.array([s.near(known.near, known.radius) for s in standings])
-    logs = np.log(priors) + ratios + np.log(nears)
-    shares = np.exp(logs - logs.max())
-    shares /= shares.sum()
-    order = np.argsort(-shares, kind="stable")
-    best = int(order[0])
-    unknown = max(0.0, 1.0 - float(priors.sum()))
-    outside = float(np.log(priors @ np.exp(ratios) + unknown))
-    return Witness(
-        name,
-        tuple(standings[i] for i in order),
-        shares[order],
-        outside + CALLED * (called and told[best] is None) - refused,
-        said,
-        float(priors @ nears + unknown * UNANCHORED),
-        called or any(t is not None and t.meant for t in told),
-        told[best],
-        floors,
-        above,
-    )  # fmt: skip
+            name,
+            tuple(standings[i] for i in order),
+            shares[order],
+            outside + CALLED * (called and told[best] is None) - refused,
+            said,
+            float(priors @ nears + unknown * UNANCHORED),
+            called or any(t is not None and t.meant for t in told),
+            told[best],
+            self.floors,
+            above,
+        )  # fmt: skip
 
 
 def _told(standing: Standing, towns: dict[str, Outside]) -> Told | None:
