@@ -21,7 +21,7 @@ from placegraph.indoor.pose.trust import SPEAK
 from placegraph.indoor.pose.window import Window
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.random import Generator
     from numpy.typing import NDArray
@@ -35,6 +35,8 @@ _FLAT = 2.0
 """Deviation of the means of an image's blocks, of 255 steps, below which it shows nothing."""
 _MOVED, _TURNED = 0.1, 0.1
 """Way [m] and turn [rad] over which no two images are the same."""
+_STILL = 1e-6
+"""Odometry whose matrices change by less is no estimate: those that stand drift by more."""
 _BLOCKS = (8, 12)
 _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
@@ -169,6 +171,22 @@ def divided(window: Window, frames: Floats) -> str:
     return (
         f"Frames {listed} contradict the others: they were taken elsewhere, or the odometry "
         "jumped. Localize each part by itself."
+    )
+
+
+def unmoved(sightings: Sequence[Sighting]) -> str:
+    """That odometry is one pose all along, as where it is missing, though most of the depth moved."""
+    first, last = sightings[0].depth, sightings[-1].depth
+    if len(sightings) < 2 or first is None or last is None or first.shape != last.shape:
+        return ""
+    change = np.abs(first[::7, ::5] - last[::7, ::5])
+    read = np.isfinite(change)
+    still = np.ptp([s.frame.odometry for s in sightings], axis=0).max() < _STILL
+    if not (still and read.any() and np.median(change[read]) > _MOVED):
+        return ""
+    return (
+        "The odometry stands still, although the camera moved by its depth: give its odometry, or "
+        "localize each frame by itself."
     )
 
 

@@ -15,7 +15,7 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import covariance_of, probabilities
 from placegraph.indoor.pose.slide import least_known
-from placegraph.indoor.pose.suspect import divided, spoiled
+from placegraph.indoor.pose.suspect import divided, spoiled, unmoved
 from placegraph.indoor.pose.trust import CLEAR, LOST, SPEAK, SURE, TELLING, TRUST, WITNESSES
 from placegraph.indoor.pose.window import timed
 
@@ -171,7 +171,7 @@ def _status(
     status, reason = judge(agreed, modes, told)
     undecided = status is Status.AMBIGUOUS
     pose = modes[0].pose
-    fault = divided(window, _frames(window, poses, agreed))
+    fault = unmoved(window.sightings) or divided(window, _frames(window, poses, agreed))
     if fault:
         return Status.LOST if status is Status.LOST else Status.AMBIGUOUS, fault, False
     if status is Status.OK and len(window) > 1:
