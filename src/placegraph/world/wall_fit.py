@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 THICK, VARIES = 0.3, 0.12
 """Thickness of outer walls, and its deviation [m]."""
-_ROUGH = 0.25  # deviation of a footprint's walls from the building's [m]
+_ROUGH = 0.35  # deviation of a footprint's walls from the building's, each against the others [m]
 _OUTER = 0.7  # of a map's outline that is the building's wall; the rest are neighbours in the house
 _WITHIN, _OUTSIDE = 0.03, 1e-4  # density of the rest, and outside of the building [1/m]
 _SURELY = 0.95  # windows that are in the building's own walls, facing nobody
