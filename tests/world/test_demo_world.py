@@ -58,3 +58,18 @@ def test_of_two_libraries_in_town_the_street_is_believed(town):
     told = town.locate("I am in the library on Brückenstraße")
     assert told.best.building == "Stadtbibliothek"
     assert sum(m.probability for m in told.modes if m.building == "Stadtbibliothek") > 0.8
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "I am on the square",
+        "I am standing on a square. There is a fountain north of me and a café to my east.",
+        "I am in the park",
+    ],
+)
+def test_open_ground_is_no_building(town, text):
+    """A promenade along the library's wall is called a square, too."""
+    found = town.locate(text)
+    assert found.best.scene == ""
+    assert sum(m.probability for m in found.modes if m.scene) < 0.1

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.features import inside
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.locate import Hints
 from placegraph.outdoor.locate import understand as asked_of
+from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.outdoor.search.answer import estimate
 from placegraph.outdoor.search.confidence import Claim, claim_of
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from placegraph.evidence import Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.map.objects import CityObjects
     from placegraph.outdoor.search.posterior import Posterior
     from placegraph.outdoor.search.request import Request
 
@@ -35,7 +38,7 @@ AROUND = (12.0, 24.0)
 BESIDE = 100.0
 """A scene so far off a city's map [m] is in another town."""
 THERE = 30.0
-"""A building is the one that somebody is said to be in where that is no farther from its middle [m]."""
+"""A building is the one that somebody is said to be in where its point is this near its middle [m]."""
 MISSED = -2.0
 """Log-likelihood ratio, at most, of a building that somebody is not in by what was said [nat]."""
 
@@ -109,9 +112,9 @@ class Outside:
             if i in self.streets:
                 told = self._of_street(i, footprint)
             if own and not s.negated:
-                there = self._away(served[: len(inner), i], middle) < THERE
-                meant |= there
-                told = told if there else min(told, MISSED)
+                held, own = self._holds(served[: len(inner), i], footprint)
+                meant |= own
+                told = told if held else min(told, MISSED)
             weights.append(told)
         return Told(self, middle, self.claim.whole.slope * sum(weights), meant, tuple(weights))
 
@@ -131,14 +134,30 @@ class Outside:
         there, _ = looked_at(on.position[None], self.city, asked)
         return gain + p * max(0.0, float(there[0, i]) - gain)
 
-    def _away(self, rows: NDArray[np.int32], position: NDArray[np.float64]) -> float:
-        """How far what serves a statement is from a position [m]; infinity where nothing does."""
-        o = self.city.objects
-        deltas = [
-            nearest_on_parts(o.part_starts, o.point_starts, o.points, o.kind[r], r, *position)[:2]
-            for r in np.unique(rows[rows >= 0])
-        ]
-        return min((float(np.hypot(*d)) for d in deltas), default=np.inf)
+    def _holds(self, rows: NDArray[np.int32], footprint: NDArray[np.float64]) -> tuple[bool, bool]:
+        """Whether one of what serves a statement holds a building (4, 2), and whether it is a building.
+
+        A shop is where its point is; a square or a park may hold a building, and is none; a promenade
+        holds nothing.
+        """
+        o, middle = self.city.objects, footprint.mean(axis=0)
+        ring = np.concatenate([footprint, footprint[:1]])
+        held = meant = False
+        for r in np.unique(rows[rows >= 0]).tolist():
+            part = o.part_starts, o.point_starts, o.points, o.kind[r], r
+            away = float(np.hypot(*nearest_on_parts(*part, *middle)[:2]))
+            if o.kind[r] == AREA:
+                central = inside(o.center[r], ring)
+                holds, built = away == 0.0 or central, central or _is_building(o, r)
+            else:
+                holds = built = o.kind[r] == POINT and away < THERE
+            held, meant = held or holds, meant or (holds and built)
+        return held, meant
+
+
+def _is_building(o: CityObjects, row: int) -> bool:
+    labels = o.label_values[o.label_starts[row] : o.label_starts[row + 1]].tolist()
+    return any(o.labels[k].startswith("building") for k in labels)
 
 
 @dataclass(frozen=True, eq=False)
