@@ -10,17 +10,21 @@ from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH
 from placegraph.indoor.likelihood.view import Noise
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Background
+    from placegraph.indoor.likelihood.view import Background, View
     from placegraph.indoor.options import Likelihood
 
 TEMPERATURE = 2.7
 """Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
 that their sum is taken for worth sqrt(T) of them."""
 TEMPERATURE_DEPTH = 4.0
-"""The same where depth takes part: its errors are the map's, and go together."""
+"""The same where depth takes part: its errors are the map's, and go together ..."""
+TEMPERATURE_TONES = 6.0
+"""... and where tones do beside it: what an image tells is told twice."""
 
 
 class Calibrated:
@@ -76,9 +80,11 @@ class Calibrated:
         asked = np.append(terms, terms[COLOUR] and terms[DEPTH])
         return np.asarray(scores.astype(np.float64)[:, asked].sum(axis=1))
 
-    def heat(self, frames: int, *, depth: bool) -> float:
-        """Nats that count as one where so many frames are summed."""
-        return float((TEMPERATURE_DEPTH if depth else TEMPERATURE) * np.sqrt(frames))
+    def heat(self, views: Sequence[View]) -> float:
+        """Nats that count as one where these views are summed."""
+        depth, colour = np.any([v.terms for v in views], axis=0)[[DEPTH, COLOUR]]
+        beside = TEMPERATURE_TONES if colour else TEMPERATURE_DEPTH
+        return float((beside if depth else TEMPERATURE) * np.sqrt(len(views)))
 
 
 def reading_ratio(

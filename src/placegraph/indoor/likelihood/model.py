@@ -8,11 +8,13 @@ from placegraph.indoor.likelihood.calibrated import Calibrated
 from placegraph.indoor.likelihood.paper import Paper
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Background, Noise
+    from placegraph.indoor.likelihood.view import Background, Noise, View
     from placegraph.indoor.options import Likelihood
 
 
@@ -40,8 +42,8 @@ class Model(Protocol):
     def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
         """Log-likelihoods (N,) of scores (N, 4) of `score_poses`; `terms` (3,) are asked for."""
 
-    def heat(self, frames: int, *, depth: bool) -> float:
-        """Nats that count as one among modes, of so many frames; `depth`: whether it takes part."""
+    def heat(self, views: Sequence[View]) -> float:
+        """Nats that count as one among modes where these views are summed."""
 
 
 def model_of(options: Likelihood) -> Model:

@@ -11,10 +11,12 @@ from placegraph.indoor.likelihood.score_kernels import TONE
 from placegraph.indoor.likelihood.view import Noise
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Background
+    from placegraph.indoor.likelihood.view import Background, View
     from placegraph.indoor.options import Likelihood
 
 
@@ -53,6 +55,6 @@ class Paper:
         missing = 2.0 * factors.sum() - scores[:, :TONE].astype(np.float64) @ factors
         return np.asarray(-(missing**2) / (2.0 * o.sigma**2))
 
-    def heat(self, frames: int, *, depth: bool) -> float:
+    def heat(self, views: Sequence[View]) -> float:
         """Eq. 2 is a log-likelihood already."""
         return 1.0

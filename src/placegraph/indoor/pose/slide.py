@@ -70,8 +70,7 @@ def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floa
     drawn += (fit.pose + _SLIDES[:, None] * np.append(axis, 0.0))[:, None]
     logs = judging.scorer.together(drawn.reshape(-1, 4), views, steps).reshape(drawn.shape[:2])
     best = np.arange(len(_SLIDES)), logs.argmax(axis=1)
-    depth = any(window.sightings[i].depth is not None for i in looked)
-    heat = judging.scorer.model.heat(len(looked), depth=depth)
+    heat = judging.scorer.model.heat(views)
     return drawn[best], probabilities(logs[best], heat)
 
 

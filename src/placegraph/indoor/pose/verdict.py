@@ -58,8 +58,7 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             return agreement(judging.scorer, fit.pose, told_apart, steps)
 
         likeliest, first = fits[0], agreed_at(fits[0])
-        depth = not np.isnan(first.depth)
-        fits, shares = _shared(window, fits, window.scorer.model.heat(len(looked), depth=depth))
+        fits, shares = _shared(window, fits, window.scorer.model.heat(told_apart))
         count = max(_EXPLAINED, int((shares > _RIVAL).sum()))
         agreed = [first if fit is likeliest else agreed_at(fit) for fit in fits[:count]]
         if window.options.likelihood.tempered:
