@@ -57,10 +57,9 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             steps = between(fit.pose, fit.poses[looked])
             return agreement(judging.scorer, fit.pose, told_apart, steps)
 
-        likeliest, first = fits[0], agreed_at(fits[0])
         fits, shares = _shared(window, fits, window.scorer.model.heat(told_apart))
         count = max(_EXPLAINED, int((shares > _RIVAL).sum()))
-        agreed = [first if fit is likeliest else agreed_at(fit) for fit in fits[:count]]
+        agreed = [agreed_at(fit) for fit in fits[:count]]
         if window.options.likelihood.tempered:
             shares = believed(shares, np.array([TRUST.odds(a) for a in agreed]))
             order = np.argsort(-shares, kind="stable")
