@@ -38,14 +38,14 @@ HEADER = ["asked", "at once", "a second", "p50 ms", "p95 ms", "CPU ms each", "fa
 def serve_load(
     run: Run,
     seed: Seed = 0,
-    requests: Annotated[int, option("Requests over which memory is watched.")] = 100_000,
-    seconds: Annotated[float, option("Of each load.")] = 20.0,
+    requests: Annotated[int, option("Cheap requests over which memory is watched.")] = 100_000,
+    seconds: Annotated[int, option("Of each load.")] = 20,
     *,
     quick: Quick = False,
 ) -> None:
     """Sentences and images a second that a server answers, idle WebSockets, and its memory."""
     if quick:
-        requests, seconds = 1_000, 4.0
+        requests, seconds = 1_000, 4
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         world = unpack(folder / "raw")
@@ -57,9 +57,10 @@ def serve_load(
         pictures = sorted((world / "walk" / "rgb").iterdir())
         with served(folder / "maps") as server:
             rows = list(loads(server, folder / "asked", texts, pictures, seconds))
+            print(markdown(HEADER, map(line, rows)))
             sockets = asyncio.run(idle(server, 1000, {"id": 1, "text": texts[0], "map": CITY}))
             memory = watched(server, folder / "asked", texts, requests, seconds)
-    print(f"{markdown(HEADER, map(line, rows))}\n\n{told(sockets, memory)}")
+    print(f"\n{told(sockets, memory)}")
     run.save({"rows": rows, "sockets": sockets, "memory": memory, "busy": os.getloadavg()})
 
 
@@ -73,15 +74,15 @@ def sentences(extract: Path, seed: int) -> list[str]:
 
 
 def loads(
-    server: Served, file: Path, texts: list[str], pictures: list[Path], seconds: float
+    server: Served, file: Path, texts: list[str], pictures: list[Path], seconds: int
 ) -> Iterator[dict[str, Any]]:
     """Sentences and pictures, few and many at once; the first seconds warm up and do not count."""
     asked = [Request.of("/v1/locate", text=text, map=CITY) for text in texts]
-    server.asked(asked, file, at_once=4, seconds=2.0)
+    server.asked(asked, file, at_once=4, seconds=2)
     for at_once in (1, 4, 8):
         yield {"asked": "sentences"} | server.asked(asked, file, at_once=at_once, seconds=seconds)
     images = [picture(path) for path in pictures]
-    server.asked(images, file, at_once=1, seconds=2.0)
+    server.asked(images, file, at_once=1, seconds=2)
     for at_once in (1, 2):
         yield {"asked": "pictures"} | server.asked(images, file, at_once=at_once, seconds=seconds)
 
@@ -96,7 +97,7 @@ def picture(path: Path) -> Request:
 
 
 def watched(
-    server: Served, file: Path, texts: list[str], requests: int, seconds: float
+    server: Served, file: Path, texts: list[str], requests: int, seconds: int
 ) -> list[dict[str, Any]]:
     """Memory before, and from time to time, of many requests: of 20 one is a sentence, others cheap."""
     mixed = [
@@ -129,7 +130,8 @@ def line(row: dict[str, Any]) -> list[str]:
 
 def told(sockets: dict[str, Any], memory: list[dict[str, Any]]) -> str:
     """What idle WebSockets and many requests did to memory."""
-    grown = ", ".join(f"{row['mb']:.0f} after {row['requests']:,}" for row in memory)
+    some = memory[:2] + memory[2 :: max(1, len(memory) // 5)]
+    grown = ", ".join(f"{row['mb']:.0f} after {row['requests']:,}" for row in some)
     return (
         f"{sockets['sockets']} idle WebSockets hold {sockets['mb']:.1f} MB, and the last is answered "
         f"in {sockets['s'] * 1e3:.0f} ms. MB of all processes: {grown} requests."

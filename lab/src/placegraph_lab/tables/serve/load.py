@@ -74,12 +74,12 @@ class Served:
         return sum(int(_stat(p)[21]) for p in self.processes) * PAGE * 1e-6
 
     def asked(
-        self, requests: Iterable[Request], file: Path, *, at_once: int, seconds: float
+        self, requests: Iterable[Request], file: Path, *, at_once: int, seconds: int
     ) -> dict[str, Any]:
         """What wrk saw of requests in turn, so many at once, and the CPU that each took."""
         file.write_bytes(b"".join(r.bytes for r in requests))
         before = self.cpu()
-        words = ["wrk", "-t1", f"-c{at_once}", f"-d{seconds:g}s", "--timeout", "60s", "-s", SCRIPT,
+        words = ["wrk", "-t1", f"-c{at_once}", f"-d{seconds}s", "--timeout", "60s", "-s", SCRIPT,
                  self.url, "--", file]  # fmt: skip
         out = subprocess.run(list(map(str, words)), capture_output=True, text=True, check=True)  # noqa: S603
         told: dict[str, Any] = json.loads(out.stdout.splitlines()[-1])
