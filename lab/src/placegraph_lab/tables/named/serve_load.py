@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph.demo.world import FLAT, unpack
+from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.build import build_scene
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
@@ -54,9 +55,8 @@ def serve_load(
         shutil.copy(run.cache / "maps" / f"{CITY}.city", folder / "maps")
         build_scene(world / f"{FLAT}.glb", folder / "maps" / f"{FLAT}.scene")
         texts = sentences(run.osm / EXTRACTS[CITY], seed)
-        pictures = sorted((world / "walk" / "rgb").iterdir())
         with served(folder / "maps") as server:
-            rows = list(loads(server, folder / "asked", texts, pictures, seconds))
+            rows = list(loads(server, folder / "asked", texts, world / "walk", seconds))
             print(markdown(HEADER, map(line, rows)))
             sockets = asyncio.run(idle(server, 1000, {"id": 1, "text": texts[0], "map": CITY}))
             memory = watched(server, folder / "asked", texts, requests, seconds)
@@ -74,22 +74,25 @@ def sentences(extract: Path, seed: int) -> list[str]:
 
 
 def loads(
-    server: Served, file: Path, texts: list[str], pictures: list[Path], seconds: int
+    server: Served, file: Path, texts: list[str], walk: Path, seconds: int
 ) -> Iterator[dict[str, Any]]:
     """Sentences and pictures, few and many at once; the first seconds warm up and do not count."""
     asked = [Request.of("/v1/locate", text=text, map=CITY) for text in texts]
     server.asked(asked, file, at_once=4, seconds=2)
     for at_once in (1, 4, 8):
         yield {"asked": "sentences"} | server.asked(asked, file, at_once=at_once, seconds=seconds)
-    images = [picture(path) for path in pictures]
-    server.asked(images, file, at_once=1, seconds=2)
-    for at_once in (1, 2):
-        yield {"asked": "pictures"} | server.asked(images, file, at_once=at_once, seconds=seconds)
+    files, gravity = sorted((walk / "rgb").iterdir()), open_capture(walk).gravity.tolist()
+    plain = [picture(path) for path in files]
+    leveled = [picture(path, [down]) for path, down in zip(files, gravity, strict=True)]
+    server.asked(plain, file, at_once=1, seconds=2)
+    for name, images in (("pictures", plain), ("pictures and gravity", leveled)):
+        yield {"asked": name} | server.asked(images, file, at_once=2, seconds=seconds)
 
 
-def picture(path: Path) -> Request:
-    """A localization by one picture, and its camera."""
-    known = {"map": FLAT, "intrinsics": {"fx": 230.0, "width": 320, "height": 180}}
+def picture(path: Path, gravity: list[list[float]] | None = None) -> Request:
+    """A localization by one picture and its camera; where nobody tells gravity, tilts are tried."""
+    camera = {"fx": 230.0, "width": 320, "height": 180}
+    known = {"map": FLAT, "intrinsics": camera, "gravity": gravity}
     head = f'--{EDGE}\r\nContent-Disposition: form-data; name="'
     body = f'{head}request"\r\n\r\n{json.dumps(known)}\r\n{head}images"; filename="a"\r\n\r\n'
     data = body.encode() + path.read_bytes() + f"\r\n--{EDGE}--\r\n".encode()
