@@ -1,6 +1,8 @@
 """The list of what commands compile holds, and what it lists is compiled before it is called."""
 
 import inspect
+import subprocess
+import sys
 from importlib.resources import files
 from pathlib import Path
 
@@ -79,8 +81,15 @@ def test_the_command_compiles_what_is_missing(monkeypatch, capsys, tmp_path):
         assert out.startswith(said)
         assert str(tmp_path / "mine") in out
     assert len(list(Path(tmp_path, "mine").glob("*mesh_order_kernels.code*/*.nbc"))) == 1
-    made = {path.name.partition("-")[0] for path in Path(tmp_path, "mine").iterdir()}
-    assert made >= {"grammar", "languages", "table"}  # for a server that can write nowhere
+
+
+def test_the_command_makes_what_sentences_are_read_by(tmp_path):
+    """For a server that can write nowhere; in a process that has read nothing yet."""
+    mine = tmp_path / "mine"
+    code = "from placegraph import cli, warm; warm.commands = dict; cli.main()"
+    subprocess.run([sys.executable, "-c", code, "--compiled", mine, "warm"], check=True)  # noqa: S603
+    made = {path.name.partition("-")[0] for path in mine.iterdir()}
+    assert made >= {"grammar", "languages", "table"}
 
 
 def test_a_kernel_not_found_has_all_of_its_command_compiled(monkeypatch):

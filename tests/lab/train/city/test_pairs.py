@@ -73,13 +73,13 @@ def test_how_rare_a_mention_is():
 
 @pytest.fixture(scope="module")
 def paired(harbour, pool):
-    views = pool.views[:3, :6]
+    views = pool.views[:3, :5]
     assert (views >= 0).all()
     places = PlaceGraphs.of_views(harbour, views.ravel())
     fits = pool.fits
     words = word_fits(fits, *harbour.word_counts)
     rows, every = np.arange(3), np.arange(len(places))
-    return places, words, pair_batch(pool.texts, places, rows, every, (every // 6, every), words)
+    return places, words, pair_batch(pool.texts, places, rows, every, (every // 5, every), words)
 
 
 def test_agreement_is_how_well_words_of_the_map_fit(harbour, pool, paired):

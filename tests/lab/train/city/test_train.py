@@ -132,11 +132,11 @@ def test_several_seeds_share_descriptions(learn, trained, tmp_path):
 
 
 def test_the_loss_falls(learn, tmp_path):
-    options = replace(OPTIONS, epochs=1, steps=40, rate=1e-2)
+    options = replace(OPTIONS, epochs=1, steps=80, rate=1e-2)
     notes = Notes()
     learn(tmp_path / "b", options, progress=notes)
     told = [sum(losses.values()) for *_, losses in notes.steps]  # means of the epoch so far
-    last = (40 * told[39] - 30 * told[29]) / 10
+    last = (80 * told[79] - 70 * told[69]) / 10
     assert last < 0.9 * told[4]
 
 
