@@ -53,16 +53,23 @@ class Kept:
 
     def get(self, key: tuple[Any, ...], make: Callable[[], bytes]) -> bytes:
         """Return what is known of a key, or make it; one is made at a time."""
+        found = self._find(key)
+        if found is not None:
+            return found
+        with self._making:
+            found = self._find(key)  # others may have waited for the same
+            return self._keep(key, make()) if found is None else found
+
+    def _find(self, key: tuple[Any, ...]) -> bytes | None:
         with self._lock:
             if key in self._known:
                 self._known.move_to_end(key)
-                return self._known[key]
-        with self._making:
-            made = make()
+            return self._known.get(key)
+
+    def _keep(self, key: tuple[Any, ...], made: bytes) -> bytes:
         with self._lock:
-            if key not in self._known:
-                self._known[key] = made
-                self.size += len(made)
+            self._known[key] = made
+            self.size += len(made)
             while self.size > self.most and len(self._known) > 1:
                 self.size -= len(self._known.popitem(last=False)[1])
         return made
@@ -89,9 +96,13 @@ def drawing_router(places: Places) -> APIRouter:
         Of a city plane, bounds, levels and paints, see `placegraph.view.city.tiles`; of a scene its
         bounds and things, see `placegraph.view.scene.page`.
         """
-        if places.entry(name).kind == "city":
-            return _packed(request, _bytes(tiles_of(name)[1].index()))
-        return _packed(request, _bytes(told(plan_of(places.scene(name), scene))))
+        entry = places.entry(name)
+        if entry.kind == "city":
+            number, tiles = tiles_of(name)
+            return _packed(request, kept.get((number,), lambda: _bytes(tiles.index())))
+        key = name, scene, state_of(entry.path)
+        made = kept.get(key, lambda: _bytes(told(plan_of(places.scene(name), scene))))
+        return _packed(request, made)
 
     @router.get("/v1/maps/{name}/drawing.png")
     def floor(name: str, scene: str = "", *, dark: bool = False) -> Response:
