@@ -192,6 +192,17 @@ def test_frames_too_bare_to_tell_a_place_do_not_deny_one(room, film, truth):
     assert max(sure) < 0.5
 
 
+def test_a_frozen_camera_is_no_bare_wall(room, film):
+    """Its readings fit where it was; odometry says that it is there no more."""
+    tracker = room.tracker(film.camera, seed=0)
+    for frame in film[:8]:
+        tracker.update(frame)
+    assert tracker.following
+    stuck = [seen(film[7], frame.odometry, index=frame.index) for frame in film[8:20]]
+    estimates = [tracker.update(frame) for frame in stuck]
+    assert all(e.status is not Status.OK for e in estimates[4:])
+
+
 def test_forgetting(room, film):
     tracker = room.tracker(film.camera, seed=0)
     for frame in film[:6]:

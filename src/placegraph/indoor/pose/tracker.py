@@ -19,8 +19,7 @@ from placegraph.indoor.pose.polish import FITTED, NARROWEST, Fit, polished, refi
 from placegraph.indoor.pose.query import leveled
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed, least_known
-from placegraph.indoor.pose.trust import SPEAK
-from placegraph.indoor.pose.verdict import DEPTH_AGREES, LOOSE, PATCHES_AGREE, verdict
+from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
 if TYPE_CHECKING:
@@ -156,13 +155,13 @@ class Tracker:
         """Forget the pose and all frames."""
         self.keyframes.clear()
         self._fit, self._last, self._answer = None, None, None
-        self._cut = {}
+        self._cut, self._since = {}, np.zeros(4)
         self._doubts = self._waited = 0
 
     # ------------------------------------------------------------------------------ following
 
-    def _follow(self, sighting: Sighting) -> PoseEstimate | None:
-        """Move, weigh and fit; None where the pose had to be given up."""
+    def _follow(self, sighting: Sighting) -> PoseEstimate:
+        """Carry the pose on and fit it; it is given up where frames have contradicted it for a while."""
         assert self._fit is not None and self._last is not None  # noqa: S101, PT018  following
         frame = sighting.frame
         recent = [*list(self.keyframes)[-NEWEST + 1 :], sighting]
@@ -173,7 +172,7 @@ class Tracker:
         level = round_of(window, FINE, rounds=ROUNDS, samples=SAMPLES)
         fit = refine(self.scorer, compose(self._fit.pose, step), spread, level, self.rng)
         estimate = self._believed(verdict(window, [fit]), erred)
-        against = estimate.status is Status.LOST
+        against = estimate.status is not Status.OK and not estimate.stats["fits"]
         self._doubts = self._doubts + 1 if against else 0
         if self._doubts >= PATIENCE:
             self._fit, self._doubts = None, 0
@@ -191,7 +190,7 @@ class Tracker:
         if estimate.status is Status.OK:
             self._since = np.zeros(4)
             return estimate
-        if not _fits(estimate):
+        if not estimate.stats["fits"]:
             return estimate
         self._since = self._since + erred**2
         best = estimate.modes[0]
@@ -226,7 +225,7 @@ class Tracker:
         fits = freed(window, polished(window, seeds, self.rng), self.rng)
         estimate = verdict(window, fits)
         if estimate.status is Status.OK:
-            self._doubts = 0
+            self._doubts, self._since = 0, np.zeros(4)
             self._settle(fits[0])
         return estimate
 
@@ -257,16 +256,6 @@ class Tracker:
             return True
         step = _steps([self.keyframes[-1].frame, frame])[1]
         return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
-
-
-def _fits(estimate: PoseEstimate) -> bool:
-    """Whether frames agree with a pose, however little they say."""
-    told = estimate.stats["trust"]
-    if told["semantic"] is not None and told["semantic"] < PATCHES_AGREE:
-        return False
-    if told["depth"] is not None:
-        return bool(told["depth"] >= DEPTH_AGREES)
-    return bool(told["colour"] is not None and told["colour"] > SPEAK / 2.0)
 
 
 def _steps(frames: Sequence[Frame]) -> Floats:

@@ -39,9 +39,9 @@ _BLIND = 0.2
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
-PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
+_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
 """Of labels: the share that agrees, and what they tell a frame without depth [nat]."""
-DEPTH_AGREES = 0.85
+_DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _HALF, _LENIENT = 0.55, 0.15
 """Share of the newest frame's readings that has to agree, and how much less where other senses do."""
@@ -83,6 +83,7 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             stats={
                 "trust": agreed[0].numbers() | {"probability": modes[0].probability},
                 "undecided": undecided,
+                "fits": status is Status.OK or _fits(judging, fits[0].poses, agreed[0]),
             },
             map=window.scene,
         )
@@ -192,6 +193,15 @@ def _status(
     return status, reason, undecided
 
 
+def _fits(window: Window, poses: Floats, agreed: Agreement) -> bool:
+    """Whether nothing seen contradicts poses (T, 4), however little it says of them."""
+    fault = spoiled(window) or divided(window, _frames(window, poses, agreed))
+    if fault or agreed.semantic < _PATCHES_AGREE or _newest_against(agreed.frames[-1]):
+        return False
+    mute = np.isnan(agreed.depth)
+    return agreed.colour > SPEAK / 2.0 if mute else agreed.depth >= _DEPTH_AGREES
+
+
 def _frames(window: Window, poses: Floats, agreed: Agreement) -> Floats:
     """(T, 3) how far each frame of the window agrees with its pose (T, 4)."""
     older = len(window) - len(agreed.frames)
@@ -242,7 +252,7 @@ def _sure(agreed: Agreement, probability: float) -> bool:
 def _newest_against(frame: Floats) -> str:
     """Why the newest frame by itself, its agreements (3,), contradicts the pose; empty: it does not."""
     semantic, depth, colour = frame.tolist()
-    if semantic < PATCHES_AGREE - _LENIENT:
+    if semantic < _PATCHES_AGREE - _LENIENT:
         return f"only {semantic:.0%} of its labelled patches see their object"
     if depth < (_HALF - _LENIENT if colour > SPEAK else _HALF):
         return f"only {depth:.0%} of its depth readings lie on the map's surfaces"
@@ -253,7 +263,7 @@ def disagreement(agreed: Agreement, told: float) -> str:
     """Why the best pose cannot be right; empty where it can."""
     if agreed.covered < _BLIND:
         return f"the map shows only {agreed.covered:.0%} of what the frames see"
-    if agreed.semantic < PATCHES_AGREE:
+    if agreed.semantic < _PATCHES_AGREE:
         return f"only {agreed.semantic:.0%} of the labelled patches see their object"
     if _named_alone(agreed):
         poor = told < _PATCHES_TELL
@@ -270,7 +280,7 @@ def _weakest(agreed: Agreement) -> str:
         return f"only {int((agreed.weights > TELLING).sum())} of its objects were seen"
     if np.isnan(agreed.depth):
         return "the colours hardly correlate with the map's"
-    if agreed.depth < DEPTH_AGREES:
+    if agreed.depth < _DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
     if np.isnan(agreed.colour) or agreed.colour > SPEAK:
         return "what is seen is too bare to tell where along its surfaces the camera is"
