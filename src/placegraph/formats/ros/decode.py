@@ -7,23 +7,21 @@ definitions, as sqlite has them, is read like one with them.
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
 from struct import unpack_from
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.ros.types import TRANSFORMS, typestore
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
-    from rosbags.typesys.store import Typestore
 
     from placegraph.formats.ros.files.storage import Message, Topic
 
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
 HEAD = 24
 """Bytes of a message with a header that hold its stamp."""
 
@@ -35,7 +33,7 @@ def decoded(message: Message, topic: str, kind: str, encoding: str) -> Any:  # n
 
 def decode(data: bytes, where: str, kind: str, encoding: str) -> Any:  # noqa: ANN401  # rosbags'
     """Message of bytes; `InputError`, which begins with `where`, where they are none of that type."""
-    store, kind = _store(encoding), kind.replace("tf/msg/tfMessage", TRANSFORMS)
+    store, kind = typestore(encoding), kind.replace("tf/msg/tfMessage", TRANSFORMS)
     try:
         if encoding == "ros1":
             return store.deserialize_ros1(data, kind)
@@ -71,15 +69,3 @@ def stamp_of(header: Any) -> float:  # noqa: ANN401  # rosbags'
 def frame_of(name: str) -> str:
     """Name of a frame without the slash that ROS 1 wrote before it."""
     return name.lstrip("/")
-
-
-@lru_cache(maxsize=2)
-def _store(encoding: str) -> Typestore:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    if encoding != "ros1":
-        return get_typestore(Stores.ROS2_HUMBLE)
-    store = get_typestore(Stores.ROS1_NOETIC)
-    lacking = get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS)
-    store.register(lacking)
-    return store
