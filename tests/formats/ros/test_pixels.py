@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.formats.rvl import rvl
 
 from placegraph.errors import InputError
 from placegraph.formats.ros.pixels import colours, depths, size_of
@@ -99,6 +100,7 @@ def test_depths():
         image(units, "16UC1", pad=6), image(units.astype(">u2"), "16UC1", big=1),
         image(metres, "32FC1"), packed(bytes(12) + png(units), "16UC1; compressedDepth png"),
         packed(png(units), "16UC1; png compressed "),
+        packed(bytes(12) + rvl(units), "16UC1; compressedDepth rvl"),
     ):  # fmt: skip
         np.testing.assert_array_equal(depths(said, None, "x"), metres)
         assert size_of(said, "x")[:2] == (16, 12)
@@ -116,7 +118,7 @@ def test_depths():
     [
         (image(SMOOTH, "rgb8"), "encoding 'rgb8' is no depth; it is 16UC1"),
         (packed(png(SMOOTH), "16UC1; jpeg"), "mode 'RGB', which is no depth"),
-        (packed(bytes(30), "16UC1; compressedDepth rvl"), "`format: png`"),
+        (packed(bytes(30), "16UC1; compressedDepth rvl"), "it has 0 x 0 pixels"),
         (packed(b"\x89PNG", "16UC1; compressedDepth png"), "cannot be read as an image"),
     ],
 )

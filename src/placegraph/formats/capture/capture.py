@@ -179,6 +179,7 @@ FORMATS = (
         "colmap",
         ("scale", "up"),
     ),
+    Format("RTAB-Map", "a .db file", "dataset.rtabmap", "rtabmap"),
     Format(
         "capture folder",
         "rgb/, camera.json and odometry.tum",

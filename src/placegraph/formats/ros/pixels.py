@@ -10,6 +10,7 @@ import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.images import opened
+from placegraph.formats.capture.rvl import rvl_image, rvl_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,8 +87,9 @@ def size_of(image: Any, name: str) -> tuple[int, int, str]:  # noqa: ANN401  # r
         return int(image.width), int(image.height), str(image.encoding)
     said, data = image.format.partition(";")[0].strip(), bytes(image.data)
     if "compressedDepth" in image.format:
-        _refuse_rvl(image, name)
         said, data = said or "16UC1", data[_PACKED_HEAD:]
+        if _is_rvl(image):
+            return *rvl_size(data), said
     with opened(io.BytesIO(data), f"{name} ({image.format[:40]!r})") as picture:
         inside = {"L": "mono8", "I;16": "16UC1", "I;16B": "16UC1", "I": "16UC1"}.get(
             picture.mode, "rgb8"
@@ -175,18 +177,18 @@ def _unpacked_colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN4
 def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
     """Units of a compressed depth image: mm as uint16, or metres as float32."""
     data, said = bytes(image.data), image.format
-    packed = "compressedDepth" in said
-    if packed:
-        _refuse_rvl(image, name)
-    with opened(
-        io.BytesIO(data[_PACKED_HEAD if packed else 0 :]), f"{name} ({said[:40]!r})"
-    ) as held:
-        if not held.mode.startswith("I"):
-            raise InputError(
-                f"{name}: format {said[:40]!r} holds pixels of mode {held.mode!r}, which is no depth; "
-                "record the raw image, or compressedDepth."
-            )
-        units = np.asarray(held).astype(np.uint16)
+    packed, what = "compressedDepth" in said, f"{name} ({said[:40]!r})"
+    pixels = data[_PACKED_HEAD if packed else 0 :]
+    if packed and _is_rvl(image):
+        units = rvl_image(pixels, what)
+    else:
+        with opened(io.BytesIO(pixels), what) as held:
+            if not held.mode.startswith("I"):
+                raise InputError(
+                    f"{name}: format {said[:40]!r} holds pixels of mode {held.mode!r}, which is no "
+                    "depth; record the raw image, or compressedDepth."
+                )
+            units = np.asarray(held).astype(np.uint16)
     if packed and said.startswith("32FC1"):  # 1 / depth in steps, of which the head says the size
         a, b = unpack_from("<ff", data, 4)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -196,9 +198,5 @@ def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # r
     return units
 
 
-def _refuse_rvl(image: Any, name: str) -> None:  # noqa: ANN401  # rosbags'
-    if "rvl" in image.format.lower():
-        raise InputError(
-            f"{name}: format {image.format[:40]!r} is not read; record compressedDepth with "
-            "`format: png`, or the raw image."
-        )
+def _is_rvl(image: Any) -> bool:  # noqa: ANN401  # rosbags'
+    return "rvl" in image.format.lower()

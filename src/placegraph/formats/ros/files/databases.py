@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.ros.files.storage import Database, Part
+from placegraph.formats.ros.files.storage import Messages, Part
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,20 +20,15 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
     Where it is damaged it is read as far as it goes, of which `notes` is told. Raises `InputError`
     where it is no such database, or holds no message.
     """
-    base = Database(path, packed=packed)
+    base = Messages(path, packed=packed)
     try:
-        topics = base.rows.execute(
-            "SELECT id, name, type, serialization_format FROM topics"
-        ).fetchall()
+        topics = base.select("id, name, type, serialization_format", "topics").fetchall()
     except (sqlite3.Error, ValueError) as error:
         raise InputError(f"{path} is no rosbag2 database ({error}); copy the bag again.") from error
     rows: list[tuple[int, int, int]] = []
-    asked = (
-        "SELECT topic_id, timestamp, id FROM messages "
-        "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
-    )
+    whole = "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
     try:
-        rows.extend(base.rows.execute(asked))
+        rows.extend(base.select("topic_id, timestamp, id", "messages", whole))
     except (sqlite3.Error, ValueError) as error:
         notes.append(
             f"{path.name}: the database is damaged ({error}); it is read as far as it goes."

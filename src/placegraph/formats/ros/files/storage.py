@@ -7,12 +7,10 @@ it. Of a block that is not compressed nothing but the message itself is read.
 from __future__ import annotations
 
 import os
-import sqlite3
 import struct
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import partial
 from struct import unpack_from
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -20,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.capture.database import Database
 from placegraph.formats.ros.files.packed import MOST, Packed
 
 if TYPE_CHECKING:
@@ -147,46 +146,29 @@ class Chunk:
         )
 
 
-class Database:
+class Messages(Database):
     """A rosbag2 database (.db3), whose messages are rows."""
 
     def __init__(self, path: Path, *, packed: bool = False) -> None:
         """Open it for reading; `packed`: each message is compressed by zstd."""
-        self.path, self.packed = path, packed
-        self._lock = Lock()
-        wal = path.with_name(path.name + "-wal")
-        alone = not (wal.exists() and wal.stat().st_size)
-        where = f"{path.resolve().as_uri()}?{'immutable=1' if alone else 'mode=ro'}"
-        try:
-            self.rows = sqlite3.connect(where, uri=True, check_same_thread=False)
-            self.rows.text_factory = partial(str, encoding="utf-8", errors="replace")
-        except sqlite3.Error as error:
-            raise InputError(f"{path} cannot be opened as a database ({error}).") from error
-        weakref.finalize(self, self.rows.close)
+        super().__init__(path)
+        self.packed = packed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _database, (self.path, self.packed)
+        return _messages, (self.path, self.packed)
 
     def read(self, offset: int, most: int | None = None) -> bytes:
         """As `Place.read`; the offset is the row's id."""
-        try:
-            with self._lock, self.rows.blobopen("messages", "data", offset, readonly=True) as blob:
-                if len(blob) >= MOST:
-                    raise InputError(f"{self.path}: message {offset} has {len(blob):,} bytes.")
-                data = blob.read(len(blob) if most is None or self.packed else most)
-        except (sqlite3.Error, OverflowError) as error:
-            raise InputError(
-                f"{self.path}: message {offset} cannot be read ({error}); "
-                f"`sqlite3 {self.path.name} .recover` saves what is left."
-            ) from error
+        name = f"{self.path}: message {offset}"
+        data = self.blob(("messages", "data", offset), name, None if self.packed else most)
         if self.packed:
             whole = MOST if most is None else most
             return Packed(data, "zstd", f"{self.path}, message {offset},").read(0, whole)
         return data
 
 
-def _database(path: Path, packed: bool) -> Database:
-    return Database(path, packed=packed)
+def _messages(path: Path, packed: bool) -> Messages:
+    return Messages(path, packed=packed)
 
 
 class Message(NamedTuple):
