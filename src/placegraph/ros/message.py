@@ -46,11 +46,16 @@ class FrameIds:
     camera: str = "camera"
 
 
+def nanoseconds(stamp: float) -> int:
+    """Nanoseconds of a stamp [s]; `OptionError` where it is none that ROS can say."""
+    if not 0.0 <= stamp < _SECONDS:
+        raise OptionError(f"stamp is {stamp}; ROS tells seconds since 1970, up to 2038.")
+    return round(stamp * 1e9)
+
+
 def time(stamp: float) -> Fields:
     """`builtin_interfaces/Time` of a stamp [s]; `OptionError` where it is none that ROS can say."""
-    if not -_SECONDS < stamp < _SECONDS:
-        raise OptionError(f"stamp is {stamp}; ROS tells seconds since 1970, as 32 bits hold them.")
-    seconds, nanos = divmod(round(stamp * 1e9), 10**9)
+    seconds, nanos = divmod(nanoseconds(stamp), 10**9)
     return {"sec": seconds, "nanosec": nanos}
 
 
@@ -64,6 +69,11 @@ def xyz(vector: Floats) -> Fields:
     return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
 
 
+def points(places: Floats) -> list[Fields]:
+    """`geometry_msgs/Point[]` of (N, 3)."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in np.asarray(places, np.float64).tolist()]
+
+
 def quaternion(rotation: Floats) -> Fields:
     """`geometry_msgs/Quaternion` of a rotation (3, 3)."""
     return dict(zip("xyzw", quaternion_from_rotation(rotation).tolist(), strict=True))
@@ -71,7 +81,16 @@ def quaternion(rotation: Floats) -> Fields:
 
 def pose(matrix: Floats) -> Fields:
     """`geometry_msgs/Pose` of a rigid transform (4, 4)."""
-    return {"position": xyz(matrix[:3, 3]), "orientation": quaternion(matrix[:3, :3])}
+    return poses(matrix[None])[0]
+
+
+def poses(matrices: Floats) -> list[Fields]:
+    """`geometry_msgs/Pose[]` of rigid transforms (N, 4, 4)."""
+    turned = quaternion_from_rotation(matrices[:, :3, :3]).tolist()
+    return [
+        {"position": place, "orientation": {"x": x, "y": y, "z": z, "w": w}}
+        for place, (x, y, z, w) in zip(points(matrices[:, :3, 3]), turned, strict=True)
+    ]
 
 
 def transform(parent: str, child: str, parent_from_child: Floats, stamp: float) -> Fields:

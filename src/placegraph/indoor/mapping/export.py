@@ -93,7 +93,7 @@ def export(
     if paths and ending not in (".glb", ".json"):
         raise OptionError(f"camera_paths: a {ending} has no place for them; export .glb or .json.")
     if ending == ".glb":
-        write_file(path, [_glb(scene, paths)])
+        write_file(path, [glb_of(scene, paths)])
     elif ending in (".osm", *OSMAG_ENDINGS):
         shapes, osmag = shapes_of(scene), ending != ".osm"
         write_file(path, [encode_rooms(shapes, osmag=osmag, generator=MARK)])
@@ -180,13 +180,14 @@ def materials(scene: Scene, *, webp: bool = False) -> list[Material]:
     return made
 
 
-def _glb(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
+def glb_of(scene: Scene, paths: Paths | None = None) -> bytes:
+    """Bytes of a .glb file, as `export` writes it."""
     graph = scene.graph
     parts = [
         Part(graph.names[i] or graph.labels[i], surfaces, _extras(scene, i))
         for i, surfaces in enumerate(object_surfaces(scene.mesh, len(graph)))
     ]
-    parts += [Part(name, lines=path_lines(poses)) for name, poses in paths.items()]
+    parts += [Part(name, lines=path_lines(poses)) for name, poses in checked(paths or {}).items()]
     return encode_glb(parts, materials(scene), extras=_note(scene), generator=MARK)
 
 
