@@ -17,6 +17,7 @@ from placegraph.errors import InputError, MissingExtraError, PlacegraphError
 from placegraph.formats.capture.frame import Frame
 from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera
+from placegraph.ros.message import Message, header
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start
@@ -222,11 +223,11 @@ def test_clocks_that_jump(bag, clip, tmp_path):
         write_capture(writer, clip[1:])
         late = Layout(start=START + 1000.0)
         for frame in clip[:1]:  # recorded later, stamped earlier
-            image = writer.made(
-                "sensor_msgs/Image", header=writer.header(START + frame.stamp - 50, OPTICAL),
-                height=72, width=96, step=288, encoding="rgb8", data=frame.rgb().reshape(-1),
-            )  # fmt: skip
-            writer.write(COLOUR, "sensor_msgs/msg/Image", late.start, image)
+            image = {
+                "header": header(START + frame.stamp - 50, OPTICAL), "height": 72, "width": 96,
+                "step": 288, "encoding": "rgb8", "data": frame.rgb(),
+            }  # fmt: skip
+            writer.write(Message(COLOUR, "sensor_msgs/msg/Image", late.start, image))
     capture = pg.open_capture(tmp_path / "back")
     assert (len(capture), capture.left_out) == (3, {"the clock jumped back": 1})
     assert any("jumps back (1 times)" in note for note in capture.notes)
@@ -315,7 +316,9 @@ def test_topics_of_another_type(bag):
 
     def more(writer):
         writer.imu(COLOUR, START + 101.0, np.array([0, 0, 1.0]))
-        writer.write("/junk", "sensor_msgs/msg/Image", START + 101.0, b"\0\1\0\0" + b"\xff" * 30)
+        writer.write_bytes(
+            "/junk", "sensor_msgs/msg/Image", START + 101.0, b"\0\1\0\0" + b"\xff" * 30
+        )
 
     path = bag(more=more)
     capture = pg.open_capture(path)

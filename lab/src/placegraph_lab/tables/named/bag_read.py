@@ -26,10 +26,12 @@ from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number
-from placegraph_lab.worlds.bags import BagWriter, Container, Layout, write_capture
+from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from placegraph.ros.bag import Container
 
 IMAGES = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw")
 AIM = 1.3
