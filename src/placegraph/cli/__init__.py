@@ -75,7 +75,7 @@ BAG = Group(
     "bag",
     "Bags of ROS: what they hold, and what they can be used for. Every command that takes a capture "
     "takes a bag.",
-    {"info": f"{_HERE}.bag.info:info"},
+    {"info": f"{_HERE}.bag.info:info", "layout": f"{_HERE}.bag.layout:layout"},
 )
 
 
