@@ -60,6 +60,20 @@ def test_bad_questions_have_problems(client, body, status, code, says):
     assert told["mend"].lower() in told["detail"].lower()
 
 
+def test_methods_and_bodies_of_another_kind(client):
+    wrong = client.get("/v1/locate")
+    assert (wrong.status_code, wrong.headers["allow"], wrong.json()["code"]) == (
+        405, "POST", "method",
+    )  # fmt: skip
+    assert client.get("/v1/locat").status_code == 404
+    plain = client.post("/v1/locate", content='{"text": "A bank"}')
+    assert plain.json()["mend"] == "Send one, as application/json."
+    json = {"content-type": "application/json"}
+    broken = client.post("/v1/locate", content='{"text": "A bank', headers=json)
+    assert (broken.status_code, broken.json()["code"]) == (400, "json")
+    assert broken.json()["detail"].startswith("body: not JSON (Unterminated string")
+
+
 def test_the_newest_of_what_is_typed_is_answered(client):
     with client.websocket_connect("/v1/live") as socket:
         for number, text in enumerate(["A", "A bak", SENTENCE]):
@@ -68,7 +82,7 @@ def test_the_newest_of_what_is_typed_is_answered(client):
             assert told["id"] in {0, 1}
         assert told["result"]["estimate"]["modes"]
         socket.send_text("{")
-        assert socket.receive_json()["problem"]["mend"] == "Send an object with id and text."
+        assert socket.receive_json()["problem"]["mend"] == "Send an object."
         socket.send_json({"id": "q", "text": "A bank", "map": "paris"})
         told = socket.receive_json()
         assert (told["id"], told["problem"]["code"]) == ("q", "map_unknown")

@@ -70,6 +70,25 @@ def test_what_takes_too_long_ends_and_who_waits_is_sent_away(stopped):
     assert stopped.post("/v1/locate", json=SAID).status_code == 200
 
 
+def test_a_session_whose_process_died_is_over(client):
+    lane = client.app.state.server.steps
+    at = f"/v1/sessions/{client.post('/v1/sessions', json={}).json()['session']}"
+    (worker,) = lane._workers
+    os.kill(worker.process.pid, signal.SIGKILL)
+    assert client.post(at, json=SAID).json()["code"] == "worker_died"
+    assert client.post(at, json=SAID).json()["code"] == "session_unknown"
+    assert len(client.app.state.server.sessions) == 0
+    ready(lambda: client.get("/healthz"))
+
+
+def test_an_answer_that_is_no_json_is_a_problem(monkeypatch):
+    from placegraph.serve import locate, worker
+
+    monkeypatch.setattr(locate, "locate", lambda *_: {"text": "\ud800"})
+    body, trouble = worker.answer(None, "locate", {})
+    assert (body, trouble["code"]) == (None, "failed")
+
+
 def test_all_bodies_together_are_bounded():
     async def app(scope, receive, send):
         await receive()

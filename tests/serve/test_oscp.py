@@ -88,6 +88,13 @@ def test_readings_of_both_versions_are_the_same():
         (b'{"sensorReadings": {"cameraReadings": [{"imageBytes": 7}]}}', "imageBytes: no text"),
         (b'{"sensorReadings": {"cameraReadings": [{"timestamp": "now"}]}}', "timestamp"),
         (b'{"sensorReadings": [], "priorPoses": [{}]}', "priorPoses: a pose has no position"),
+        (b'{"sensorReadings": {"cameraReadings": [{"params": [1]}]}}', "params: .* is no object"),
+        (
+            b'{"sensorReadings": {"cameraReadings": [{"imageOrientation": 90}]}}',
+            "imageOrientation: '90' is no object",
+        ),
+        (b'{"sensorReadings": [], "id": "\\ud800"}', "not JSON"),  # could not be sent back
+        (b'{"sensorReadings": [], "timestamp": 1%s}' % (b"0" * 400), "not JSON"),
     ],
 )
 def test_bad_requests_name_the_field(body, says):

@@ -69,11 +69,18 @@ def test_intrinsics_of_another_shape_are_refused():
         photo.camera(Camera(360, 640, 300.0, 300.0, 180.0, 320.0), "images[0]")
 
 
+@pytest.mark.parametrize("focal", [4.2, 0.7, 1e-300, 1e7])
+def test_focal_lengths_that_are_none_in_pixels_are_refused(focal):
+    photo = read_photo(picture(), "a", OPTIONS)
+    with pytest.raises(InputError, match="give it in their pixels"):
+        photo.camera(Camera(640, 360, focal, focal, 320.0, 180.0), "images[0]")
+
+
 @pytest.mark.parametrize(
     ("data", "error", "says"),
     [
         (b"", InputError, "is empty"),
-        (b"no image at all", InputError, "cannot be read as an image"),
+        (b"no image at all", InputError, r"as an image \(of no known kind\)"),
         (picture()[:300], InputError, "cannot be read as an image"),
         (picture((1, 1), "PNG"), InputError, "1 x 1 pixels; send an image of 32 or more"),
         (picture((8000, 5000), "PNG", "1"), RequestError, "more than 24 megapixels"),

@@ -39,6 +39,27 @@ def test_words_and_ways(walker, town):
     assert "give text, east and north, or distance" in nothing.json()["detail"]
 
 
+def test_a_process_that_dies_holds_no_session():
+    class Lane:
+        died = b"", None
+
+        async def ask(self, *_):
+            return self.died
+
+    async def visits():
+        lane = Lane()
+        sessions = Sessions(lane, ServeOptions())
+        session = (await sessions.begin(Begin()))[0]["session"]
+        lane.died = None, {"code": "worker_died"}
+        assert (await sessions.begin(Begin()))[1]["code"] == "worker_died"
+        assert len(sessions) == 1
+        assert (await sessions.step(session, Step(text=SAID)))[1]["code"] == "worker_died"
+        assert len(sessions) == 0
+
+    with ThreadPoolExecutor(1) as pool:  # a browser's loop may run in this thread
+        pool.submit(asyncio.run, visits()).result()
+
+
 def test_their_number_is_bounded_and_they_end():
     class Lane:
         over = asyncio.Queue()

@@ -47,6 +47,18 @@ def test_no_link_is_followed(packed):
         capture_in(*packed((link, "/etc")), ServeOptions())
 
 
+@pytest.mark.parametrize("kind", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damaged_bytes(packed, kind):
+    entry = zipfile.ZipInfo("rgb/0.png")
+    entry.compress_type = kind
+    file, out = packed((entry, bytes(range(256)) * 20))
+    data = bytearray(file.read_bytes())
+    data[60:100] = bytes(40)
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="no whole ZIP"):
+        capture_in(file, out, ServeOptions())
+
+
 def test_half_a_zip(packed):
     file, out = packed(("rgb/0.png", b"x" * 5000))
     file.write_bytes(file.read_bytes()[:-40])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from placegraph import __version__
 from placegraph.errors import PlacegraphError, RequestError
@@ -56,6 +57,12 @@ def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
     return app
 
 
+def methods_at(request: Request) -> list[str]:
+    """Methods that some route answers at the path of a request with another; the page is at all paths."""
+    known = [r for r in request.app.routes if r.matches(request.scope)[0] is Match.PARTIAL]
+    return sorted({method for route in known for method in route.methods})
+
+
 def _add_errors(app: FastAPI) -> None:
     async def ours(_request: Request, error: Exception) -> Response:
         return response_of(None, problem(error))
@@ -66,13 +73,18 @@ def _add_errors(app: FastAPI) -> None:
 
     async def http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)  # noqa: S101
-        where = request.url.path[:80]
+        where, status = request.url.path[:80], error.status_code
+        allowed = methods_at(request) if status in {404, 405} else []
+        status = 405 if allowed else status
         said = {
             404: f"There is nothing at {where}; see /docs for what there is.",
             405: f"{request.method} is not answered at {where}; see /docs for what is.",
-        }.get(error.status_code, f"{error.detail}; see /docs for what is expected.")
-        code = {404: "not_found", 405: "method"}.get(error.status_code, "request")
-        return await ours(request, RequestError(said, status=error.status_code, code=code))
+        }.get(status, f"{error.detail}; see /docs for what is expected.")
+        code = {404: "not_found", 405: "method"}.get(status, "request")
+        answer = await ours(request, RequestError(said, status=status, code=code))
+        if allowed:
+            answer.headers["Allow"] = ", ".join(allowed)
+        return answer
 
     app.add_exception_handler(PlacegraphError, ours)
     app.add_exception_handler(RequestValidationError, invalid)

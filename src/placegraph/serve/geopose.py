@@ -81,7 +81,7 @@ def frame_of(
     """Frame of a camera reading, upright, and whether gravity is known."""
     photo = photo_of(reading, options)
     given = camera_of(reading, photo)
-    turns = -round(number(reading.get("imageOrientation") or {}, "rotation", 0.0) / 90.0) % 4
+    turns = -round(number(reading["imageOrientation"], "rotation", 0.0) / 90.0) % 4
     rgb, camera = np.rot90(photo.rgb, turns), photo.camera(given, "imageBytes")
     from placegraph.formats.capture.frame_files import turned_camera
 
@@ -130,7 +130,7 @@ def depth_of(reading: dict[str, Any], options: ServeOptions) -> NDArray[np.float
     """Depth (h, w) [m] of a reading: float32 metres, or 16 bits between `minMaxDepth`, or of mm."""
     from placegraph.serve.photo import read_depth
 
-    data, bounds = reading["image"], reading["params"].get("minMaxDepth") or []
+    data, bounds = reading["image"], reading["params"].get("minMaxDepth")
     if data.startswith(_IMAGE_HEADS):
         units = np.nan_to_num(read_depth(data, "imageBytes (DEPTH)", 1.0, options))
     else:
@@ -143,7 +143,7 @@ def depth_of(reading: dict[str, Any], options: ServeOptions) -> NDArray[np.float
                 "bits a pixel."
             )
         units = np.frombuffer(data, "<u2").reshape(height, width).astype(np.float32)
-    if len(bounds) == 2:
+    if isinstance(bounds, list) and len(bounds) == 2:
         low, high = (number({"minMaxDepth": b}, "minMaxDepth") for b in bounds)
         scaled = low + units / np.float32(65535.0) * (high - low)
         return np.where(units > 0, scaled, np.nan).astype(np.float32)

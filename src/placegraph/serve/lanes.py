@@ -9,6 +9,7 @@ from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import RequestError
+from placegraph.serve.problem import problem
 from placegraph.serve.worker import Answer, Setting, run
 
 if TYPE_CHECKING:
@@ -95,23 +96,22 @@ class Lane:
             self._keep(self._start())
 
     async def ask(self, verb: str, asked: Any) -> Answer:  # noqa: ANN401  # of the verb
-        """Answer of a process, or the problem of one that died or took too long.
+        """Answer of a process; a problem where it died or took too long, or too many wait already.
 
-        Raises `RequestError` (503) where too many wait already. Who is cancelled while waiting costs
-        nothing; a request that runs is let run, for nobody.
+        Who is cancelled while waiting costs nothing; a request that runs is let run, for nobody.
         """
         if self.setting.options.log_queries and isinstance(asked, dict):
             told = asked.get("request") or asked
             said = {k: told[k] for k in ("text", "q", "description", "near", "map") if told.get(k)}
             QUERIES.info("%s %s", verb, said)
         if self.waiting >= self.setting.options.queue:
-            raise self._busy()
+            return None, self._busy()
         self.waiting += 1
         try:
             async with asyncio.timeout(self.seconds):
                 worker = await self._idle.get()
         except TimeoutError:
-            raise self._busy() from None
+            return None, self._problem or self._busy()
         finally:
             self.waiting -= 1
         return await asyncio.shield(self._keep(self._run(worker, verb, asked)))
@@ -125,11 +125,11 @@ class Lane:
         for worker in list(self._workers):
             self._drop(worker)
 
-    def _busy(self) -> RequestError:
-        return RequestError(
+    def _busy(self) -> dict[str, Any]:
+        return problem(RequestError(
             f"Too many {self.name} wait already; ask again in a moment.",
             status=503, code="busy", retry_after=1 + int(self.seconds / 10),
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def _keep(self, work: Any) -> asyncio.Task[Any]:  # noqa: ANN401  # a coroutine
         task = asyncio.get_running_loop().create_task(work)
@@ -142,28 +142,28 @@ class Lane:
         try:
             told = await worker.ask((verb, asked), self.seconds)
         except TimeoutError:
-            raise self._replace(
+            return self._replace(
                 worker,
                 f"This took longer than {self.seconds:g} s and was given up; ask for less at a time.",
                 504, "too_long",
-            ) from None  # fmt: skip
+            )  # fmt: skip
         except (EOFError, OSError):
-            raise self._replace(
+            return self._replace(
                 worker,
                 "The process that worked on this died, and another takes its place; ask again.",
                 500, "worker_died",
-            ) from None  # fmt: skip
+            )  # fmt: skip
         finally:
             self.running -= 1
         self._idle.put_nowait(worker)
         return told
 
-    def _replace(self, worker: Worker, why: str, status: int, code: str) -> RequestError:
+    def _replace(self, worker: Worker, why: str, status: int, code: str) -> Answer:
         self._drop(worker)
         self.replaced += 1
         if not self._ended:
             self._keep(self._start())
-        return RequestError(why, status=status, code=code)
+        return None, problem(RequestError(why, status=status, code=code))
 
     def _drop(self, worker: Worker) -> None:
         self._workers.discard(worker)

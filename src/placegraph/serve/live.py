@@ -6,11 +6,10 @@ import asyncio
 import json
 from typing import TYPE_CHECKING
 
-from pydantic import ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from placegraph.errors import PlacegraphError, RequestError
-from placegraph.serve.problem import problem, refused
+from placegraph.serve.problem import problem
 from placegraph.serve.schema import Live
 from placegraph.serve.worker import dumped
 
@@ -55,9 +54,4 @@ async def _answer(socket: WebSocket, lane: Lane, text: str) -> None:
 def _asked(text: str) -> Live:
     if len(text) > LONGEST:
         raise RequestError(f"message: {len(text)} characters; send at most {LONGEST}.", status=413)
-    try:
-        return Live.model_validate(json.loads(text))
-    except ValidationError as error:
-        raise refused(error.errors()) from None
-    except (ValueError, RecursionError):
-        raise RequestError("message: not JSON; send an object with id and text.") from None
+    return Live.read(text, "message")

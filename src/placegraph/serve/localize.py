@@ -164,8 +164,8 @@ def worth(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
     pose = pose_estimate(estimate)
     refined = pose is not None and pose.refinement is not None and pose.refinement.accepted
     settled = estimate.status is Status.OK or refined
-    ratio = pose.stats.get("trust", {}).get("ratio", 0.0) if pose is not None else 0.0
-    return int(settled), float(ratio)
+    ratio = pose.stats.get("trust", {}).get("ratio") if pose is not None else None
+    return int(settled), ratio or 0.0
 
 
 def pose_estimate(estimate: Any) -> PoseEstimate | None:  # noqa: ANN401

@@ -8,13 +8,14 @@ are milliseconds or ISO 8601, and image bytes are base64, with or without a data
 from __future__ import annotations
 
 import binascii
-import json
 import re
 from base64 import b64decode
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
 from typing import Any
+
+import orjson
 
 from placegraph.errors import InputError, RequestError
 
@@ -38,7 +39,7 @@ class Asked:
     """As it was sent: milliseconds, or text."""
     version: int
     camera: list[dict[str, Any]] = field(default_factory=list)
-    """Readings, oldest first; `params`, `image` (bytes) and `when` are added."""
+    """Readings, oldest first; `params`, `imageOrientation`, `image` (bytes) and `when` are added."""
     geolocation: list[dict[str, Any]] = field(default_factory=list)
     accelerometer: list[dict[str, Any]] = field(default_factory=list)
     poses: list[dict[str, Any]] = field(default_factory=list)
@@ -67,8 +68,8 @@ def version_of(accept: str) -> int | None:
 def read_request(body: bytes, version: int | None) -> Asked:
     """Read a request; `InputError` names the field that is not what it should be."""
     try:
-        told = json.loads(body)
-    except (ValueError, RecursionError) as error:
+        told = orjson.loads(body)  # takes no number or text that could not be sent back
+    except ValueError as error:
         raise InputError(f"body: not JSON ({error}); send a GeoPose request.") from None
     if not isinstance(told, dict):
         raise InputError("body: no object; send a GeoPose request.")
@@ -80,7 +81,8 @@ def read_request(body: bytes, version: int | None) -> Asked:
     kinds = _flat(readings, sensors) if isinstance(readings, list) else _by_kind(readings)
     for reading in kinds["camera"]:
         sensor = sensors.get(str(reading.get("sensorId")), {})
-        reading["params"] = reading.get("params") or sensor.get("params") or {}
+        reading["params"] = part(reading, "params") or part(sensor, "params")
+        reading["imageOrientation"] = part(reading, "imageOrientation")
         reading["image"] = image_bytes(reading.get("imageBytes") or "")
     camera, geolocation, accelerometer = (
         sorted(kinds[kind], key=lambda r: float(r["when"])) for kind in KINDS
@@ -99,6 +101,14 @@ def image_bytes(text: object) -> bytes:
         return b64decode(coded + "=" * (-len(coded) % 4), validate=True)
     except (binascii.Error, ValueError) as error:
         raise InputError(f"imageBytes: not base64 ({error}); encode the image anew.") from None
+
+
+def part(holder: dict[str, Any], name: str) -> dict[str, Any]:
+    """An object of an object, empty where there is none; `InputError` where it is something else."""
+    value = holder.get(name) or {}
+    if not isinstance(value, dict):
+        raise InputError(f"{name}: {str(value)[:40]!r} is no object; send one, or leave it out.")
+    return value
 
 
 def number(holder: dict[str, Any], name: str, default: float | None = None) -> float:

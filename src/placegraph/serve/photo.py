@@ -25,6 +25,8 @@ LONGEST = 1280
 """Side of an image that is localized [px]; larger ones are made smaller."""
 SMALLEST = 32
 """Side of the smallest that is worth a look [px]."""
+SHORTEST = 0.1
+"""Focal length in longest sides of an image, of the widest lens that is believed."""
 USUAL = 26.0
 """Focal length of a phone's main camera, on film of 35 mm [mm]; taken where nothing is known."""
 _FILM = hypot(36.0, 24.0)
@@ -50,7 +52,7 @@ class Photo:
     def camera(self, given: Camera | None, name: str) -> Camera:
         """Intrinsics of `rgb`: those given, else by EXIF, else a phone's usual ones.
 
-        Raises `InputError` where those given are of images of another shape.
+        Raises `InputError` where those given are of images of another shape, or in other units.
         """
         width, height = self.size
         if given is None:
@@ -61,6 +63,7 @@ class Photo:
                 f"{name} is {width} x {height}, and intrinsics are of images of {given.width} x "
                 f"{given.height}; give those of the images as they are shown."
             )
+        check_focal(given, name)
         return given.resized(self.rgb.shape[1], self.rgb.shape[0])
 
 
@@ -97,6 +100,16 @@ def fitted(size: tuple[int, int]) -> tuple[int, int]:
     """Width and height of an image once it is no larger than what is localized."""
     share = min(1.0, LONGEST / max(size))
     return max(1, round(size[0] * share)), max(1, round(size[1] * share))
+
+
+def check_focal(camera: Camera, name: str) -> None:
+    """Refuse focal lengths that are none in pixels."""
+    shares = [focal / max(camera.width, camera.height) for focal in (camera.fx, camera.fy)]
+    if not SHORTEST < min(shares) <= max(shares) < 1.0 / SHORTEST:
+        raise InputError(
+            f"{name}: a focal length of {camera.fx:g} px is none of images of {camera.width} x "
+            f"{camera.height}; give it in their pixels."
+        )
 
 
 def check_size(size: tuple[int, int], name: str, options: ServeOptions) -> None:

@@ -54,10 +54,17 @@ def mend_of(detail: str) -> str:
     return told[:1].upper() + told[1:]
 
 
-def refused(errors: Any) -> RequestError:  # noqa: ANN401  # pydantic's
-    """What pydantic found wrong with a body, first things first."""
+def refused(errors: Any, name: str = "body") -> RequestError:  # noqa: ANN401  # pydantic's
+    """What pydantic found wrong with what is named so, first things first."""
     first = errors[0]
-    where = ".".join(str(part) for part in first["loc"] if part != "body") or "body"
+    if first["type"] == "json_invalid":
+        why = first["ctx"]["error"]
+        return RequestError(f"{name}: not JSON ({why}); send an object.", code="json")
+    where = ".".join(str(part) for part in first["loc"] if part != "body")
+    if not where:
+        return RequestError(
+            f"{name}: no JSON object; send one, as application/json.", status=422, code="fields"
+        )
     return RequestError(
         f"{where[:80]}: {first['msg']}; see /docs for the fields.", status=422, code="fields"
     )

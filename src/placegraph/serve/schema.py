@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from placegraph.serve.problem import refused
 
 Near = Annotated[
     list[float] | None,
@@ -16,6 +18,14 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 class _Body(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=False)
+
+    @classmethod
+    def read(cls, text: str | bytes, name: str) -> Self:
+        """Read what came as text, and is named so; `RequestError` says what is wrong with it."""
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            raise refused(error.errors(), name) from None
 
 
 class Thing(_Body):

@@ -7,12 +7,11 @@ import json
 import secrets
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.limits import check_depth
-from placegraph.serve.problem import problem, refused
+from placegraph.serve.problem import problem
 from placegraph.serve.schema import Step
 from placegraph.serve.worker import dumped
 
@@ -76,7 +75,7 @@ class Sessions:
                 text = await socket.receive_text()
                 try:
                     check_depth(text.encode(), self._options.depth)
-                    body, trouble = await self.step(session, _step(text))
+                    body, trouble = await self.step(session, Step.read(text, "message"))
                 except PlacegraphError as error:
                     body, trouble = None, problem(error)
                 await socket.send_text((body or dumped(trouble)).decode())
@@ -102,23 +101,9 @@ class Sessions:
         self._forget(session)
         ending = asyncio.ensure_future(self._lane.ask("end", {"session": session}))
         self._ending.add(ending)
-        ending.add_done_callback(self._ended)
-
-    def _ended(self, ending: asyncio.Task[Answer]) -> None:
-        self._ending.discard(ending)
-        if not ending.cancelled():
-            ending.exception()  # nobody waits for it
+        ending.add_done_callback(self._ending.discard)
 
     def _forget(self, session: str) -> None:
         self._steps.pop(session, None)
         if (timer := self._ends.pop(session, None)) is not None:
             timer.cancel()
-
-
-def _step(text: str) -> Step:
-    try:
-        return Step.model_validate(json.loads(text))
-    except ValidationError as error:
-        raise refused(error.errors()) from None
-    except (ValueError, RecursionError):
-        raise RequestError("message: not JSON; send an object.") from None

@@ -11,7 +11,7 @@ from placegraph.outdoor.track.tracker import CityTracker
 from placegraph.serve.asked import LEVEL, camera_of
 from placegraph.serve.locate import answered, on_earth
 from placegraph.serve.oscp import image_bytes
-from placegraph.serve.photo import Photo, fitted, read_depth, read_photo
+from placegraph.serve.photo import Photo, check_focal, fitted, read_depth, read_photo
 
 if TYPE_CHECKING:
     from placegraph.serve.desk import Desk
@@ -33,6 +33,7 @@ def begin(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
         camera = camera_of(asked["camera"], None)
         if camera is None:
             raise OptionError("camera: missing; give fx, width and height of the images to come.")
+        check_focal(camera, "camera")
         scene = desk.places.scene(name)
         camera = camera.resized(*fitted((camera.width, camera.height)))
         tracker = scene.tracker(camera, seed=asked["seed"], description=asked["description"])

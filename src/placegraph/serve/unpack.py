@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import stat
 import zipfile
 import zlib
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.serve.options import ServeOptions
 
-_BROKEN = (zipfile.BadZipFile, zlib.error, OSError, ValueError, RuntimeError, EOFError)
+_BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, ValueError, RuntimeError,
+           EOFError)  # fmt: skip
 """What zipfile raises at damaged, encrypted and strange files."""
 _CHUNK = 1 << 20
 _EACH = 6

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 
@@ -80,12 +77,7 @@ async def _known(form: FormData, options: ServeOptions) -> Localize:
             status=413, code="body_size",
         )  # fmt: skip
     check_depth(text, options.depth)
-    try:
-        return Localize.model_validate(json.loads(text))
-    except ValidationError as error:
-        raise RequestValidationError(error.errors()) from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"request: not JSON ({error}); send an object.") from None
+    return Localize.read(text, "request")
 
 
 def _laid(files: dict[str, list[UploadFile]], folder: Path) -> dict[str, list[str]]:

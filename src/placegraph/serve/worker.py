@@ -61,6 +61,9 @@ def answer(desk: Desk, verb: str, asked: Any) -> Answer:  # noqa: ANN401
     start = perf_counter()
     try:
         made = getattr(import_module(f"placegraph.serve.{module}"), function)(desk, asked)
+        if isinstance(made, bytes):
+            return made, None
+        return dumped(made | {"seconds": round(perf_counter() - start, 4)}), None
     except Exception as error:  # noqa: BLE001  # a server goes on
         if not isinstance(error, PlacegraphError | MemoryError):
             # without its message, whose words may be the asker's
@@ -71,11 +74,6 @@ def answer(desk: Desk, verb: str, asked: Any) -> Answer:  # noqa: ANN401
                 "This takes more memory than there is; send less.", status=413, code="memory"
             )
         return None, problem(error)
-    if isinstance(made, bytes):
-        return made, None
-    if isinstance(made, dict):
-        made["seconds"] = round(perf_counter() - start, 4)
-    return dumped(made), None
 
 
 def dumped(told: object) -> bytes:

@@ -35,7 +35,7 @@ _BROKEN = (
 @contextmanager
 def opened(source: Path | IO[bytes], name: object) -> Iterator[Image]:
     """Open an image; whatever fails inside the block becomes an `InputError` about `name`."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(source) as image:
@@ -48,6 +48,7 @@ def opened(source: Path | IO[bytes], name: object) -> Iterator[Image]:
         ) from error
     except (*_BROKEN, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         why = " ".join(str(error).split()) or type(error).__name__
+        why = "of no known kind" if isinstance(error, UnidentifiedImageError) else why
         raise InputError(
             f"{name} cannot be read as an image ({why}); it may be truncated: copy it again."
         ) from error
