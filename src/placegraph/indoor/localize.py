@@ -19,11 +19,11 @@ from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.suspect import COVERED, blank, divided_all, spoiled, suspected
-from placegraph.indoor.pose.tracker import Tracker
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
 from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
 from placegraph.indoor.refine.landmarks import place
+from placegraph.indoor.track.tracker import Tracker
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

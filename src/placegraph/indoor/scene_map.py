@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.pose.query import Progress
-    from placegraph.indoor.pose.tracker import Tracker
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.render import Rendering
+    from placegraph.indoor.track.live import LiveTracker
+    from placegraph.indoor.track.tracker import Tracker
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -253,11 +254,17 @@ class SceneMap(Shown, Scene):
         return geopandas_of(self.to_geojson())
 
     def tracker(self, camera: Camera, *, seed: int = 0, **known: Any) -> Tracker:  # noqa: ANN401
-        """Localizer for one frame at a time (`pose.tracker.Tracker`), for frames of a camera.
+        """Localizer for one frame at a time (`track.tracker.Tracker`), for frames of a camera.
 
         `known`: options, encoder, description, shares and device, as of `localize`.
         """
         from placegraph.indoor.pose.query import PoseQuery
-        from placegraph.indoor.pose.tracker import Tracker
+        from placegraph.indoor.track.tracker import Tracker
 
         return Tracker(PoseQuery.of(self, seed=seed, **known), camera)
+
+    def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
+        """The pose at any time, by odometry and images as they come: `placegraph.indoor.track.live`."""
+        from placegraph.indoor.track.live import LiveTracker
+
+        return LiveTracker(self, camera, **options)

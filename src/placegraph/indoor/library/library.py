@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from placegraph.estimate import PoseEstimate, SceneEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Camera
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.track.live import LiveTracker
     from placegraph.store import MapFile
 
     Progress = Callable[[str, int, int], None]
@@ -81,6 +83,12 @@ class SceneLibrary(Shown, Scenes):
         Parameters, result and errors: `placegraph.indoor.library.localize.localize`.
         """
         return localize(self, capture, **options)
+
+    def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
+        """The map and the pose in it at any time, as frames come: `placegraph.indoor.track.live`."""
+        from placegraph.indoor.track.live import LiveTracker
+
+        return LiveTracker(self, camera, **options)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all signatures and the places of the maps into one file (atomically).

@@ -12,7 +12,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, pose_matrix, split_pose
 from placegraph.indoor.localize import WINDOW
 from placegraph.indoor.options import FilterOptions, Likelihood
-from placegraph.indoor.pose.tracker import KEPT
+from placegraph.indoor.track.tracker import KEPT
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -13,14 +13,15 @@ from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import between, compose, level_from_camera, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import FINE, sight
 from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.motion import deviations
 from placegraph.indoor.pose.placed import placed
-from placegraph.indoor.pose.polish import FITTED, NARROWEST, Fit, polished, refine, round_of
+from placegraph.indoor.pose.polish import FITTED, NARROWEST, Fit, refine, round_of
 from placegraph.indoor.pose.query import leveled
-from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.slide import freed, least_known
+from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
+from placegraph.indoor.track.finder import look_up
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,6 +96,18 @@ class Tracker:
         """Whether the pose is known."""
         return self._fit is not None
 
+    def start(self, frames: Sequence[Frame], map_from_camera: Floats) -> None:
+        """Follow from the pose (4, 4) of the last of some frames, found elsewhere; the rest is forgotten.
+
+        Raises `OptionError` and `InputError` as `update` does.
+        """
+        sightings = [self._sighted(frame) for frame in frames[-NEWEST:]]
+        self.reset()
+        self.keyframes.extend(sightings)
+        chain = Chain.of(leveled(frames[-1:]), self.query.options.motion)
+        self._settle(Fit.at(chain, split_pose(map_from_camera)[0]))
+        self._last = frames[-1]
+
     def update(self, frame: Frame) -> PoseEstimate:
         """Estimate of this frame's pose.
 
@@ -106,13 +119,7 @@ class Tracker:
             Its images are broken; the tracker is as it was before.
 
         """
-        if self.camera is not None and frame.camera != self.camera:
-            raise OptionError("frame: taken by another camera than the tracker was made for.")
-        if self.query.encoder is None:
-            self.query = replace(self.query, encoder=own_encoder(self.query.scene, frame))
-        sighting = sight(frame, self.query.encoder, self.query.options)
-        if not shows_something(sighting):
-            raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
+        sighting = self._sighted(frame)
         keyframe = self._is_keyframe(frame)
         estimate = self._follow(sighting) if self.following else None
         if keyframe:
@@ -157,6 +164,16 @@ class Tracker:
         self._fit, self._last, self._answer = None, None, None
         self._cut, self._since = {}, np.zeros(4)
         self._doubts = self._waited = 0
+
+    def _sighted(self, frame: Frame) -> Sighting:
+        if self.camera is not None and frame.camera != self.camera:
+            raise OptionError("frame: taken by another camera than the tracker was made for.")
+        if self.query.encoder is None:
+            self.query = replace(self.query, encoder=own_encoder(self.query.scene, frame))
+        sighting = sight(frame, self.query.encoder, self.query.options)
+        if not shows_something(sighting):
+            raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
+        return sighting
 
     # ------------------------------------------------------------------------------ following
 
@@ -221,12 +238,10 @@ class Tracker:
         self._waited = 0
         known = [s for s in self.keyframes if s is not newest]
         window = self._window([*known[-KEPT + 1 :], newest])
-        seeds = search(window, self.rng)
-        fits = freed(window, polished(window, seeds, self.rng), self.rng)
-        estimate = verdict(window, fits)
+        estimate, fit = look_up(window, self.rng)
         if estimate.status is Status.OK:
             self._doubts, self._since = 0, np.zeros(4)
-            self._settle(fits[0])
+            self._settle(fit)
         return estimate
 
     def _carried(self, frame: Frame) -> PoseEstimate:
@@ -252,10 +267,13 @@ class Tracker:
         )
 
     def _is_keyframe(self, frame: Frame) -> bool:
-        if not self.keyframes:
-            return True
-        step = _steps([self.keyframes[-1].frame, frame])[1]
-        return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
+        return not self.keyframes or apart(self.keyframes[-1].frame, frame)
+
+
+def apart(frame: Frame, later: Frame) -> bool:
+    """Whether a frame is far enough from another to be a keyframe beside it."""
+    step = _steps([frame, later])[1]
+    return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
 
 
 def _steps(frames: Sequence[Frame]) -> Floats:

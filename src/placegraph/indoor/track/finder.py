@@ -1,0 +1,114 @@
+"""Where frames were taken, in one map or in any of a library, when nobody knows: the slow question."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import OptionError
+from placegraph.geometry import split_pose
+from placegraph.indoor.likelihood.observe import sight
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.pose.placed import placed
+from placegraph.indoor.pose.polish import polished
+from placegraph.indoor.pose.prior import Prior
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.slide import freed, least_known
+from placegraph.indoor.pose.verdict import verdict
+from placegraph.indoor.pose.window import Window, own_encoder, shows_something
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import Any
+
+    from numpy.random import Generator
+
+    from placegraph.estimate import PoseEstimate
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Floats
+    from placegraph.indoor.library.library import SceneLibrary
+    from placegraph.indoor.pose.polish import Fit
+    from placegraph.indoor.scene_map import SceneMap
+
+
+def look_up(window: Window, rng: Generator) -> tuple[PoseEstimate, Fit]:
+    """Estimate of a window's last frame in the whole map, or around the query's prior, and its best fit."""
+    seeds = search(window, rng)
+    fits = freed(window, polished(window, seeds, rng), rng)
+    return verdict(window, fits), fits[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Finder:
+    """Maps in which frames are looked up.
+
+    `known`: options, encoder and device, as of `SceneMap.localize`.
+    """
+
+    maps: SceneMap | SceneLibrary
+    known: dict[str, Any]
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the maps; a plain map has that of its first scene."""
+        return self.maps.scenes[:1] if isinstance(self.maps, Scene) else self.maps.names
+
+    def named(self, name: str) -> str:
+        """The name, or that of the only map where none is given; `OptionError` where it is none."""
+        if not name and len(self.scenes) == 1:
+            return self.scenes[0]
+        if name not in self.scenes:
+            known = ", ".join(self.scenes[:5])
+            raise OptionError(f"scene is {name!r}; name one of {known or 'an empty library'}.")
+        return name
+
+    def scene(self, name: str) -> SceneMap:
+        """Map of a name; `OptionError` where there is none, `InputError` where its file is gone."""
+        return self.maps if isinstance(self.maps, Scene) else self.maps.scene(name)
+
+    def query(self, name: str, seed: int) -> PoseQuery:
+        """The question in one map."""
+        return PoseQuery.of(self.scene(name), seed=seed, **self.known)
+
+    def anywhere(self, frames: Sequence[Frame], rng: Generator) -> tuple[str, PoseEstimate]:
+        """In which map the last of some frames was taken, and where; the name is empty if in none.
+
+        Raises
+        ------
+        OptionError
+            Nothing that the frames show can be compared.
+        InputError, MapError
+            An image is broken; a map of the library is gone.
+
+        """
+        if isinstance(self.maps, Scene):
+            return self.near(frames, self.scenes[0], None, rng)
+        seed = int(rng.integers(1 << 31))
+        estimate = self.maps.localize(frames, refine=False, seed=seed, **self.known)
+        return (estimate.best.scene.partition("/")[0] if estimate.best else ""), estimate
+
+    def near(
+        self, frames: Sequence[Frame], name: str, prior: Prior | None, rng: Generator
+    ) -> tuple[str, PoseEstimate]:
+        """Where in one map, around a prior of the first frame if there is one; errors as `anywhere`."""
+        query = replace(self.query(name, 0), prior=prior)
+        encoder = query.encoder or own_encoder(query.scene, frames[-1])
+        seen = [sight(frame, encoder, query.options) for frame in frames]
+        if not shows_something(seen[-1]):
+            raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
+        shown = [s for s in seen if shows_something(s)]
+        window = Window(query, Scorer(query.scene, query.options.likelihood, query.device), shown)
+        estimate, _ = look_up(window, rng)
+        return name, placed(query.scene, estimate)
+
+
+def prior_of(map_from_camera: Floats, covariance: Floats) -> Prior:
+    """A pose (4, 4) with its covariance (6, 6) as a prior."""
+    (x, y, z, yaw), _ = split_pose(map_from_camera)
+    spread, _ = least_known(covariance)
+    turn = min(float(np.sqrt(covariance[5, 5])), np.pi)
+    return Prior(float(x), float(y), float(z), float(yaw), max(spread, 0.02), max(turn, 0.01))

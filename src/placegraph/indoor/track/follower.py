@@ -1,0 +1,196 @@
+"""What becomes of a frame: it is followed, doubted, looked up, and what was found is taken over.
+
+No threads and no clock here: `live` says when frames come, and where the slow question is asked.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.errors import PlacegraphError
+from placegraph.estimate import Status
+from placegraph.indoor.track.finder import prior_of
+from placegraph.indoor.track.tracker import KEPT, PATIENCE, WAIT, Tracker, apart
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from placegraph.estimate import PoseEstimate
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Camera, Floats
+    from placegraph.indoor.track.finder import Finder
+
+STRAYED = 2
+"""Frames in a row that are not sure of a followed pose, before another place is believed instead."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A pose that somebody told: it is looked for there first."""
+
+    map_from_odom: Floats
+    covariance: Floats
+    """(6, 6) of the camera's pose."""
+    scene: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Question:
+    """Frames whose place nobody knows, the last of which is asked about."""
+
+    frames: tuple[Frame, ...]
+    near: Placed | None
+    rng: Generator
+
+    def asked(self, finder: Finder) -> Found:
+        """Look them up; what is wrong with frames or maps is part of the answer."""
+        try:
+            if self.near is None:
+                name, estimate = finder.anywhere(self.frames, self.rng)
+            else:
+                first = self.near.map_from_odom @ self.frames[0].odometry
+                prior = prior_of(first, self.near.covariance)
+                name, estimate = finder.near(self.frames, self.near.scene, prior, self.rng)
+        except PlacegraphError as error:
+            return Found(self.frames, "", None, str(error))
+        return Found(self.frames, name, estimate, estimate.reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The answer to a question."""
+
+    frames: tuple[Frame, ...]
+    scene: str
+    estimate: PoseEstimate | None
+    """None where they could not be compared."""
+    reason: str
+
+    @property
+    def sure(self) -> bool:
+        """Whether one place fits."""
+        return self.estimate is not None and self.estimate.status is Status.OK
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Said:
+    """What a frame has told."""
+
+    frame: Frame
+    reason: str
+    scene: str = ""
+    estimate: PoseEstimate | None = None
+    """None: it showed nothing, and what was known is carried on."""
+    told: bool = False
+    """Whether the estimate's best mode is the pose from here on."""
+    over: bool = False
+    """Whether what was known before is not believed any more."""
+
+
+class Follower:
+    """Follows frames in one map, and knows when to ask in which map, and where, the camera is."""
+
+    def __init__(self, finder: Finder, camera: Camera | None, seed: int) -> None:
+        self.finder, self.camera, self.seed = finder, camera, seed
+        self._rng = np.random.default_rng(seed)
+        self.begin(None)
+
+    def begin(self, placed: Placed | None) -> None:
+        """Forget all, but for what somebody told."""
+        self._placed = placed
+        self._scene, self._tracker = "", None
+        self._recent: deque[Frame] = deque(maxlen=KEPT)
+        self._rival: Found | None = None
+        self._strayed = self._waited = self._denied = 0
+
+    _tracker: Tracker | None
+
+    @property
+    def following(self) -> bool:
+        """Whether a pose is followed, be it in doubt."""
+        return self._tracker is not None and self._tracker.following
+
+    def look(self, frame: Frame) -> Said | None:
+        """Follow a frame; None where there is nothing to follow yet."""
+        if self._tracker is None or not self._tracker.following:
+            self._remember(frame)
+            return None
+        try:
+            estimate = self._tracker.update(frame)
+        except PlacegraphError as error:
+            return Said(frame, f"Carried on by odometry: {error}")
+        if estimate.status is Status.OK:
+            return self._sure(frame, estimate)
+        if not self._strayed:
+            self._recent.clear()  # what was before fits where the pose was known
+        self._strayed += 1
+        self._remember(frame)
+        if self._rival is not None and self._strayed >= STRAYED:
+            other, self._rival = self._rival, None
+            taken = self._taken(other)
+            again = taken.update(frame)
+            if again.status is Status.OK:
+                self._tracker, self._scene = taken, other.scene
+                return self._sure(frame, again)
+        over = not self._tracker.following
+        fits = not over and bool(estimate.stats.get("fits"))
+        return Said(frame, estimate.reason, self._scene, estimate, told=fits, over=over)
+
+    def question(self) -> Question | None:
+        """What is to be looked up now, where a pose is not known for sure and a frame is new enough."""
+        if not self._recent or (self.following and not self._strayed):
+            return None
+        due = self._fresh or self._waited >= WAIT
+        if not due:
+            return None
+        self._waited, self._fresh = 0, False
+        return Question(tuple(self._recent), self._placed, self._rng.spawn(1)[0])
+
+    def hear(self, found: Found) -> Said | None:
+        """Take an answer over, or keep it for the next frame where another pose is still followed."""
+        if self.following:
+            self._rival = found if found.sure and self._strayed else None
+            return None
+        last = found.frames[-1]
+        if found.estimate is None:
+            self._recent.clear()
+            return Said(last, found.reason)
+        if found.sure:
+            self._tracker, self._scene = self._taken(found), found.scene
+            return self._sure(last, found.estimate)
+        lost = found.estimate.status is Status.LOST
+        if self._placed is not None:
+            self._denied = self._denied + 1 if lost else 0
+            if self._denied < PATIENCE:
+                return Said(last, found.reason, found.scene, found.estimate)
+            self._placed, self._fresh = None, True
+        told = not lost and found.estimate.best is not None
+        return Said(last, found.reason, found.scene, found.estimate, told=told, over=True)
+
+    def _sure(self, frame: Frame, estimate: PoseEstimate) -> Said:
+        self._recent.clear()
+        self._placed = self._rival = None
+        self._strayed = self._denied = 0
+        return Said(frame, estimate.reason, self._scene, estimate, told=True)
+
+    def _taken(self, found: Found) -> Tracker:
+        """A tracker that follows from what was found."""
+        assert found.estimate is not None and found.estimate.best is not None  # noqa: S101, PT018  sure
+        tracker = Tracker(self.finder.query(found.scene, self.seed), self.camera)
+        tracker.start(found.frames, found.estimate.best.map_from_camera)
+        return tracker
+
+    def _remember(self, frame: Frame) -> None:
+        """Keep a frame that is far enough from the last, to be looked up with it."""
+        self._waited += 1
+        if not self._recent or apart(self._recent[-1], frame):
+            self._recent.append(frame)
+            self._fresh = True
+        else:
+            self._recent[-1] = frame
+
+    _fresh = False

@@ -1,0 +1,212 @@
+"""Frames and odometry as they come, in any order and at any rate, and the pose at any time."""
+
+from __future__ import annotations
+
+from threading import Condition
+from typing import TYPE_CHECKING, Any, Self
+
+from placegraph.errors import OptionError
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.track.belief import Belief
+from placegraph.indoor.track.finder import Finder
+from placegraph.indoor.track.follower import Follower
+from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
+from placegraph.indoor.track.worker import Worker
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+    from types import TracebackType
+
+    from numpy.typing import ArrayLike
+
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Camera
+    from placegraph.indoor.library.library import SceneLibrary
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.track.live_pose import LivePose
+
+
+class LiveTracker:
+    """The pose of a camera at any time, from odometry and images that come when they come.
+
+    Images are followed one after the other, and looked up in the whole map, or library, where the pose
+    is not known: the pose goes on by odometry meanwhile. The state is where odometry's frame stands in
+    the map, so that a late image counts from its own time on. Maps are only read. Time and memory
+    are bounded. All methods may be called from any thread.
+
+    Parameters
+    ----------
+    maps
+        A scene map, or a library of several.
+    camera
+        Camera of the images; that of the first image if not given. Images of another are refused.
+    seed
+        Of all randomness; without `background` the same calls give the same poses.
+    background
+        Images are looked at by threads of its own, and those that come too fast are dropped; or by an
+        executor; or (False) by the caller, in `see` itself.
+    **known
+        options, encoder and device, as of `SceneMap.localize`.
+
+    Raises
+    ------
+    OptionError
+        The options are of a recipe that cannot be followed frame by frame (`FilterOptions.tracked`).
+
+    """
+
+    def __init__(
+        self,
+        maps: SceneMap | SceneLibrary,
+        camera: Camera | None = None,
+        *,
+        seed: int = 0,
+        background: bool | Executor = True,
+        **known: Any,  # noqa: ANN401  # of `SceneMap.localize`
+    ) -> None:
+        options = known.get("options") or FilterOptions()
+        if not options.tracked:
+            raise OptionError("options: a live tracker needs start='table' and answer='fit'.")
+        self.maps, self.camera = maps, camera
+        self._finder = Finder(maps, known)
+        self._follower = Follower(self._finder, camera, seed)
+        self._belief = Belief(options.motion)
+        self._changed = Condition()
+        self._worker = Worker(self._follower, self._belief, self._changed, background)
+
+    @property
+    def dropped(self) -> int:
+        """Images that were not looked at: too many, too late, or of another time."""
+        return self._worker.dropped
+
+    @property
+    def late(self) -> int:
+        """Samples of odometry that came after newer ones, and were left out."""
+        return self._belief.late
+
+    def move(
+        self, stamp: float, odom_from_camera: ArrayLike, covariance: ArrayLike | None = None
+    ) -> LivePose:
+        """Take a sample of odometry, and tell the pose there; microseconds, for 100 Hz and more.
+
+        Parameters
+        ----------
+        stamp
+            [s], of the same clock as the images'. A sample older than the newest is left out, and
+            counted in `late`; one that is older by more than a second says that the clock was set back.
+        odom_from_camera
+            (4, 4) [m]
+        covariance
+            (6, 6) of it in odometry's axes, growing as it goes, as ``nav_msgs/Odometry`` has it. Zeros
+            say nothing.
+
+        Raises
+        ------
+        OptionError
+            It is no time, no rigid pose, or no covariance; the tracker is closed.
+
+        """
+        sample = checked_odometry(stamp, odom_from_camera, covariance)
+        with self._changed:
+            self._worker.check()
+            if self._belief.tell(*sample, own=True):
+                self._worker.begin()
+            return self._belief.pose(None)
+
+    def see(self, frame: Frame) -> None:
+        """Take an image; it is looked at later, and dropped where a newer one comes first.
+
+        Its own odometry counts only as long as nobody has called `move`. What is broken, or shows
+        nothing, is said in the reason of the poses after it.
+
+        Raises
+        ------
+        OptionError
+            It is of another camera; the tracker is closed.
+
+        """
+        if self.camera is None:
+            self.camera = self._follower.camera = frame.camera
+        if frame.camera != self.camera:
+            raise OptionError("frame: taken by another camera than the tracker was made for.")
+        sample = checked_odometry(frame.stamp, frame.odometry, None)
+        with self._changed:
+            self._worker.check()
+            if self._worker.is_late(frame):
+                self._worker.dropped += 1
+                return
+            if not self._belief.moved and self._belief.tell(*sample, own=False):
+                self._worker.begin()
+            idle = self._worker.take(frame)
+        if idle:
+            self._worker.send()
+
+    def step(self, frame: Frame) -> LivePose:
+        """`see`, and wait until it was looked at, and up where need be; nothing is dropped. The pose then.
+
+        Raises `OptionError` as `see` does.
+        """
+        self.wait()
+        self.see(frame)
+        self.wait()
+        return self.pose(frame.stamp)
+
+    def wait(self) -> None:
+        """Wait until all images were looked at."""
+        with self._changed:
+            self._worker.wait()
+
+    def pose(self, stamp: float | None = None) -> LivePose:
+        """The pose at a time [s]; that of the newest odometry if not given.
+
+        Beyond the newest odometry it goes on for a quarter of a second as it did, and stands then.
+        """
+        with self._changed:
+            self._worker.check()
+            return self._belief.pose(stamp)
+
+    def place(self, map_from_camera: ArrayLike, covariance: ArrayLike, scene: str = "") -> None:
+        """Say where the camera is now (``initialpose``); images are to confirm it.
+
+        Parameters
+        ----------
+        map_from_camera
+            (4, 4) [m]
+        covariance
+            (6, 6) as of `PoseMode`.
+        scene
+            Name of the map in a library; that of now if not given.
+
+        Raises
+        ------
+        OptionError
+            It is no rigid pose, or no covariance; there is no map of this name, or several.
+
+        """
+        pose = checked_pose("map_from_camera", map_from_camera)
+        spread = checked_covariance("covariance", covariance)
+        with self._changed:
+            anchor = self._belief.anchor
+            name = self._finder.named(scene or (anchor.scene if anchor else ""))
+            why = "It was told where the camera is; no image has confirmed it."
+            self._belief.believe(pose, spread, name, why)
+
+    def lose(self) -> None:
+        """Forget the pose: it is looked for everywhere (``reinitialize_global_localization``)."""
+        with self._changed:
+            self._belief.forget("It was asked to forget the pose.")
+
+    def close(self) -> None:
+        """End its threads; what is being looked at is finished first."""
+        self._worker.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
