@@ -24,6 +24,7 @@ from placegraph.indoor.pose.window import Window, observe, timed
 from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
 from placegraph.indoor.refine.landmarks import place
 from placegraph.indoor.track.tracker import Tracker
+from placegraph.indoor.track.whole import follow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,7 +99,7 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     """The answer if the camera is as it is said to be, and the frames that it rests on."""
     if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
-        estimate = tracker.follow(query.frames)
+        estimate = follow(tracker, query.frames)
         fault = estimate.status is Status.OK and divided_all(
             query, tracker.scorer, estimate.trajectory
         )

@@ -17,18 +17,6 @@ from placegraph.indoor.track.tracker import KEPT
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-@pytest.fixture(scope="module")
-def film(room_world, render):
-    """36 frames through the room."""
-    return render(room_world, "film", 5, through="1323121", frames=36)
-
-
-@pytest.fixture(scope="module")
-def elsewhere(room_world, render):
-    """14 frames on another way through it."""
-    return render(room_world, "elsewhere", 6, through="2131", frames=14)
-
-
 def off(estimate, truth):
     """Distance [m] and turn [deg] of the best mode."""
     delta = np.linalg.inv(truth) @ estimate.best.map_from_camera

@@ -1,0 +1,323 @@
+"""Odometry and images as they come: events, in any order; no test waits for a clock."""
+
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.track.odometry import AHEAD, KEPT, Odometry
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+class Held(Executor):
+    """Does nothing until it is told to."""
+
+    def __init__(self):
+        self.jobs = []
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.jobs.append(lambda: fn(*args, **kwargs))
+        return Future()
+
+    def run(self):
+        """Do the newest job."""
+        self.jobs.pop()()
+
+    def run_all(self):
+        while self.jobs:
+            self.run()
+
+
+def distance(pose, truth):
+    return np.linalg.norm(pose.map_from_camera[:3, 3] - truth[:3, 3])
+
+
+def blind(frame):
+    """The same moment, without anything to compare: for options of depth alone."""
+    return Frame.from_arrays(
+        frame.rgb(), frame.camera, gravity=frame.gravity, odometry=frame.odometry, stamp=frame.stamp
+    )
+
+
+@pytest.fixture(scope="module")
+def wheels(film):
+    """Odometry of the film at any time."""
+    odometry = Odometry()
+    for frame in film:
+        odometry.tell(frame.stamp, frame.odometry)
+    return lambda stamp: odometry.at(stamp).pose
+
+
+@pytest.fixture
+def live(room, film):
+    """Follows in the caller's thread."""
+    return room.live(film.camera, background=False)
+
+
+def found(live, film, count=6):
+    for frame in film[:count]:
+        pose = live.step(frame)
+    assert pose.status is Status.OK
+    return pose
+
+
+def test_images_at_five_and_odometry_at_fifty_hertz(live, film, wheels, truth):
+    true, off, told = truth(film), [], 0
+    for i, frame in enumerate(film[:20]):
+        # frames carry no odometry that could be used: it is another frame
+        live.move(frame.stamp, wheels(frame.stamp))
+        live.see(replace(frame, odometry=np.eye(4)))
+        for stamp in frame.stamp + np.arange(1, 10) * 0.02:
+            pose = live.move(stamp, wheels(stamp))
+            assert pose.stamp == pytest.approx(stamp)
+            if pose.status is Status.OK:
+                told += 1
+                share = (stamp - frame.stamp) / 0.2
+                between = (1 - share) * true[i, :3, 3] + share * true[i + 1, :3, 3]
+                off.append(np.linalg.norm(pose.map_from_camera[:3, 3] - between))
+                assert 0 < pose.age < 0.2
+                np.testing.assert_allclose(
+                    pose.map_from_odom @ wheels(stamp), pose.map_from_camera, atol=1e-9
+                )
+    assert told > 120
+    assert np.median(off) < 0.08
+    assert max(off) < 0.5
+    assert live.dropped == live.late == 0
+
+
+def test_a_late_image_counts_from_its_own_time(room, film, wheels):
+    """However late it comes, it tells the same of where odometry's frame stands."""
+    anchors = []
+    for late in (0.0, 0.37, 3.0):
+        live = room.live(film.camera, background=False)
+        for frame in film[:5]:
+            for stamp in frame.stamp + np.arange(-9, 1) * 0.02:
+                live.move(stamp, wheels(max(stamp, 0.0)))
+            if frame is film[4]:
+                for stamp in np.arange(0.05, late + 0.01, 0.05):
+                    live.move(frame.stamp + stamp, wheels(frame.stamp + stamp))
+            pose = live.step(frame)
+        assert pose.status is Status.OK
+        anchors.append(pose.map_from_odom)
+        ahead = live.pose()
+        assert ahead.age == pytest.approx(late, abs=0.06)
+        assert np.trace(ahead.covariance) >= np.trace(pose.covariance) - 1e-12
+    np.testing.assert_allclose(anchors[1], anchors[0], atol=1e-9)
+    np.testing.assert_allclose(anchors[2], anchors[0], atol=1e-9)
+
+
+def test_the_newest_image_is_looked_at_and_the_pose_goes_on_meanwhile(room, film):
+    held = Held()
+    live = room.live(film.camera, background=held)
+    for frame in film[:4]:
+        live.move(frame.stamp, frame.odometry)
+        live.see(frame)
+        held.run_all()
+    before = live.pose()
+    assert before.status is Status.OK
+    for frame in film[4:8]:
+        live.move(frame.stamp, frame.odometry)
+        live.see(frame)
+    assert live.dropped == 3
+    assert len(held.jobs) == 1
+    assert live.pose().estimate is before.estimate
+    np.testing.assert_allclose(live.pose().map_from_camera, before.map_from_odom @ film[7].odometry)
+    held.run_all()
+    assert live.pose().estimate.frames[-1] == film[7].index
+    assert live.pose().age == 0.0
+
+
+def test_a_lost_camera_is_looked_up_beside_images(room, film, elsewhere, truth):
+    """A kidnapping: frames are followed, in doubt, while others are looked up; then it is elsewhere."""
+    held = Held()
+    live = room.live(film.camera, background=held)
+    for frame in film[:6]:
+        live.see(frame)
+        held.run_all()
+    assert live.pose().status is Status.OK
+    bridge = film[5].odometry @ np.linalg.inv(elsewhere[0].odometry)
+    stati = []
+    for i, frame in enumerate(elsewhere[:6]):
+        live.see(replace(frame, odometry=bridge @ frame.odometry, stamp=10.0 + i))
+        held.run()  # the image, beside what is being looked up
+        stati.append(live.pose().status)
+        if i == 2:
+            assert stati == [Status.LOST] * 3
+            assert len(held.jobs) == 1  # one question at a time
+            held.run_all()
+            # of its first frame, three seconds ago, and carried on by odometry since
+            assert live.pose().status is Status.OK
+            assert distance(live.pose(), truth(elsewhere)[i]) < 0.3
+    assert stati[3:] == [Status.OK] * 3
+    assert distance(live.pose(), truth(elsewhere)[5]) < 0.15
+
+
+def test_frames_that_show_nothing_are_carried_on(room, film, truth):
+    live = room.live(film.camera, background=False, options=FilterOptions().only(depth=True))
+    known = found(live, film, 8)
+
+    class Torn:
+        def rgb(self):
+            raise InputError("rgb/000009.jpg is broken.")
+
+        depth = labels = rgb
+
+    nothing = live.step(blind(film[8]))
+    assert "nothing to compare" in nothing.reason
+    torn = live.step(Frame(*(getattr(film[9], n) for n in Frame.__slots__[:-1]), images=Torn()))
+    assert "000009.jpg" in torn.reason
+    for pose, row in ((nothing, 8), (torn, 9)):
+        assert pose.status is Status.OK
+        assert distance(pose, truth(film)[row]) < 0.2
+        assert pose.age > 0
+    assert np.trace(torn.covariance) > np.trace(nothing.covariance) > np.trace(known.covariance)
+    assert live.step(film[10]).age == 0.0
+
+
+def test_a_lost_camera_that_sees_nothing_says_so(room, film):
+    live = room.live(film.camera, background=False, options=FilterOptions().only(depth=True))
+    pose = live.step(blind(film[0]))
+    assert pose.status is Status.LOST
+    assert "nothing to compare" in pose.reason
+    assert pose.map_from_camera is None
+    assert found(live, film[1:8], 7).scene == room.scenes[0]
+
+
+def test_images_with_and_without_depth(room, film, truth):
+    live = room.live(
+        film.camera, background=False, options=FilterOptions().only(depth=True, colour=True)
+    )
+    poses = [live.step(blind(f) if i % 2 else f) for i, f in enumerate(film[:16])]
+    assert [p.status for p in poses[6:]].count(Status.OK) >= 8
+    off = [
+        distance(p, t) for p, t in zip(poses, truth(film), strict=False) if p.status is Status.OK
+    ]
+    assert max(off) < 0.5
+
+
+@pytest.mark.parametrize("back", [4.0, 1e9])
+def test_a_clock_that_was_set_back(back, room, film, truth):
+    live = room.live(film.camera, background=False)
+    for frame in film[:8]:
+        live.move(frame.stamp, frame.odometry)
+        live.see(frame)
+    assert live.pose().status is Status.OK
+    pose = live.move(film[8].stamp - back, film[8].odometry)
+    assert pose.status is Status.AMBIGUOUS
+    assert "clock" in pose.reason
+    assert distance(pose, truth(film)[8]) < 0.2  # odometry went on all the same
+    after = live.step(replace(film[8], stamp=film[8].stamp - back))
+    assert after.status is Status.OK
+    assert distance(after, truth(film)[8]) < 0.2
+
+
+def test_samples_a_little_late_are_left_out(live, wheels):
+    live.move(1.0, wheels(1.0))
+    live.move(0.9, wheels(0.9))
+    assert live.late == 1
+    assert live.pose().stamp == 1.0
+
+
+def test_odometry_that_begins_anew(live, film, truth):
+    """Its frame is another one from now on; the camera is looked for near where it was."""
+    found(live, film, 8)
+    anew = np.linalg.inv(film[8].odometry)
+    anew[:3, 3] += 5.0
+    pose = live.step(replace(film[8], odometry=anew @ film[8].odometry))
+    assert pose.status is Status.OK
+    assert distance(pose, truth(film)[8]) < 0.2
+    broken = live.move(film[8].stamp + 0.1, np.eye(4))
+    assert broken.status is Status.AMBIGUOUS
+    assert "beside that of the images" in broken.reason
+
+
+def test_images_of_another_clock(live, film):
+    live.move(100.0, np.eye(4))
+    live.see(replace(film[0], stamp=100.0 + 2 * AHEAD))
+    assert "ahead of odometry" in live.pose().reason
+    live.see(replace(film[0], stamp=100.0 - 2 * KEPT))
+    assert "older than all odometry" in live.pose().reason
+    assert live.dropped == 2
+
+
+def test_somebody_says_where_it_is(room, film, truth):
+    """Near enough, one frame confirms it; far off, frames deny it, and it is looked for everywhere."""
+    true = truth(film)
+    loose = np.diag([0.09, 0.09, 0.01, 0.0, 0.0, 0.04])
+    live = room.live(film.camera, background=False)
+    told = true[0].copy()
+    told[:2, 3] += (0.2, -0.15)
+    live.place(told, loose)
+    assert live.pose().map_from_camera is None  # nobody knows odometry yet
+    live.move(0.0, film[0].odometry)
+    before = live.pose()
+    assert (before.status, before.scene) == (Status.AMBIGUOUS, room.scenes[0])
+    np.testing.assert_allclose(before.map_from_camera, told)
+    after = live.step(film[0])
+    assert after.status is Status.OK
+    assert distance(after, true[0]) < 0.15
+
+    wrong = true[0].copy()
+    wrong[:2, 3] += (1.8, 1.0)
+    live.place(wrong, 0.01 * loose)
+    for frame, pose in zip(film[1:8], true[1:8], strict=True):
+        live.move(frame.stamp, frame.odometry)
+        now = live.step(frame)
+        assert now.status is not Status.OK or distance(now, pose) < 0.3
+    assert now.status is Status.OK
+
+
+def test_to_lose_a_pose(live, film):
+    found(live, film)
+    live.lose()
+    assert live.pose().status is Status.LOST
+    assert live.pose().map_from_odom is None
+    for frame in film[6:10]:
+        pose = live.step(frame)
+    assert pose.status is Status.OK
+
+
+def test_what_is_refused(live, room, film):
+    live.see(film[0])
+    other = Camera(160, 90, 120.0, 120.0, 80.0, 45.0)
+    with pytest.raises(OptionError, match="another camera"):
+        live.see(replace(film[1], camera=other))
+    with pytest.raises(OptionError, match="map_from_camera"):
+        live.place(np.zeros((4, 4)), np.eye(6))
+    with pytest.raises(OptionError, match="covariance"):
+        live.place(np.eye(4), np.full((6, 6), np.inf))
+    with pytest.raises(OptionError, match="no such room"):
+        live.place(np.eye(4), np.eye(6), "no such room")
+    with pytest.raises(OptionError, match="start='table'"):
+        room.live(options=FilterOptions.paper())
+    live.close()
+    with pytest.raises(OptionError, match="closed"):
+        live.see(film[2])
+
+
+def test_what_breaks_in_the_background_is_told(room, film, monkeypatch):
+    held = Held()
+    live = room.live(film.camera, background=held)
+    monkeypatch.setattr(live._follower, "look", lambda _: 1 / 0)
+    live.see(film[0])
+    held.run_all()
+    with pytest.raises(ZeroDivisionError):
+        live.pose()
+
+
+def test_threads(room, film, truth):
+    """With threads of its own nothing is dropped where one waits, and all end."""
+    with room.live(film.camera) as live:
+        for frame in film[:6]:
+            live.move(frame.stamp, frame.odometry)
+            pose = live.step(frame)
+        assert pose.status is Status.OK
+        assert distance(pose, truth(film)[5]) < 0.2
+        assert live.dropped == 0
