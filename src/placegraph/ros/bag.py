@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from placegraph.errors import OptionError
-from placegraph.files import cannot_write
 from placegraph.ros.encode import encoded, known, known_type
 from placegraph.ros.message import nanoseconds
+from placegraph.ros.unfinished import Unfinished, check_free, writing
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -58,29 +56,30 @@ class BagWriter:
         self._one = ending is not None
         self._encoding = "ros1" if self._container == "rosbag1" else "cdr"
         self._store = known(self._encoding)
-        self._check_free()
+        check_free(self.path)
         self._packed = packed
         self._topics: dict[tuple[str, str], Any] = {}
-        self._folder: Path | None = None
+        self._place: Unfinished | None = None
         self._writer: Any = None
 
     def __enter__(self) -> Self:
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            made = tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent)
-        except OSError as error:
-            raise cannot_write(self.path, error) from error
-        self._folder = Path(made)
-        self._writer = self._opened(self._folder / self.path.stem)
+        self._place = Unfinished(self.path)
+        with writing(self.path):
+            self._writer = self._opened(self._place.folder / self.path.stem)
         return self
 
     def __exit__(self, kind: object, *error: object) -> None:
-        assert self._folder is not None  # noqa: S101  entered
+        assert self._place is not None  # noqa: S101  entered
+        bag = self._place.folder / self.path.stem
         try:
-            self._close(whole=kind is None)
+            with writing(self.path):
+                self._writer.close()
+            if kind is None:
+                one = bag.is_dir() and self._one
+                self._place.finish(bag / f"{bag.name}{self.path.suffix.lower()}" if one else bag)
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
-            self._folder = self._writer = None
+            self._place.drop()
+            self._place = self._writer = None
 
     def write(self, message: Message) -> None:
         """Write a message at its stamp.
@@ -100,14 +99,8 @@ class BagWriter:
         name, at = "/" + topic.lstrip("/"), nanoseconds(stamp)
         if (name, kind) not in self._topics:
             self._topics[name, kind] = self._connection(name, kind, latched=latched)
-        try:
+        with writing(self.path):
             self._writer.write(self._topics[name, kind], at, data)
-        except OSError as error:
-            raise cannot_write(self.path, error) from error
-
-    def _check_free(self) -> None:
-        if self.path.exists():
-            raise OptionError(f"{self.path} is there already; remove it, or name another bag.")
 
     def _opened(self, bag: Path) -> Any:  # noqa: ANN401  # of rosbags
         from rosbags import rosbag1, rosbag2
@@ -136,21 +129,6 @@ class BagWriter:
         return self._writer.add_connection(
             topic, name, typestore=self._store, offered_qos_profiles=offered
         )
-
-    def _close(self, *, whole: bool) -> None:
-        """Close what was written, and give it its name where it is whole."""
-        assert self._folder is not None  # noqa: S101  entered
-        bag = self._folder / self.path.stem
-        try:
-            self._writer.close()
-            if not whole:
-                return
-            self._check_free()
-            if bag.is_dir() and self._one:
-                bag = bag / f"{bag.name}{self.path.suffix.lower()}"
-            bag.rename(self.path)
-        except OSError as error:
-            raise cannot_write(self.path, error) from error
 
 
 def _kept() -> Any:  # noqa: ANN401  # of rosbags

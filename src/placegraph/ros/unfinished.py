@@ -1,0 +1,55 @@
+"""What is written for minutes, and has its name only when it is whole."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from placegraph.errors import OptionError
+from placegraph.files import cannot_write
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def check_free(path: Path) -> None:
+    """Raise `OptionError` where something is at a path already."""
+    if path.exists():
+        raise OptionError(f"{path} is there already; remove it, or name another file.")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Whatever the disk says while something is written for `path` becomes a `MapError`."""
+    try:
+        yield
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+class Unfinished:
+    """A hidden folder beside a path, in which the file or folder of that path is written.
+
+    Raises `OptionError` where something is at the path already, `MapError` where nothing can be
+    written there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_free(path)
+        self.path = path
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.folder = path.parent / tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent)
+
+    def finish(self, made: Path) -> None:
+        """Give what was made in the folder its name; raises as the constructor."""
+        check_free(self.path)
+        with writing(self.path):
+            made.rename(self.path)
+
+    def drop(self) -> None:
+        """Remove the folder, and what is left in it."""
+        shutil.rmtree(self.folder, ignore_errors=True)
