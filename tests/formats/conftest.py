@@ -242,6 +242,19 @@ class Recorded:
             assert np.percentile(off, 98) < near, np.percentile(off, [50, 90, 98])
             self._check_colours(frame, points, np.linalg.inv(pose))
 
+    def check_views(self, capture, rows=None, *, map_from_world=None):
+        """Colours of a capture without depth lie where its poses say that their surfaces are."""
+        rows = range(len(self)) if rows is None else rows
+        assert len(capture) == len(rows)
+        move = np.eye(4) if map_from_world is None else map_from_world
+        for frame, row in zip(capture, rows, strict=True):
+            assert frame.gravity[1] > 0.8, "upright"
+            metres = np.where(self.sure[row] == 0, np.nan, self.metres[row])
+            seen = unproject(np.where(metres == 0, np.nan, metres), self.depth_cameras[row])
+            points = seen @ self.poses[row, :3, :3].T + self.poses[row, :3, 3]
+            points = points[np.isfinite(points).all(axis=2)]
+            self._check_colours(frame, points, np.linalg.inv(move @ frame.odometry))
+
     def _check_colours(self, frame, points, camera_from_map):
         image = frame.rgb()
         assert image.shape == (frame.camera.height, frame.camera.width, 3)

@@ -100,6 +100,9 @@ def test_formats_are_told_by_what_lies_there(walk, tmp_path):
         "TUM RGB-D": ("rgb.txt", "depth.txt"), "Stray Scanner": ("odometry.csv", "camera_matrix.csv"),
         "Polycam": ("keyframes/cameras/1.json",), "Record3D": ("metadata", "rgbd/0.jpg"),
         "3D Scanner App": ("frame_00000.json",), "ARKitScenes": ("lowres_wide.traj",),
+        "MultiScan": ("x.jsonl", "x.mp4"), "ios_logger": ("Frames.txt", "ARposes.txt"),
+        "a video with a trajectory": ("x.mov", "camera.json"),
+        "NeRFCapture, Spectacular AI and nerfstudio": ("transforms.json",),
         "COLMAP": ("sparse/0/cameras.bin", "sparse/0/images.bin"),
     }.items():  # fmt: skip
         for file in files:

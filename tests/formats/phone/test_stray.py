@@ -10,18 +10,10 @@ from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.capture.video import Video
 from placegraph.geometry import Camera, quaternion_from_rotation
 
-cv2 = pytest.importorskip("cv2", reason="needs OpenCV")
+write_video = pytest.importorskip("tests.formats.video", reason="needs OpenCV").write_video
 
 LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)  # a codec's blocks blur small ones
 HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw"
-
-
-def write_video(path, images):
-    height, width = images[0].shape[:2]
-    stream = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 60, (width, height))
-    for image in images:
-        stream.write(np.ascontiguousarray(image[..., ::-1]))
-    stream.release()
 
 
 def write(path, world, save, *, intrinsics=False):

@@ -58,9 +58,10 @@ def open_capture(
         maps. Else a file in TUM's format, z up, OpenCV's camera axes, whose rows belong to the
         images in order, if there are as many, or else to those of the same stamps (to 20 ms).
     scale
-        Of COLMAP models: metres in a unit of the model; estimated from depth if not given.
+        Of COLMAP models and `transforms.json`: metres in a unit of the model; estimated from depth
+        if not given.
     up
-        Of COLMAP models: (3,) direction of up in the model; estimated if not given.
+        Of COLMAP models and `transforms.json`: (3,) direction of up; estimated if not given.
     topics
         Of bags of ROS: topics, frames and intrinsics by their role, over what `BAG.json` beside the
         bag says; `docs/howto-bags.md`. Found by type if not given.
@@ -148,6 +149,10 @@ FORMATS = (
         "phone.record3d",
         "record3d",
     ),
+    Format("MultiScan", "X.jsonl and X.mp4", "phone.multiscan", "multiscan"),
+    Format(
+        "ios_logger", "Frames.m4v, Frames.txt and ARposes.txt", "phone.ios_logger", "ios_logger"
+    ),
     Format("3D Scanner App", "frame_00000.json and .jpg", "phone.arkit_app", "arkit_app"),
     Format(
         "ARKitScenes", "lowres_wide.traj and lowres_wide/", "phone.arkit_scenes", "arkit_scenes"
@@ -180,6 +185,19 @@ FORMATS = (
         ("scale", "up"),
     ),
     Format("RTAB-Map", "a .db file", "dataset.rtabmap", "rtabmap"),
+    Format(
+        "NeRFCapture, Spectacular AI and nerfstudio",
+        "transforms.json",
+        "dataset.transforms",
+        "transforms",
+        ("scale", "up"),
+    ),
+    Format(
+        "a video with a trajectory",
+        "a video, camera.json and odometry.tum or .csv",
+        "capture.video_folder",
+        "video_folder",
+    ),
     Format(
         "capture folder",
         "rgb/, camera.json and odometry.tum",

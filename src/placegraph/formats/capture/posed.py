@@ -214,6 +214,30 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path} cannot be read as text ({error}).") from error
 
 
+def read_rows(path: Path, widths: tuple[int, ...], columns: str) -> list[tuple[str, list[float]]]:
+    """Rows of numbers of a text without header, with commas or blanks, and where each stands.
+
+    A row has as many numbers as one of `widths`. `InputError`, which names the `columns`, where one
+    has not, where a number is not finite, or where there is no row.
+    """
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        where = f"{path}, line {number}"
+        try:
+            row = [float(word) for word in words]
+        except ValueError as error:
+            raise InputError(f"{where}: {error}; the columns are `{columns}`.") from error
+        if len(row) not in widths or not np.isfinite(row).all():
+            raise InputError(f"{where} is not a row of finite numbers `{columns}`.")
+        rows.append((where, row))
+    if not rows:
+        raise InputError(f"{path} holds no row; a row is `{columns}`.")
+    return rows
+
+
 def numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list[float]:
     """List of `count` numbers in a JSON object; `InputError` names the file and the field."""
     values = content.get(field)

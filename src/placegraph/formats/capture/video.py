@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, MissingExtraError
+from placegraph.formats.capture.frame_files import check_shape
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Camera
+
+ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
+"""Endings of videos, in lower case."""
 _NEAR = 60  # frames that are passed faster than another place is sought
 
 
@@ -21,8 +26,8 @@ class Video:
     """A video whose frames are read by number; in order is fastest.
 
     `size` is the width and height [px] of the frames as they are stored, without the rotation that
-    a player would show. Raises `InputError` where the file is missing or no video,
-    `MissingExtraError` where OpenCV is not installed.
+    a player would show; `rate` is how many stand for a second. Raises `InputError` where the file is
+    missing or no video, `MissingExtraError` where OpenCV is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,6 +41,8 @@ class Video:
         if not (count > 0 and width > 0 and height > 0):
             raise InputError(f"{path} cannot be read as a video; copy it again.")
         self._count = count
+        rate = float(self._stream.get(5))
+        self.rate = rate if 0 < rate < 1e4 else 30.0
         self.size = width, height
 
     def __reduce__(self) -> tuple[type[Video], tuple[Path]]:
@@ -60,6 +67,12 @@ class Video:
                 )
             self._next += 1
         return np.ascontiguousarray(image[..., ::-1])
+
+    def picture(self, number: int, camera: Camera) -> NDArray[np.uint8]:
+        """As `read`; `InputError` where it has not the camera's size."""
+        image = self.read(number)
+        check_shape(image, camera, f"{self.path}, frame {number},")
+        return image
 
     def _open(self) -> Any:  # noqa: ANN401  # OpenCV has no types
         try:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, check_shape, depth_file
+from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, depth_file
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.posed import (
     MAP_FROM_Y_UP,
@@ -34,10 +34,7 @@ from placegraph.formats.capture.video import Video
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
 
 _POSE = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -81,17 +78,11 @@ def read_stray(path: Path) -> Capture:
                 stamp=row["timestamp"],
                 pose=MAP_FROM_Y_UP @ pose_of(position, xyzw, line),
                 camera=camera,
-                images=LazyImages(partial(_picture, video, number, camera), depth, unit=unit),
+                images=LazyImages(partial(video.picture, number, camera), depth, unit=unit),
                 depth_camera=depth_camera,
             )
         )
     return capture_of(path, shots, left_out=left_out)
-
-
-def _picture(video: Video, number: int, camera: Camera) -> NDArray[np.uint8]:
-    image = video.read(number)
-    check_shape(image, camera, f"{video.path}, frame {number},")
-    return image
 
 
 def _matrix(path: Path) -> dict[str, float]:
