@@ -95,22 +95,23 @@ def _shots(plan: Plan, placing: Placing, poses: NDArray[np.float64], missing: st
         "its stamp twice"
     )
     placing.left_out.update(why for why in lost if why)
-    unit, source = _unit(plan), _Source.of(colour.topic)
+    unit, source = unit_of(plan), Source.of(colour.topic)
     shots = []
     for i in np.flatnonzero(lost == "").tolist():
         row, metres = int(placing.rows[i]), None
         if depth is not None:
             metres = partial(
-                _metres, depth.topic[int(depth_of[i])], _Source.of(depth.topic), depth.size,
+                metres_of, depth.topic[int(depth_of[i])], Source.of(depth.topic), depth.size,
                 plan.wishes.depth_scale, plan.registration, None if moved is None else moved[i],
             )  # fmt: skip
-        images = LazyImages(partial(_picture, colour.topic[row], source, camera), metres, unit=unit)
+        images = LazyImages(partial(picture, colour.topic[row], source, camera), metres, unit=unit)
         name = f"{plan.bag.path}, {colour.topic.name}, message {row}"
         shots.append(Shot(name, float(stamps[i]), poses[i], camera, images, plan.depth_camera))
     return shots
 
 
-def _unit(plan: Plan) -> DepthUnit | None:
+def unit_of(plan: Plan) -> DepthUnit | None:
+    """Where the unit of its depth is said; None: it has none."""
     if plan.depth is None:
         return None
     if plan.wishes.depth_scale:
@@ -120,7 +121,7 @@ def _unit(plan: Plan) -> DepthUnit | None:
     return DepthUnit(said, 1.0 if metres else 1000.0)
 
 
-class _Source(NamedTuple):
+class Source(NamedTuple):
     """Of a message: enough to read it anywhere."""
 
     topic: str
@@ -128,25 +129,28 @@ class _Source(NamedTuple):
     encoding: str
 
     @classmethod
-    def of(cls, topic: Topic) -> _Source:
+    def of(cls, topic: Topic) -> Source:
+        """Of a topic's messages."""
         return cls(topic.name, topic.type, topic.encoding)
 
 
-def _picture(message: Message, source: _Source, camera: Camera) -> NDArray[np.uint8]:
+def picture(message: Message, source: Source, camera: Camera) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of a message; `InputError` where they are none of that camera."""
     name = f"{message.place.path}, {source.topic}"
     image = colours(decoded(message, *source), name)
     check_shape(image, camera, name)
     return image
 
 
-def _metres(
+def metres_of(
     message: Message,
-    source: _Source,
+    source: Source,
     size: tuple[int, int],
     per_metre: float | None,
     registration: Registration | None,
     colour_from_depth: NDArray[np.float64] | None,
 ) -> NDArray[np.float32]:
+    """Depth (h, w) [m] of a message, brought to the colour camera; `InputError` where it is none."""
     name = f"{message.place.path}, {source.topic}"
     image = depths(decoded(message, *source), per_metre, name)
     if image.shape != size[::-1]:

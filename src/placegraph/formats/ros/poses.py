@@ -13,6 +13,7 @@ from placegraph.formats.capture.level import upright
 from placegraph.formats.ros.decode import HEAD, decode, frame_of, stamp_of, stamps
 from placegraph.formats.ros.files.storage import Topic, read_all
 from placegraph.formats.ros.moves import Moves, numbers_of, samples_of, transforms
+from placegraph.formats.ros.packets import is_static
 from placegraph.formats.ros.transforms import Tree
 
 if TYPE_CHECKING:
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
     from placegraph.formats.ros.views import View
     from placegraph.formats.ros.wishes import Wishes
 
-_BACK = 0.5  # stamps that go back by more [s] are of another run of the clock
+BACK = 0.5
+"""Stamps that go back by more [s] are of another run of the clock."""
 _SAMPLES = 1000  # of an Imu: their mean is gravity to a tenth of a degree
 _LEANS = np.radians(3.0)  # between an Imu and an odometry that means to be level
-_TF = "tf2_msgs/TFMessage", "tf/tfMessage"
+TRANSFORM_TYPES = "tf2_msgs/TFMessage", "tf/tfMessage"
 OF_OTHERS = ("map", "world")
 """Frames in which a localization, SLAM or a motion capture tells poses, and no odometry."""
 
@@ -51,6 +53,8 @@ class Placing:
     imu: Topic | None = None
     moves: list[Topic] = field(default_factory=list)
     """Topics of transforms."""
+    recorded: bool = False
+    """Whether times of recording stand for stamps, which are of different clocks."""
     lean: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     """(3, 3) upright_from_frame, by the Imu."""
     notes: list[str] = field(default_factory=list)
@@ -69,7 +73,7 @@ class Placing:
         Raises `InputError` where no transform leads to the camera; stamps are known then.
         """
         self.imu = _imu(self.bag, self.wishes)
-        self.moves = self.bag.of_type(*_TF)
+        self.moves = self.bag.of_type(*TRANSFORM_TYPES)
         shown = [v.topic for v in (self.colour, self.depth) if v is not None]
         wanted: list[tuple[Topic, NDArray[np.intp] | None, int | None]]
         wanted = [(t, None, HEAD) for t in shown] + [(t, None, None) for t in self.moves]
@@ -82,7 +86,7 @@ class Placing:
             self.depth_stamps = stamps(read[1], self.depth.topic)
         window = self._one_run()
         held = [
-            (t, transforms(data, t, self.bag.path, None if _is_static(t) else window))
+            (t, transforms(data, t, self.bag.path, None if is_static(t.name) else window))
             for t, data in zip(self.moves, read[len(shown) :], strict=False)
         ]
         self._grow(held)
@@ -97,7 +101,7 @@ class Placing:
     def _one_run(self) -> tuple[int, int]:
         """Times of recording [ns] about the longest run in which the clock does not go back."""
         times = self.colour.topic.times
-        cuts = np.flatnonzero(np.diff(self.stamps) < -_BACK) + 1
+        cuts = np.flatnonzero(np.diff(self.stamps) < -BACK) + 1
         edges = [0, *cuts.tolist(), len(times)]
         longest = int(np.argmax(np.diff(edges)))
         first, last = edges[longest], edges[longest + 1]
@@ -116,7 +120,7 @@ class Placing:
         told = self.tree.edges if self.odometry is not None else {}
         self.tree = Tree()
         for static in (True, False):
-            rows = [moves for topic, moves in held if _is_static(topic) is static]
+            rows = [moves for topic, moves in held if is_static(topic.name) is static]
             self.tree.add(samples_of(rows, recorded=recorded), static=static)
         self.tree.add(self.wishes.transforms, static=True)
         self.tree.edges = told | self.tree.edges
@@ -194,6 +198,7 @@ class Placing:
 
     def _by_recording(self) -> None:
         """Take the times of recording for stamps."""
+        self.recorded = True
         self.stamps = (self.colour.topic.times * 1e-9).astype(np.float64)
         if self.depth is not None:
             self.depth_stamps = (self.depth.topic.times * 1e-9).astype(np.float64)
@@ -254,7 +259,3 @@ def _imu(bag: Bag, wishes: Wishes) -> Topic | None:
         if not topics:
             raise InputError(f"{bag.path}: {wishes.imu} is no sensor_msgs/Imu with messages.")
     return max(topics, key=len, default=None)
-
-
-def _is_static(topic: Topic) -> bool:
-    return topic.name.endswith("tf_static")

@@ -7,7 +7,7 @@ parent_from_child. Between two samples it is interpolated; in longer gaps there 
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,10 @@ class Edge:
             poses[:, :3, :3] = rotation_from_quaternion(self.xyzw[-1])
             poses[:, :3, 3] = self.position[-1]
             return poses
+        if len(self.stamps) == 1:
+            poses[:] = replace(self, fixed=True).at(stamps)
+            poses[np.abs(stamps - self.stamps[0]) > BEYOND] = np.nan
+            return poses
         after = np.clip(np.searchsorted(self.stamps, stamps), 1, len(self.stamps) - 1)
         before = after - 1
         gap = self.stamps[after] - self.stamps[before]
@@ -93,6 +97,21 @@ class Tree:
             self.broken += int((~good).sum())
             if good.any():
                 self.edges[key] = Edge.of(table[good, 0], table[good, 1:], static=static)
+
+    def extend(self, key: tuple[str, str], rows: NDArray[np.float64], keep: float) -> None:
+        """Take in newer samples (N, 8) of a transform of a stream, and forget those `keep` [s] before.
+
+        It may change at any time, however long it stood still. Where stamps go back by more than
+        `LONGEST`, the clock was set: what was known is forgotten.
+        """
+        edge = self.edges.get(key)
+        if edge is not None and rows[0, 0] > edge.stamps[-1] - LONGEST:
+            held = edge.stamps > rows[-1, 0] - keep
+            before = np.c_[edge.stamps, edge.position, edge.xyzw][held]
+            rows = np.concatenate([before, rows])
+        self.add({key: [rows]})
+        if key in self.edges:
+            self.edges[key] = replace(self.edges[key], fixed=False)
 
     @property
     def names(self) -> list[str]:

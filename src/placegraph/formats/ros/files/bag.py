@@ -73,7 +73,7 @@ def open_bag(path: Path) -> Bag:
             parts += read_database(file, notes, packed=packed)
         else:
             parts += read_rosbag1(file)
-    renamed = [part._replace(type=_type(part.type)) for part in parts]
+    renamed = [part._replace(type=ros2_type(part.type)) for part in parts]
     for name in {part.name for part in renamed}:
         kinds = sorted({part.type for part in renamed if part.name == name and len(part.times)})
         if len(kinds) > 1:
@@ -84,7 +84,7 @@ def open_bag(path: Path) -> Bag:
     return Bag(path, topics, tuple(notes))
 
 
-def _type(name: str) -> str:
+def ros2_type(name: str) -> str:
     """Type as ROS 2 names it; ROS 1 leaves out `msg`."""
     package, _, rest = name.partition("/")
     return name if rest.startswith("msg/") or not rest else f"{package}/msg/{rest}"

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = 37
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _CHUNK_INDEX = 3, 4, 5, 6, 7, 8
+_SCHEMA, _CHANNEL, MESSAGE, CHUNK, _INDEX, _CHUNK_INDEX = 3, 4, 5, 6, 7, 8
 _FEW = 1 << 20  # bytes of a schema or channel
 _LIMIT = 1 << 28  # of the summary of a file
 
 
-class _Cut(Exception):  # noqa: N818  # no error of the user's
+class Cut(Exception):  # noqa: N818  # no error of the user's
     """The file has no whole index."""
 
 
@@ -38,15 +38,12 @@ class _Channel(NamedTuple):
     encoding: str
 
 
-class _Index:
-    """What is found of a file: its channels, and where their messages lie."""
+class Channels:
+    """What is told of topics and their types."""
 
-    def __init__(self, file: File) -> None:
-        self.file = file
+    def __init__(self) -> None:
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, _Channel] = {}
-        self.chunks: list[Chunk] = []
-        self.found: dict[int, list[tuple[int, np.ndarray]]] = defaultdict(list)
 
     def told(self, op: int, data: bytes) -> None:
         """Take in a record of a schema or of a channel; one that is damaged is none."""
@@ -59,6 +56,16 @@ class _Index:
                 topic, at = _text(data, 4)
                 encoding, _ = _text(data, at)
                 self.channels[number] = _Channel(topic, self.schemas.get(schema, ""), encoding)
+
+
+class _Index(Channels):
+    """What is found of a file: its channels, and where their messages lie."""
+
+    def __init__(self, file: File) -> None:
+        super().__init__()
+        self.file = file
+        self.chunks: list[Chunk] = []
+        self.found: dict[int, list[tuple[int, np.ndarray]]] = defaultdict(list)
 
     def walk(self, chunk: Chunk) -> bool:
         """Index the records of a chunk one by one; whether it is whole."""
@@ -73,7 +80,7 @@ class _Index:
             if length > MOST or not (length == 0 or chunk.peek(at + 8 + length, 1)):
                 whole = False
                 break
-            if op == _MESSAGE and length >= 22:
+            if op == MESSAGE and length >= 22:
                 channel, _, time = unpack_from("<HIQ", head, 9)
                 rows[channel].append((time, at))
             elif op in {_SCHEMA, _CHANNEL}:
@@ -104,10 +111,10 @@ def read_mcap(path: Path, notes: list[str]) -> list[Part]:
         )
     try:
         index = _listed(file)
-    except (_Cut, struct.error, ValueError) as error:
+    except (Cut, struct.error, ValueError) as error:
         index = _scanned(file)
         notes.append(
-            f"{path.name}: {error if isinstance(error, _Cut) else 'its index is damaged'}; it is read "
+            f"{path.name}: {error if isinstance(error, Cut) else 'its index is damaged'}; it is read "
             "as far as it goes. `mcap recover` makes it whole."
         )
     if not index.found:
@@ -120,19 +127,19 @@ def _listed(file: File) -> _Index:
     size = file.size
     end = file.read(max(size - _FOOTER, 0), _FOOTER)
     if end[-8:] != MAGIC or end[:1] != b"\x02":
-        raise _Cut("the file was cut off, for it has no end")
+        raise Cut("the file was cut off, for it has no end")
     (start,) = unpack_from("<Q", end, 9)
     if not 0 < start < size or size - start > _LIMIT:
-        raise _Cut("it was written without an index")
+        raise Cut("it was written without an index")
     summary = file.read(start, size - start - _FOOTER)
     index = _Index(file)
-    for op, at, length in _records(summary):
+    for op, at, length in records(summary):
         if op in {_SCHEMA, _CHANNEL}:
             index.told(op, summary[at : at + length])
         elif op == _CHUNK_INDEX:
             _chunk(index, summary, at)
     if set(index.found) - set(index.channels) or not index.found:
-        raise _Cut("it was written without an index")
+        raise Cut("it was written without an index")
     return index
 
 
@@ -151,7 +158,7 @@ def _chunk(index: _Index, summary: bytes, at: int) -> None:
     row = len(index.chunks)
     index.chunks.append(chunk)
     said = index.file.read(start + length, min(behind, _LIMIT))
-    for op, where, _ in _records(said):
+    for op, where, _ in records(said):
         if op == _INDEX:
             channel, count = unpack_from("<HI", said, where)
             if count:
@@ -166,7 +173,7 @@ def _scanned(file: File) -> _Index:
     while at + 9 <= size:
         head = file.read(at, 80)
         op, length = unpack_from("<BQ", head)
-        if op == _CHUNK and len(head) >= 41:
+        if op == CHUNK and len(head) >= 41:
             (name,) = unpack_from("<I", head, 37)
             if name > 16:
                 break
@@ -177,7 +184,7 @@ def _scanned(file: File) -> _Index:
                 index.walk(Chunk(file, start, min(at + 9 + length, size) - start, compression))
         elif op in {_SCHEMA, _CHANNEL} and length <= _FEW:
             index.told(op, file.read(at + 9, length))
-        loose |= op == _MESSAGE
+        loose |= op == MESSAGE
         at += 9 + length
     if loose:  # messages outside of chunks
         index.walk(Chunk(file, len(MAGIC), size - len(MAGIC)))
@@ -187,14 +194,14 @@ def _scanned(file: File) -> _Index:
     return index
 
 
-def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Kind, start and length of each record of some bytes."""
     at = 0
     while at + 9 <= len(data):
         op, length = unpack_from("<BQ", data, at)
         at += 9
         if at + length > len(data):
-            raise _Cut("its index is damaged")
+            raise Cut("its index is damaged")
         yield op, at, length
         at += length
 
