@@ -1,6 +1,7 @@
 """Frames of messages as they come: of a bag, of a pipe, of a robot that is listened to."""
 
 import io
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ import pytest
 import placegraph as pg
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.frames import Capture
 from placegraph.formats.ros.assembly import SILENT, Assembly, Jump, Move
 from placegraph.formats.ros.discovery import Discovery
 from placegraph.formats.ros.files.bag import open_bag
@@ -68,18 +68,16 @@ def test_frames_of_a_stream_are_those_of_its_capture(container, layout, bag):
     assert not assembly.left_out
 
 
-def test_a_pipe_is_heard_until_it_is_known_what_comes(bag, tmp_path):
+def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
     """What was heard before is not lost."""
     path = bag()
     data = next(path.glob("*.mcap")).read_bytes()
     listening = Discovery(Path("stdin"), Wishes())
     packets = list(mcap_packets(io.BytesIO(data).read, "stdin"))
     assert not any(isinstance(p, Fault) for p in packets)
-    for i, packet in enumerate(packets):
-        if plan := listening.take(packet):
-            break
-    plan = plan or listening.found()
-    said = assembled(Assembly(plan), [*listening.heard(), *packets[i + 1 :]])
+    coming = iter(packets)
+    plan = next(filter(None, map(listening.take, coming)), None) or listening.found()
+    said = assembled(Assembly(plan), [*listening.heard(), *coming])
     same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
 
 
@@ -129,7 +127,7 @@ def test_what_lacks_is_named_until_it_comes(layout, words, bag):
     assert not listening.lacks
 
 
-def test_odometry_between_images_is_told(tmp_path, clip, bag):
+def test_odometry_between_images_is_told(tmp_path, clip):
     """At 50 Hz, in the camera's axes; frames are placed between, as the capture's are."""
     stamps = np.linspace(-0.05, clip.stamps[-1] - clip.stamps[0] + 0.05, 200)
     camera_from_base = np.linalg.inv(BASE_FROM_CAMERA)
@@ -149,7 +147,7 @@ def test_odometry_between_images_is_told(tmp_path, clip, bag):
     said = assembled(assembly, packets)
     moves = [m for m in said if isinstance(m, Move)]
     assert len(moves) > 150
-    assert all(b.stamp > a.stamp for a, b in zip(moves, moves[1:], strict=False))
+    assert all(b.stamp > a.stamp for a, b in itertools.pairwise(moves))
     along = moves[-1].odometry_from_camera[0, 3] - clip.frames[0].odometry[0, 3]
     assert along == pytest.approx(stamps[-1], abs=1e-6)
     same([f for f in said if isinstance(f, Frame)], pg.open_capture(tmp_path / "more"))

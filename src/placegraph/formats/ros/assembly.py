@@ -125,11 +125,7 @@ class Assembly:
         stamp = self._stamp(packet)
         if stamp < self._last - BACK:
             yield Jump(stamp - self._last)
-            self.left_out["the clock jumped back"] += len(self._waiting)
-            self._waiting.clear()
-            self._depths.clear()
-            self._tree.edges = {k: e for k, e in self._tree.edges.items() if e.fixed}
-            self._moved = -np.inf
+            self._forget(stamp + BACK)
         elif stamp <= self._last:
             self.left_out["its stamp twice, or late"] += 1
             return
@@ -138,6 +134,16 @@ class Assembly:
         if len(self._waiting) > _WAITING:
             self._waiting.popleft()
             self.left_out["its transforms came too late"] += 1
+
+    def _forget(self, after: float) -> None:
+        """Forget what is of a later time [s]: the clock was set back."""
+        self.left_out["the clock jumped back"] += len(self._waiting)
+        self._waiting.clear()
+        for held in [d for d in self._depths if d[0] > after]:
+            self._depths.remove(held)
+        edges = self._tree.edges.items()
+        self._tree.edges = {k: e for k, e in edges if e.fixed or e.stamps[-1] <= after}
+        self._moved = -np.inf
 
     def _ready(self, now: float) -> Iterator[Frame]:
         """Frames all of whose parts have come, or will not come any more."""
