@@ -137,8 +137,9 @@ class Assembly:
 
     def _forget(self, after: float) -> None:
         """Forget what is of a later time [s]: the clock was set back."""
-        self.left_out["the clock jumped back"] += len(self._waiting)
-        self._waiting.clear()
+        for _ in range(len(self._waiting)):
+            self._waiting.popleft()
+            self.left_out["the clock jumped back"] += 1
         for held in [d for d in self._depths if d[0] > after]:
             self._depths.remove(held)
         edges = self._tree.edges.items()
