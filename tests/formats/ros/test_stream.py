@@ -10,7 +10,7 @@ import pytest
 import placegraph as pg
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame import Frame
-from placegraph.formats.ros.assembly import SILENT, Assembly, Jump, Move
+from placegraph.formats.ros.assembly import SILENT, Assembly, Move
 from placegraph.formats.ros.discovery import Discovery
 from placegraph.formats.ros.files.bag import open_bag
 from placegraph.formats.ros.files.mcap_stream import mcap_packets
@@ -23,7 +23,7 @@ START = Layout().start
 
 
 def assembled(assembly, packets):
-    """Frames, moves and jumps of the packets."""
+    """Frames and moves of the packets."""
     out = []
     for packet in packets:
         if not isinstance(packet, Fault):
@@ -146,6 +146,7 @@ def test_odometry_between_images_is_told(tmp_path, clip):
     assembly, packets = of_bag(tmp_path / "more")
     said = assembled(assembly, packets)
     moves = [m for m in said if isinstance(m, Move)]
+    assert isinstance(said[0], Move), "odometry is told before the first frame"
     assert len(moves) > 150
     assert all(b.stamp > a.stamp for a, b in itertools.pairwise(moves))
     along = moves[-1].odometry_from_camera[0, 3] - clip.frames[0].odometry[0, 3]
@@ -165,8 +166,7 @@ def test_clocks_that_jump_and_gaps(clip, bag):
     assembly, packets = of_bag(bag(more=alone))
     _, again = of_bag(bag("mcap", Layout(start=START - 100.0), name="again"))
     said = assembled(assembly, [*packets, *(p._replace(time=p.time + 300.0) for p in again)])
-    jump = START - 100.0 + clip.stamps[0] - (last + 91.0)
-    assert [e.seconds for e in said if isinstance(e, Jump)] == [pytest.approx(jump)]
+    assert assembly.jumps == 1
     frames = [f for f in said if isinstance(f, Frame)]
     assert len(frames) == 2 * len(clip)
     assert dict(assembly.left_out) == {f"no transform from {OPTICAL} to odom": 2}

@@ -52,17 +52,11 @@ class Move(NamedTuple):
     """(4, 4) [m]"""
 
 
-class Jump(NamedTuple):
-    """The clock was set; what came before is of another time."""
-
-    seconds: float
-    """By how much, below 0: back."""
-
-
 class Assembly:
-    """Makes frames of messages.
+    """Makes frames of messages, and moves, of which the first comes before the first frame.
 
-    `left_out` counts what could not be used, by reason.
+    `left_out` counts what could not be used, by reason, `jumps` how often the clock was set back:
+    what came before is then of another time.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -70,6 +64,7 @@ class Assembly:
         self.plan = plan
         self.path = plan.bag.path
         self.left_out: Counter[str] = Counter()
+        self.jumps = 0
         self.odometry, self.camera = plan.placing.frame, plan.colour.frame
         """Names of frames."""
         self.base = self._base(plan.placing.tree)
@@ -93,17 +88,18 @@ class Assembly:
         parts = (self._colour, self._depth, self._told, *self.plan.placing.moves)
         return frozenset(topic.name for topic in parts if topic is not None)
 
-    def take(self, packet: Packet) -> Iterator[Frame | Move | Jump]:
+    def take(self, packet: Packet) -> Iterator[Frame | Move]:
         """Take in a message; `InputError` where it cannot be read, and nothing is changed."""
         if packet.topic == self._colour.name:
-            yield from self._see(packet)
+            self._see(packet)
         elif self._depth is not None and packet.topic == self._depth.name:
             self._depths.append((self._stamp(packet), packet))
         elif packet.topic in self.topics:
-            yield from self._carry(packet)
+            self._carry(packet)
+            yield from self._move()
         yield from self._ready(packet.time)
 
-    def rest(self) -> Iterator[Frame | Move | Jump]:
+    def rest(self) -> Iterator[Frame | Move]:
         """The frames that wait for what will not come any more: the stream has ended."""
         yield from self._ready(np.inf)
 
@@ -121,10 +117,10 @@ class Assembly:
         assert self.plan.placing is not None  # noqa: S101
         return packet.time if self.plan.placing.recorded else packet.stamp
 
-    def _see(self, packet: Packet) -> Iterator[Jump]:
+    def _see(self, packet: Packet) -> None:
         stamp = self._stamp(packet)
         if stamp < self._last - BACK:
-            yield Jump(stamp - self._last)
+            self.jumps += 1
             self._forget(stamp + BACK)
         elif stamp <= self._last:
             self.left_out["its stamp twice, or late"] += 1
@@ -146,7 +142,7 @@ class Assembly:
         self._tree.edges = {k: e for k, e in edges if e.fixed or e.stamps[-1] <= after}
         self._moved = -np.inf
 
-    def _ready(self, now: float) -> Iterator[Frame]:
+    def _ready(self, now: float) -> Iterator[Frame | Move]:
         """Frames all of whose parts have come, or will not come any more."""
         while self._waiting:
             stamp, packet = self._waiting[0]
@@ -156,6 +152,7 @@ class Assembly:
             self._waiting.popleft()
             frame = self._frame(stamp, packet)
             if frame is not None:
+                yield from self._move()
                 yield frame
 
     def _depth_is_settled(self, stamp: float) -> bool:
@@ -221,7 +218,7 @@ class Assembly:
         moves = [far for near, far in steps if not _edge(tree, near, far).fixed]
         return next(iter((*named, *moves)), self.camera)
 
-    def _carry(self, packet: Packet) -> Iterator[Move]:
+    def _carry(self, packet: Packet) -> None:
         """Take in transforms or odometry."""
         rows = self._rows(packet)
         for key in self._edges & rows.keys():
@@ -230,6 +227,9 @@ class Assembly:
                 self._tree.add({key: [table]}, static=True)
             else:
                 self._tree.extend(key, table, _KEEP)
+
+    def _move(self) -> Iterator[Move]:
+        """Where odometry has the camera by now, if it has told anything new."""
         newest = self._covered()
         if (
             self._turns is None
