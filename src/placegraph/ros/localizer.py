@@ -1,0 +1,345 @@
+"""The localizer of a robot, without ROS: messages of sensors in, messages about the pose out.
+
+Whoever carries them is not known here: a bag, a pipe and a folder that fills (`sources`), a file, a
+viewer (`foxglove`), or a node of ROS 2 (`node`). All of them are one loop (`loop`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from placegraph.errors import InputError, OptionError
+from placegraph.estimate import Status
+from placegraph.formats.capture.frame import Frame
+from placegraph.formats.ros.assembly import Assembly, Move
+from placegraph.formats.ros.discovery import Discovery
+from placegraph.formats.ros.packets import Fault, Packet
+from placegraph.formats.ros.wishes import Wishes
+from placegraph.indoor.track.live import LiveTracker
+from placegraph.ros.image import image_messages
+from placegraph.ros.message import FrameIds, Message
+from placegraph.ros.telling import Telling
+
+if TYPE_CHECKING:
+    from placegraph.formats.ros.plan import Plan
+    from placegraph.geometry import Floats
+    from placegraph.indoor.library.library import SceneLibrary
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.track.live_pose import LivePose
+
+Mode = Literal["continuous", "once"]
+UNTOLD = np.array([0.5, 0.5, 1.0, 0.1, 0.1, 0.26]) ** 2
+"""Variances [m^2, rad^2] of a told pose where it says 0, which no pose has: RViz tells no height."""
+_REMEMBERED = 1000  # stamps of frames whose answers may still come
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """How a `Localizer` works, and what it tells."""
+
+    mode: Mode = "continuous"
+    """`once`: images are looked at until the pose is known, and again when somebody asks."""
+    map_frame: str = "map"
+    base_frame: str = ""
+    """Of the robot; base_link, base_footprint or what odometry carries, if not given."""
+    tolerance: float = 0.1
+    """The transform map -> odom is stamped so far ahead [s], for those who ask for it till then."""
+    whole: bool = True
+    """Tell also what a robot knows already: images, where its camera sits, its odometry."""
+    background: bool = True
+    """Images are looked at while others come, and dropped where they come too fast; else one by one."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.mode not in {"continuous", "once"}:
+            raise OptionError(f"mode is {self.mode!r}; it is 'continuous' or 'once'.")
+        if not 0.0 <= self.tolerance < np.inf:
+            raise OptionError(f"tolerance is {self.tolerance}; it is seconds, 0 or more.")
+
+
+@dataclass(slots=True)
+class Summary:
+    """What became of a stream's frames."""
+
+    frames: int = 0
+    """Images that could be looked at."""
+    told: Counter[str] = field(default_factory=Counter)
+    """Of those that were, by status."""
+    dropped: int = 0
+    """Images that came too fast."""
+    left_out: Counter[str] = field(default_factory=Counter)
+    """Images and messages that could not be used, by reason."""
+    lacks: tuple[str, ...] = ()
+    """What is missing still for any frame, in sentences."""
+    notes: tuple[str, ...] = ()
+    """What was chosen, and found out, in sentences."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        looked = sum(self.told.values())
+        return {
+            "frames": self.frames, "told": dict(self.told), "dropped": self.dropped,
+            "share_ok": self.told[Status.OK.name] / looked if looked else None,
+            "left_out": dict(self.left_out), "lacks": list(self.lacks), "notes": list(self.notes),
+        }  # fmt: skip
+
+
+class Localizer:
+    """Takes what sensors say, and tells where the robot is; whatever comes, it goes on.
+
+    Parameters
+    ----------
+    maps
+        A scene map, or a library of several.
+    options
+        `LiveOptions`.
+    plan
+        What frames are made of, where it is known; else the stream is listened to for a second.
+    name, wishes
+        What the stream is called in messages, and what the user says of it.
+    **known
+        options, encoder and device, as of `SceneMap.localize`.
+
+    Raises
+    ------
+    OptionError
+        As of `LiveTracker`.
+
+    """
+
+    def __init__(
+        self,
+        maps: SceneMap | SceneLibrary,
+        options: LiveOptions | None = None,
+        *,
+        plan: Plan | None = None,
+        name: str = "stream",
+        wishes: Wishes | None = None,
+        **known: Any,  # noqa: ANN401  # of `SceneMap.localize`
+    ) -> None:
+        self.options = options or LiveOptions()
+        self._known = known
+        self._discovery = Discovery(Path(name), wishes or Wishes())
+        self._assembly: Assembly | None = None
+        self._left_out: Counter[str] = Counter()
+        self._stamps: dict[int, float] = {}
+        self._told: Counter[str] = Counter()
+        self._frames = self._dropped = 0
+        self._moves = False
+        self._placed: tuple[Floats, Floats] | None = None
+        self._begin(maps)
+        if plan is not None:
+            self._choose(plan)
+
+    def _begin(self, maps: SceneMap | SceneLibrary) -> None:
+        options = self.options
+        self.tracker = LiveTracker(
+            maps, seed=options.seed, background=options.background, **self._known
+        )
+        self._telling = Telling(maps, self._frame_ids(), options.tolerance, whole=options.whole)
+        self._seen: object = None
+        self._wanted = True  # whether images are to be looked at
+        self._moves = False
+
+    # -------------------------------------------------------------------------------- sensors
+
+    @property
+    def topics(self) -> frozenset[str] | None:
+        """Names of the topics that frames are made of; None while that is not known."""
+        return None if self._assembly is None else self._assembly.topics
+
+    def take(self, event: Packet | Fault | Frame | None) -> list[Message]:
+        """What is known after a message, a frame, or (None) after a while."""
+        messages: list[Message] = []
+        if isinstance(event, Packet):
+            messages = self._hear(event)
+        elif isinstance(event, Frame):
+            messages = self._see(event)
+        elif isinstance(event, Fault):
+            messages = self._amiss(event.topic, event.reason)
+        return messages + self._news()
+
+    def finish(self) -> list[Message]:
+        """What is known when the stream has ended."""
+        messages: list[Message] = []
+        if self._assembly is None and (plan := self._discovery.found()) is not None:
+            messages += self._found(plan)
+        if self._assembly is not None:
+            for part in self._assembly.rest():
+                messages += self._part(part)
+        self.tracker.wait()
+        return messages + self._news()
+
+    def _hear(self, packet: Packet) -> list[Message]:
+        if self._assembly is not None:
+            return self._assembled(self._assembly, packet)
+        plan = self._discovery.take(packet)
+        if plan is not None:
+            return self._found(plan)
+        lacks = self._discovery.lacks
+        return self._telling.lacking(lacks[0], packet.time) if lacks else []
+
+    def _found(self, plan: Plan) -> list[Message]:
+        """Begin with what was heard before it was known what frames are made of."""
+        assembly = self._choose(plan)
+        messages: list[Message] = []
+        for packet in self._discovery.heard():
+            messages += self._assembled(assembly, packet)
+        return messages
+
+    def _choose(self, plan: Plan) -> Assembly:
+        self._assembly = Assembly(plan)
+        self._telling.frames = self._frame_ids()
+        return self._assembly
+
+    def _frame_ids(self) -> FrameIds:
+        options, parts = self.options, self._assembly
+        if parts is None:
+            return FrameIds(map=options.map_frame, base=options.base_frame or "base_link")
+        name = options.map_frame
+        if name == parts.odometry:  # poses of somebody else's map stand for odometry
+            name = f"placegraph_{name}"
+        return FrameIds(name, parts.odometry, options.base_frame or parts.base, parts.camera)
+
+    def _assembled(self, assembly: Assembly, packet: Packet) -> list[Message]:
+        messages: list[Message] = []
+        try:
+            for part in assembly.take(packet):
+                messages += self._part(part)
+        except InputError as error:
+            messages += self._amiss(packet.topic, str(error))
+        return messages
+
+    def _part(self, part: Frame | Move) -> list[Message]:
+        if isinstance(part, Frame):
+            return self._see(part)
+        self._moves = True
+        live = self.tracker.move(part.stamp, part.odometry_from_camera)
+        self._mounted()
+        return self._telling.moved(live, part.stamp, part.odometry_from_camera)
+
+    def _mounted(self) -> None:
+        """Know where the camera sits, and where it is if somebody has told before."""
+        mount = self._assembly.base_from_camera() if self._assembly is not None else None
+        if mount is not None:
+            self._telling.base_from_camera = mount
+        if self._placed is not None:
+            told, self._placed = self._placed, None
+            self.place(*told)
+
+    def _see(self, frame: Frame) -> list[Message]:
+        """Look at a frame, or have it looked at."""
+        self._frames += 1
+        self._stamps[frame.index] = frame.stamp
+        if len(self._stamps) > _REMEMBERED:
+            del self._stamps[next(iter(self._stamps))]
+        messages: list[Message] = []
+        try:
+            if self.options.whole:
+                messages += image_messages(frame, frame.stamp, self._telling.frames)
+            if self._wanted:
+                self.tracker.see(frame)
+                if not self.options.background:
+                    self.tracker.wait()
+        except (InputError, OptionError) as error:
+            return messages + self._amiss("a frame", str(error))
+        if not self._moves:  # images alone tell odometry
+            self._mounted()
+            live = self.tracker.pose()
+            messages += self._telling.moved(live, frame.stamp, frame.odometry)
+        if not self.options.background:
+            self._told[self.tracker.pose().status.name] += 1
+        return messages
+
+    def _news(self) -> list[Message]:
+        """What images have changed since it was told."""
+        live = self.tracker.pose()
+        if self.options.background and live.estimate is not self._seen:
+            self._told[live.status.name] += 1
+        self._seen = live.estimate
+        if self.options.mode == "once" and live.status is Status.OK:
+            self._wanted = False
+        return self._telling.news(live, self._stamp_of(live)) if self._frames else []
+
+    def _stamp_of(self, live: LivePose) -> float:
+        """When the last image that told something was taken [s]."""
+        frames = () if live.estimate is None else live.estimate.frames
+        return self._stamps.get(int(frames[-1]), live.stamp) if len(frames) else live.stamp
+
+    def _amiss(self, where: str, reason: str) -> list[Message]:
+        self._left_out[f"{where or 'the stream'}: {_short(reason)}"] += 1
+        return []
+
+    # --------------------------------------------------------------------------------- people
+
+    def place(self, map_from_base: Floats, covariance: Floats) -> list[Message]:
+        """Take where the robot's base is said to be (``initialpose``): (4, 4), and (6, 6) in ROS's order.
+
+        A variance of 0 says nothing. What is no pose is refused, and the status says so.
+        """
+        if self._assembly is not None and self._frames == 0:  # where the camera sits is told soon
+            self._placed = map_from_base, covariance
+            return []
+        spread = np.array(covariance, np.float64)
+        unsaid = np.diag(spread) == 0.0
+        spread[unsaid] = spread[:, unsaid] = 0.0
+        spread[np.diag_indices(6)] += np.where(unsaid, UNTOLD, 0.0)
+        try:
+            self.tracker.place(np.asarray(map_from_base) @ self._telling.base_from_camera, spread)
+        except OptionError as error:
+            live = self.tracker.pose()
+            reason = f"The pose that was told is not taken: {error}"
+            return self._telling.status(live.status, reason, live.stamp, live=live)
+        self._wanted = True
+        return self._news()
+
+    def relocalize(self) -> list[Message]:
+        """Forget the pose, and look for it everywhere (``reinitialize_global_localization``)."""
+        self.tracker.lose()
+        return self.update()
+
+    def update(self) -> list[Message]:
+        """Look at the next image in any case (``request_nomotion_update``)."""
+        self._wanted = True
+        return self._news()
+
+    def load(self, maps: SceneMap | SceneLibrary) -> list[Message]:
+        """Go on in another map, where nothing is known yet (``load_map``)."""
+        self._dropped += self.tracker.dropped
+        self.tracker.close()
+        mount = self._telling.base_from_camera
+        self._begin(maps)
+        self._telling.base_from_camera = mount
+        return self._news()
+
+    # ------------------------------------------------------------------------------- the end
+
+    @property
+    def summary(self) -> Summary:
+        """What became of the frames so far."""
+        parts, plan = self._assembly, None
+        left_out = Counter(self._left_out)
+        notes: list[str] = []
+        if parts is not None:
+            plan = parts.plan
+            left_out += parts.left_out
+            notes += plan.notes
+            if parts.jumps:
+                notes.append(f"The clock was set back {parts.jumps} times; the stream goes on from there.")
+        lacks = self._discovery.lacks if parts is None else ()
+        dropped = self._dropped + self.tracker.dropped
+        return Summary(self._frames, self._told, dropped, left_out, lacks, tuple(notes))
+
+    def close(self) -> None:
+        """End the tracker's threads."""
+        self.tracker.close()
+
+
+def _short(reason: str) -> str:
+    """A reason without what differs from message to message."""
+    return reason.partition("; ")[0][:160]

@@ -1,0 +1,122 @@
+"""What a live tracker knows as messages: the pose as often as odometry tells it, the rest by image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.estimate import Status
+from placegraph.geometry import invert
+from placegraph.indoor.map.scene import Scene
+from placegraph.ros.estimate import estimate_messages, status_message
+from placegraph.ros.map import map_messages
+from placegraph.ros.message import FrameIds, Message, transform
+from placegraph.ros.pose import UPRIGHT_BASE, pose_messages, rig_message, transforms_message
+
+if TYPE_CHECKING:
+    from placegraph.estimate import PoseEstimate
+    from placegraph.geometry import Floats
+    from placegraph.indoor.library.library import SceneLibrary
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.track.live_pose import LivePose
+
+STATUS = "localization/status"
+
+
+class Telling:
+    """Makes messages of poses, and knows what was told already.
+
+    Parameters
+    ----------
+    maps
+        The map, or the library of which each scene is shown when the camera is in it.
+    frames
+        Names of the frames.
+    tolerance
+        The transform map -> odom holds so long after its stamp [s], which is set ahead by that.
+    whole
+        Tell also what the robot knows already: where its camera sits, and where odometry has it.
+
+    """
+
+    def __init__(
+        self, maps: SceneMap | SceneLibrary, frames: FrameIds, tolerance: float, *, whole: bool
+    ) -> None:
+        self.maps, self.frames = maps, frames
+        self.base_from_camera: Floats = UPRIGHT_BASE
+        self._tolerance, self._whole = tolerance, whole
+        self._shown: str | None = None
+        self._rig = False
+        self._estimate: PoseEstimate | None = None
+        self._status: tuple[Status, str] | None = None
+
+    def moved(self, live: LivePose, stamp: float, odom_from_camera: Floats) -> list[Message]:
+        """Where the camera is by odometry: odometry in the map, and the transform map -> odom."""
+        messages = self._scenery(stamp, live.scene)
+        if self._whole:
+            base = odom_from_camera @ invert(self.base_from_camera)
+            carried = transform(self.frames.odom, self.frames.base, base, stamp)
+            messages.append(transforms_message([carried], stamp))
+        if live.map_from_camera is None or live.covariance is None or live.map_from_odom is None:
+            return messages
+        told = pose_messages(
+            live.map_from_camera, live.covariance, stamp, self.frames,
+            base_from_camera=self.base_from_camera,
+        )  # fmt: skip
+        ahead = stamp + self._tolerance
+        moved = transform(self.frames.map, self.frames.odom, live.map_from_odom, ahead)
+        ridden = [m for m in told if m.topic.endswith("odometry")]
+        return [*messages, *ridden, replace(transforms_message([moved], stamp), stamp=stamp)]
+
+    def news(self, live: LivePose, stamp: float) -> list[Message]:
+        """What an image, taken at `stamp` [s], has changed; nothing where nothing is new."""
+        if live.estimate is None or live.estimate is self._estimate:
+            changed = self._status is None or self._status[0] is not live.status
+            return self.status(live.status, live.reason, live.stamp, live=live) if changed else []
+        self._estimate = live.estimate
+        told = estimate_messages(
+            live.estimate, stamp, self.frames, base_from_camera=self.base_from_camera
+        )
+        kept = [
+            replace(m, latched=m.topic.endswith("/pose"))
+            for m in told
+            if m.type != "diagnostic_msgs/msg/DiagnosticArray" and not m.topic.endswith("odometry")
+        ]
+        said = self.status(live.status, live.reason, stamp, live=live)
+        return [*self._scenery(stamp, live.scene), *kept, *said]
+
+    def status(
+        self, status: Status, reason: str, stamp: float, *, live: LivePose | None = None
+    ) -> list[Message]:
+        """How far the pose may be trusted, and why, as diagnostics and on a topic of its own."""
+        stamp = stamp if np.isfinite(stamp) else 0.0
+        self._status = status, reason
+        best = live.estimate.best if live is not None and live.estimate is not None else None
+        modes = len(live.estimate.modes) if live is not None and live.estimate is not None else 0
+        told = status_message(status, reason, stamp, best=best, modes=modes)
+        one = told.fields["status"][0]
+        kind = "diagnostic_msgs/msg/DiagnosticStatus"
+        return [told, Message(STATUS, kind, stamp, one, latched=True)]
+
+    def lacking(self, reason: str, stamp: float) -> list[Message]:
+        """That nothing is known, and why, if that was not said before."""
+        said = Status.LOST, reason
+        return [] if self._status == said else self.status(*said, stamp)
+
+    def _scenery(self, stamp: float, scene: str) -> list[Message]:
+        """The map that the camera is in, and where the camera sits, once."""
+        messages = []
+        if isinstance(self.maps, Scene):
+            shown: SceneMap | None = self.maps
+            scene = "map"
+        else:
+            shown = self.maps.scene(scene) if scene else None
+        if shown is not None and self._shown != scene:
+            self._shown = scene
+            messages += map_messages(shown, stamp, self.frames)
+        if self._whole and not self._rig:
+            self._rig = True
+            messages.append(rig_message(self.base_from_camera, stamp, self.frames))
+        return messages
