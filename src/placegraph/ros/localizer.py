@@ -36,6 +36,7 @@ Mode = Literal["continuous", "once"]
 UNTOLD = np.array([0.5, 0.5, 1.0, 0.1, 0.1, 0.26]) ** 2
 """Variances [m^2, rad^2] of a told pose where it says 0, which no pose has: RViz tells no height."""
 _REMEMBERED = 1000  # stamps of frames whose answers may still come
+_REASONS = 20  # for which something is left out, before all others are one
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +195,7 @@ class Localizer:
 
     def _choose(self, plan: Plan) -> Assembly:
         self._assembly = Assembly(plan)
-        self._telling.frames = self._frame_ids()
+        self._telling.begin(self._frame_ids())
         return self._assembly
 
     def _frame_ids(self) -> FrameIds:
@@ -268,11 +269,13 @@ class Localizer:
 
     def _stamp_of(self, live: LivePose) -> float:
         """When the last image that told something was taken [s]."""
-        frames = () if live.estimate is None else live.estimate.frames
-        return self._stamps.get(int(frames[-1]), live.stamp) if len(frames) else live.stamp
+        if live.estimate is None or not len(live.estimate.frames):
+            return live.stamp
+        return self._stamps.get(int(live.estimate.frames[-1]), live.stamp)
 
     def _amiss(self, where: str, reason: str) -> list[Message]:
-        self._left_out[f"{where or 'the stream'}: {_short(reason)}"] += 1
+        said = f"{where or 'the stream'}: {reason}"
+        self._left_out[said if len(self._left_out) < _REASONS else "other reasons"] += 1
         return []
 
     # --------------------------------------------------------------------------------- people
@@ -282,7 +285,7 @@ class Localizer:
 
         A variance of 0 says nothing. What is no pose is refused, and the status says so.
         """
-        if self._assembly is not None and self._frames == 0:  # where the camera sits is told soon
+        if self._frames == 0:  # where the camera sits is not known yet
             self._placed = map_from_base, covariance
             return []
         spread = np.array(covariance, np.float64)
@@ -330,7 +333,9 @@ class Localizer:
             left_out += parts.left_out
             notes += plan.notes
             if parts.jumps:
-                notes.append(f"The clock was set back {parts.jumps} times; the stream goes on from there.")
+                notes.append(
+                    f"The clock was set back {parts.jumps} times; the stream goes on from there."
+                )
         lacks = self._discovery.lacks if parts is None else ()
         dropped = self._dropped + self.tracker.dropped
         return Summary(self._frames, self._told, dropped, left_out, lacks, tuple(notes))
@@ -338,8 +343,3 @@ class Localizer:
     def close(self) -> None:
         """End the tracker's threads."""
         self.tracker.close()
-
-
-def _short(reason: str) -> str:
-    """A reason without what differs from message to message."""
-    return reason.partition("; ")[0][:160]

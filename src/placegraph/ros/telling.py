@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import Status
-from placegraph.geometry import invert
 from placegraph.indoor.map.scene import Scene
 from placegraph.ros.estimate import estimate_messages, status_message
 from placegraph.ros.map import map_messages
@@ -52,11 +51,15 @@ class Telling:
         self._estimate: PoseEstimate | None = None
         self._status: tuple[Status, str] | None = None
 
+    def begin(self, frames: FrameIds) -> None:
+        """Tell the status anew: frames, of these names, begin to come."""
+        self.frames, self._status = frames, None
+
     def moved(self, live: LivePose, stamp: float, odom_from_camera: Floats) -> list[Message]:
         """Where the camera is by odometry: odometry in the map, and the transform map -> odom."""
         messages = self._scenery(stamp, live.scene)
         if self._whole:
-            base = odom_from_camera @ invert(self.base_from_camera)
+            base = odom_from_camera @ np.linalg.inv(self.base_from_camera)
             carried = transform(self.frames.odom, self.frames.base, base, stamp)
             messages.append(transforms_message([carried], stamp))
         if live.map_from_camera is None or live.covariance is None or live.map_from_odom is None:
@@ -68,7 +71,7 @@ class Telling:
         ahead = stamp + self._tolerance
         moved = transform(self.frames.map, self.frames.odom, live.map_from_odom, ahead)
         ridden = [m for m in told if m.topic.endswith("odometry")]
-        return [*messages, *ridden, replace(transforms_message([moved], stamp), stamp=stamp)]
+        return [*messages, *ridden, transforms_message([moved], stamp)]
 
     def news(self, live: LivePose, stamp: float) -> list[Message]:
         """What an image, taken at `stamp` [s], has changed; nothing where nothing is new."""

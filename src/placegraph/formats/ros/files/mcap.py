@@ -122,6 +122,12 @@ def read_mcap(path: Path, notes: list[str]) -> list[Part]:
     return list(index.parts())
 
 
+def is_whole(path: Path) -> bool:
+    """Whether an MCAP has its end; else it was cut off, or is still being written."""
+    file = File(path)
+    return file.read(max(file.size - len(MAGIC), 1), len(MAGIC)) == MAGIC
+
+
 def _listed(file: File) -> _Index:
     """By the summary at the end, and the index behind every chunk."""
     size = file.size
