@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.ros.world import made
 
 from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.evidence import Evidence, ObjectRef
@@ -45,3 +46,9 @@ def estimate(scene, rng):
         return PoseEstimate(status, modes, "One place fits.", map=scene)
 
     return made
+
+
+@pytest.fixture(scope="session")
+def room(tmp_path_factory, study):
+    """A room, its map, and a walk through it (`world.made`)."""
+    return made(tmp_path_factory.mktemp("room"), study)

@@ -22,7 +22,7 @@ from placegraph.formats.ros.packets import Fault, Packet
 from placegraph.formats.ros.wishes import Wishes
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.ros.image import image_messages
-from placegraph.ros.message import FrameIds, Message
+from placegraph.ros.message import FrameIds, Message, nanoseconds
 from placegraph.ros.telling import Telling
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Summary:
     frames: int = 0
     """Images that could be looked at."""
     told: Counter[str] = field(default_factory=Counter)
-    """Of those that were, by status."""
+    """Answers to images, by status; of several between two messages the last."""
     dropped: int = 0
     """Images that came too fast."""
     left_out: Counter[str] = field(default_factory=Counter)
@@ -212,7 +212,7 @@ class Localizer:
         try:
             for part in assembly.take(packet):
                 messages += self._part(part)
-        except InputError as error:
+        except (InputError, OptionError) as error:
             messages += self._amiss(packet.topic, str(error))
         return messages
 
@@ -241,21 +241,24 @@ class Localizer:
             del self._stamps[next(iter(self._stamps))]
         messages: list[Message] = []
         try:
+            nanoseconds(frame.stamp)  # of a clock that is none, nothing can be told
             if self.options.whole:
                 messages += image_messages(frame, frame.stamp, self._telling.frames)
             if self._wanted:
-                self.tracker.see(frame)
-                if not self.options.background:
-                    self.tracker.wait()
+                self._look(frame)
         except (InputError, OptionError) as error:
             return messages + self._amiss("a frame", str(error))
         if not self._moves:  # images alone tell odometry
             self._mounted()
             live = self.tracker.pose()
             messages += self._telling.moved(live, frame.stamp, frame.odometry)
-        if not self.options.background:
-            self._told[self.tracker.pose().status.name] += 1
         return messages
+
+    def _look(self, frame: Frame) -> None:
+        self.tracker.see(frame)
+        if not self.options.background:
+            self.tracker.wait()
+            self._told[self.tracker.pose().status.name] += 1
 
     def _news(self) -> list[Message]:
         """What images have changed since it was told."""
