@@ -59,6 +59,7 @@ class FoxgloveServer:
                 'Foxglove needs the extra `foxglove`: pip install "placegraph[foxglove]".'
             ) from error
         self._foxglove, self._context = foxglove, foxglove.Context()
+        self._host = found[1]
         self._channels: dict[str, Any] = {}
         self._kept: dict[str, tuple[bytes, int]] = {}
         player = None if pace is None or span is None else (pace, span)
@@ -75,9 +76,9 @@ class FoxgloveServer:
             ) from error
 
     @property
-    def port(self) -> int:
-        """At which it listens."""
-        return int(self.server.port)
+    def address(self) -> str:
+        """Where viewers find it."""
+        return f"ws://{self._host}:{self.server.port}"
 
     def __enter__(self) -> Self:
         return self

@@ -57,10 +57,16 @@ class LiveOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.mode not in {"continuous", "once"}:
-            raise OptionError(f"mode is {self.mode!r}; it is 'continuous' or 'once'.")
+        mode_of(self.mode)
         if not 0.0 <= self.tolerance < np.inf:
             raise OptionError(f"tolerance is {self.tolerance}; it is seconds, 0 or more.")
+
+
+def mode_of(name: str) -> Mode:
+    """Mode of a name; `OptionError` where it is none."""
+    if name == "continuous" or name == "once":  # noqa: PLR1714  # so that its type is known
+        return name
+    raise OptionError(f"mode is {name!r}; it is 'continuous' or 'once'.")
 
 
 @dataclass(slots=True)
@@ -130,7 +136,7 @@ class Localizer:
         self._left_out: Counter[str] = Counter()
         self._stamps: dict[int, float] = {}
         self._told: Counter[str] = Counter()
-        self._frames = self._dropped = 0
+        self.frames = self._dropped = 0
         self._moves = False
         self._placed: tuple[Floats, Floats] | None = None
         self._begin(maps)
@@ -235,7 +241,7 @@ class Localizer:
 
     def _see(self, frame: Frame) -> list[Message]:
         """Look at a frame, or have it looked at."""
-        self._frames += 1
+        self.frames += 1
         self._stamps[frame.index] = frame.stamp
         if len(self._stamps) > _REMEMBERED:
             del self._stamps[next(iter(self._stamps))]
@@ -268,7 +274,7 @@ class Localizer:
         self._seen = live.estimate
         if self.options.mode == "once" and live.status is Status.OK:
             self._wanted = False
-        return self._telling.news(live, self._stamp_of(live)) if self._frames else []
+        return self._telling.news(live, self._stamp_of(live)) if self.frames else []
 
     def _stamp_of(self, live: LivePose) -> float:
         """When the last image that told something was taken [s]."""
@@ -288,7 +294,7 @@ class Localizer:
 
         A variance of 0 says nothing. What is no pose is refused, and the status says so.
         """
-        if self._frames == 0:  # where the camera sits is not known yet
+        if self.frames == 0:  # where the camera sits is not known yet
             self._placed = map_from_base, covariance
             return []
         spread = np.array(covariance, np.float64)
@@ -341,7 +347,7 @@ class Localizer:
                 )
         lacks = self._discovery.lacks if parts is None else ()
         dropped = self._dropped + self.tracker.dropped
-        return Summary(self._frames, self._told, dropped, left_out, lacks, tuple(notes))
+        return Summary(self.frames, self._told, dropped, left_out, lacks, tuple(notes))
 
     def close(self) -> None:
         """End the tracker's threads."""

@@ -1,0 +1,124 @@
+"""`placegraph live`: follow a recording, a folder that fills, or a pipe, as a robot's camera."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import click
+import numpy as np
+
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet
+from placegraph.cli.following import RerunFile, RoomsFile, carriers, rooms_of, show_summary
+from placegraph.cli.keys import keys
+from placegraph.cli.scene.query import Device, Seed
+
+if TYPE_CHECKING:
+    from placegraph.indoor.track.live_pose import LivePose
+    from placegraph.ros.localizer import Localizer
+
+_EVERY = 1.0  # seconds between two lines where nothing but the pose has changed
+
+
+def live(
+    map_file: RoomsFile,
+    source: Annotated[
+        Path,
+        Argument(
+            help="Bag, whole or still being recorded (.mcap); folder of images that fills; or - for "
+            "an MCAP on standard input."
+        ),
+    ],
+    foxglove: Annotated[
+        str | None,
+        Option(help="Serve the messages to Foxglove, at ws://127.0.0.1:8765; extra `foxglove`."),
+    ] = None,
+    out: Annotated[
+        Path | None, Option("--out", "-o", help="Write a bag, as `bag localize` does.")
+    ] = None,
+    rerun: RerunFile = None,
+    mode: Annotated[
+        str,
+        Option(help="continuous, or once: images are looked at until the pose is known."),
+    ] = "continuous",
+    speed: Annotated[float, Option(help="1: as it was recorded; inf: as fast as it comes.")] = 1.0,
+    wait: Annotated[
+        float,
+        Option(help="End when nothing has come for so long [s], where more may come: 0 at once."),
+    ] = 10.0,
+    seed: Seed = 0,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Localize as if live: messages and images are taken as they come, and dropped where they come too fast.
+
+    A line tells the pose of the camera when the status changes, and every second. In a terminal the
+    space bar pauses, + and - change the speed, and q, or Ctrl-C, ends it; Foxglove's buttons do the same.
+    What a stream does not say stands in a file beside it, SOURCE.json, as of bags (stdin.json).
+
+    Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
+    """
+    from placegraph.ros.localizer import LiveOptions, Localizer, mode_of
+    from placegraph.ros.loop import run
+    from placegraph.ros.pace import Pace
+    from placegraph.ros.sources import Patience, open_source, time_of
+
+    pace, patience = Pace(speed), Patience(wait)
+    from_where = open_source(source, patience)
+    with ExitStack() as stack:
+        sinks = carriers(stack, out, rerun)
+        if foxglove is not None:
+            from placegraph.ros.foxglove import FoxgloveServer
+
+            server = FoxgloveServer(foxglove, pace, from_where.span)
+            sinks.append(stack.enter_context(server))
+            click.echo(f"Foxglove: open a connection to {server.address}", err=True)
+        options = LiveOptions(mode=mode_of(mode), whole=bool(sinks), seed=seed)
+        localizer = Localizer(
+            rooms_of(map_file), options, plan=from_where.plan, name=str(from_where.path),
+            wishes=from_where.wishes, device=device,
+        )  # fmt: skip
+        stack.enter_context(keys(pace, patience))
+        lines = _Lines(as_json=as_json, quiet=quiet)
+        with suppress(KeyboardInterrupt):  # the usual end of it
+            run(pace.paced(from_where.happenings, time_of), localizer, sinks, lines)
+        written = {name: str(file) for name, file in (("out", out), ("rerun", rerun)) if file}
+    if as_json or not quiet:
+        show_summary(localizer.summary, written, as_json=as_json)
+
+
+class _Lines:
+    """Prints the pose when its status changes, and every second; as JSON whenever an image has told it."""
+
+    def __init__(self, *, as_json: bool, quiet: bool) -> None:
+        self._as_json, self._quiet = as_json, quiet
+        self._last: LivePose | None = None
+
+    def __call__(self, localizer: Localizer) -> None:
+        pose, last = localizer.tracker.pose(), self._last
+        if pose.estimate is None or self._quiet:
+            return
+        if last is not None and (pose.estimate is last.estimate or not self._is_due(pose, last)):
+            return
+        self._last = pose
+        click.echo(json.dumps(pose.to_dict()) if self._as_json else _line(pose))
+
+    def _is_due(self, pose: LivePose, last: LivePose) -> bool:
+        changed = pose.status is not last.status
+        return self._as_json or changed or abs(pose.stamp - last.stamp) >= _EVERY
+
+
+def _line(pose: LivePose) -> str:
+    """Stamp, status, pose and reason in one line."""
+    said = f"{pose.stamp:.2f}  {pose.status.name:9}"
+    if pose.map_from_camera is None or pose.covariance is None:
+        return f"{said}  {pose.reason}"
+    x, y, z = pose.map_from_camera[:3, 3]
+    ahead = pose.map_from_camera[:3, 2]
+    yaw = np.degrees(np.arctan2(ahead[1], ahead[0]))
+    spread = float(np.sqrt(np.linalg.eigvalsh(pose.covariance[:3, :3])[-1]))
+    return f"{said}  {x:.2f}, {y:.2f}, {z:.2f} m  {yaw:.0f} deg  ±{spread:.2f} m  {pose.reason}"
