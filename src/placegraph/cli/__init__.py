@@ -75,7 +75,11 @@ BAG = Group(
     "bag",
     "Bags of ROS: what they hold, and what they can be used for. Every command that takes a capture "
     "takes a bag.",
-    {"info": f"{_HERE}.bag.info:info", "layout": f"{_HERE}.bag.layout:layout"},
+    {
+        "info": f"{_HERE}.bag.info:info",
+        "localize": f"{_HERE}.bag.localize:localize",
+        "layout": f"{_HERE}.bag.layout:layout",
+    },
 )
 
 
@@ -158,6 +162,7 @@ APP = Group(
         "scene": SCENE,
         "library": LIBRARY,
         "bag": BAG,
+        "live": f"{_HERE}.live:live",
         "serve": f"{_HERE}.serve:serve",
     },
     params=[

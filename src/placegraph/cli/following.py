@@ -58,7 +58,9 @@ def show_summary(summary: Summary, written: dict[str, Any], *, as_json: bool) ->
     out = console()
     looked = sum(summary.told.values())
     shares = ", ".join(f"{n:,} {name} ({n / looked:.0%})" for name, n in summary.told.most_common())
-    out.print(f"{summary.frames:,} frames: {shares or 'nothing was told'}; {summary.dropped:,} dropped")
+    out.print(
+        f"{summary.frames:,} frames: {shares or 'nothing was told'}; {summary.dropped:,} dropped"
+    )
     for sentence in summary.notes:
         out.print(f"Note: {sentence}")
     for sentence in summary.lacks:

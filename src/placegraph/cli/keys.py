@@ -20,7 +20,7 @@ _FASTEST, _SLOWEST = 64.0, 1 / 64
 
 @contextmanager
 def keys(pace: Pace, patience: Patience) -> Iterator[None]:
-    """Space pauses, + and - change the speed by two, q ends; where nobody sits at a terminal, nothing does."""
+    """Space pauses, + and - change the speed by two, q ends; without a terminal, nothing does."""
     if not (sys.stdin.isatty() and threading.current_thread() is threading.main_thread()):
         yield
         return

@@ -84,8 +84,9 @@ def live(
         )  # fmt: skip
         stack.enter_context(keys(pace, patience))
         lines = _Lines(as_json=as_json, quiet=quiet)
+        paced = pace.paced(from_where.happenings, time_of)
         with suppress(KeyboardInterrupt):  # the usual end of it
-            run(pace.paced(from_where.happenings, time_of), localizer, sinks, lines)
+            run(paced, localizer, sinks, lines)
         written = {name: str(file) for name, file in (("out", out), ("rerun", rerun)) if file}
     if as_json or not quiet:
         show_summary(localizer.summary, written, as_json=as_json)

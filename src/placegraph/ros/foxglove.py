@@ -64,10 +64,11 @@ class FoxgloveServer:
         self._kept: dict[str, tuple[bytes, int]] = {}
         player = None if pace is None or span is None else (pace, span)
         times = None if span is None else (nanoseconds(span[0]), nanoseconds(span[1]))
+        listener: Any = _Listener(self, player)
         try:
             self.server = foxglove.start_server(
                 name="placegraph", host=found[1].strip("[]"), port=int(found[2] or 8765),
-                context=self._context, server_listener=_Listener(self, player),
+                context=self._context, server_listener=listener,
                 playback_time_range=times if player else None,
             )  # fmt: skip
         except (OSError, RuntimeError) as error:

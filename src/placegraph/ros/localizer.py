@@ -64,8 +64,9 @@ class LiveOptions:
 
 def mode_of(name: str) -> Mode:
     """Mode of a name; `OptionError` where it is none."""
-    if name == "continuous" or name == "once":  # noqa: PLR1714  # so that its type is known
-        return name
+    modes: dict[str, Mode] = {"continuous": "continuous", "once": "once"}
+    if name in modes:
+        return modes[name]
     raise OptionError(f"mode is {name!r}; it is 'continuous' or 'once'.")
 
 
