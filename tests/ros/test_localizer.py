@@ -10,8 +10,9 @@ from tests.ros.world import FRAMES, START, off
 
 from placegraph.formats.ros.packets import Fault, packets_of
 from placegraph.geometry import rotation_from_quaternion
-from placegraph.ros.localizer import LiveOptions, Localizer
+from placegraph.ros.localizer import Localizer
 from placegraph.ros.loop import run
+from placegraph.ros.options import LiveOptions
 from placegraph.ros.pose import UPRIGHT_BASE
 from placegraph.ros.sources import Patience, bag_source, open_source
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA

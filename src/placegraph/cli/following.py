@@ -13,8 +13,8 @@ from placegraph.errors import MapError
 if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.ros.localizer import Summary
     from placegraph.ros.loop import Sink
+    from placegraph.ros.options import Summary
 
 RoomsFile = Annotated[
     Path, Argument(help="Scene map (.scene), or library of several.", metavar="MAP")

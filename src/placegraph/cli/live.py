@@ -62,8 +62,9 @@ def live(
 
     Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
     """
-    from placegraph.ros.localizer import LiveOptions, Localizer, mode_of
+    from placegraph.ros.localizer import Localizer
     from placegraph.ros.loop import run
+    from placegraph.ros.options import LiveOptions, mode_of
     from placegraph.ros.pace import Pace
     from placegraph.ros.sources import Patience, open_source, time_of
 

@@ -7,9 +7,8 @@ viewer (`foxglove`), or a node of ROS 2 (`node`). All of them are one loop (`loo
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from placegraph.formats.ros.wishes import Wishes
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.ros.image import image_messages
 from placegraph.ros.message import FrameIds, Message, nanoseconds
+from placegraph.ros.options import LiveOptions, Summary
 from placegraph.ros.telling import Telling
 
 if TYPE_CHECKING:
@@ -32,69 +32,10 @@ if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
 
-Mode = Literal["continuous", "once"]
 UNTOLD = np.array([0.5, 0.5, 1.0, 0.1, 0.1, 0.26]) ** 2
 """Variances [m^2, rad^2] of a told pose where it says 0, which no pose has: RViz tells no height."""
 _REMEMBERED = 1000  # stamps of frames whose answers may still come
 _REASONS = 20  # for which something is left out, before all others are one
-
-
-@dataclass(frozen=True, slots=True)
-class LiveOptions:
-    """How a `Localizer` works, and what it tells."""
-
-    mode: Mode = "continuous"
-    """`once`: images are looked at until the pose is known, and again when somebody asks."""
-    map_frame: str = "map"
-    base_frame: str = ""
-    """Of the robot; base_link, base_footprint or what odometry carries, if not given."""
-    tolerance: float = 0.1
-    """The transform map -> odom is stamped so far ahead [s], for those who ask for it till then."""
-    whole: bool = True
-    """Tell also what a robot knows already: images, where its camera sits, its odometry."""
-    background: bool = True
-    """Images are looked at while others come, and dropped where they come too fast; else one by one."""
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        mode_of(self.mode)
-        if not 0.0 <= self.tolerance < np.inf:
-            raise OptionError(f"tolerance is {self.tolerance}; it is seconds, 0 or more.")
-
-
-def mode_of(name: str) -> Mode:
-    """Mode of a name; `OptionError` where it is none."""
-    modes: dict[str, Mode] = {"continuous": "continuous", "once": "once"}
-    if name in modes:
-        return modes[name]
-    raise OptionError(f"mode is {name!r}; it is 'continuous' or 'once'.")
-
-
-@dataclass(slots=True)
-class Summary:
-    """What became of a stream's frames."""
-
-    frames: int = 0
-    """Images that could be looked at."""
-    told: Counter[str] = field(default_factory=Counter)
-    """Answers to images, by status; of several between two messages the last."""
-    dropped: int = 0
-    """Images that came too fast."""
-    left_out: Counter[str] = field(default_factory=Counter)
-    """Images and messages that could not be used, by reason."""
-    lacks: tuple[str, ...] = ()
-    """What is missing still for any frame, in sentences."""
-    notes: tuple[str, ...] = ()
-    """What was chosen, and found out, in sentences."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
-        looked = sum(self.told.values())
-        return {
-            "frames": self.frames, "told": dict(self.told), "dropped": self.dropped,
-            "share_ok": self.told[Status.OK.name] / looked if looked else None,
-            "left_out": dict(self.left_out), "lacks": list(self.lacks), "notes": list(self.notes),
-        }  # fmt: skip
 
 
 class Localizer:
@@ -138,7 +79,6 @@ class Localizer:
         self._stamps: dict[int, float] = {}
         self._told: Counter[str] = Counter()
         self.frames = self._dropped = 0
-        self._moves = False
         self._placed: tuple[Floats, Floats] | None = None
         self._begin(maps)
         if plan is not None:
@@ -153,6 +93,7 @@ class Localizer:
         self._seen: object = None
         self._wanted = True  # whether images are to be looked at
         self._moves = False
+        self._carried: tuple[float, Floats] | None = None
 
     # -------------------------------------------------------------------------------- sensors
 
@@ -181,6 +122,8 @@ class Localizer:
             for part in self._assembly.rest():
                 messages += self._part(part)
         self.tracker.wait()
+        if self.options.background and self._carried is not None:  # by what the last image told
+            messages += self._telling.moved(self.tracker.pose(), *self._carried)
         return messages + self._news()
 
     def _hear(self, packet: Packet) -> list[Message]:
@@ -227,9 +170,10 @@ class Localizer:
         if isinstance(part, Frame):
             return self._see(part)
         self._moves = True
-        live = self.tracker.move(part.stamp, part.odometry_from_camera)
+        self._carried = part.stamp, part.odometry_from_camera
+        live = self.tracker.move(*self._carried)
         self._mounted()
-        return self._telling.moved(live, part.stamp, part.odometry_from_camera)
+        return self._telling.moved(live, *self._carried)
 
     def _mounted(self) -> None:
         """Know where the camera sits, and where it is if somebody has told before."""
@@ -257,8 +201,8 @@ class Localizer:
             return messages + self._amiss("a frame", str(error))
         if not self._moves:  # images alone tell odometry
             self._mounted()
-            live = self.tracker.pose()
-            messages += self._telling.moved(live, frame.stamp, frame.odometry)
+            self._carried = frame.stamp, frame.odometry
+            messages += self._telling.moved(self.tracker.pose(), *self._carried)
         return messages
 
     def _look(self, frame: Frame) -> None:

@@ -10,8 +10,9 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.formats.ros.packets import Fault, Packet
-    from placegraph.ros.localizer import Localizer, Summary
+    from placegraph.ros.localizer import Localizer
     from placegraph.ros.message import Message
+    from placegraph.ros.options import Summary
 
     Asked = Callable[[Localizer], list[Message]]
 

@@ -94,7 +94,7 @@ def open_source(path: Path, patience: Patience, stdin: BinaryIO | None = None) -
     if not path.exists():
         raise InputError(f"{path} does not exist; name a bag, a folder of images, or - for a pipe.")
     if not is_bag(path):
-        return Source(path, _filling(path, patience))
+        return Source(path, _filling(path, patience if path.is_dir() else Patience(0.0)))
     if path.suffix.lower() == ".mcap" and not path.is_dir() and not is_whole(path):
         return Source(path, _growing(path, patience), wishes=wishes_of(path, None))
     return bag_source(path)

@@ -37,8 +37,9 @@ def localize(
 
     Example: placegraph bag localize walk.mcap house.scene -o out.mcap
     """
-    from placegraph.ros.localizer import LiveOptions, Localizer
+    from placegraph.ros.localizer import Localizer
     from placegraph.ros.loop import run
+    from placegraph.ros.options import LiveOptions
     from placegraph.ros.sources import bag_source
 
     source = bag_source(bag)
