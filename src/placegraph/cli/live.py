@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
-import numpy as np
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
@@ -116,6 +115,8 @@ class _Lines:
 
 def _line(pose: LivePose) -> str:
     """Stamp, status, pose and reason in one line."""
+    import numpy as np
+
     said = f"{pose.stamp:.2f}  {pose.status.name:9}"
     if pose.map_from_camera is None or pose.covariance is None:
         return f"{said}  {pose.reason}"
