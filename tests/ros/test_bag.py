@@ -134,6 +134,16 @@ def test_the_model_in_the_bag_is_the_map(tmp_path, everything, scene):
             np.testing.assert_allclose(box, scene.mesh.object_bounds(2)[row], atol=1e-6)
 
 
+def test_a_map_of_many_triangles_is_shown_by_boxes(scene, monkeypatch):
+    monkeypatch.setattr("placegraph.ros.map.MOST", 1)
+    markers = map_messages(scene, 1.0)[0].fields["markers"]
+    boxes = scene.mesh.object_bounds(2)
+    for marker, (low, high) in zip(markers, boxes, strict=True):
+        center, size = marker["pose"]["position"].values(), marker["scale"].values()
+        np.testing.assert_allclose([*center], (low + high) / 2, atol=1e-6)
+        np.testing.assert_allclose([*size], high - low, atol=1e-6)
+
+
 def test_a_half_written_bag_never_has_its_name(tmp_path):
     with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "out.mcap") as bag:  # noqa: PT012
         bag.write(EMPTY)

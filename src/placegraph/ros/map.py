@@ -8,19 +8,23 @@ import numpy as np
 
 from placegraph.indoor.mapping.export import glb_of
 from placegraph.indoor.mapping.paint import painted
-from placegraph.ros.message import FrameIds, Message, colour, header, points, time
-from placegraph.ros.objects import MARKERS, TRIANGLES, label, over
+from placegraph.ros.message import FrameIds, Message, colour, header, points, time, xyz
+from placegraph.ros.objects import CUBE, MARKERS, TRIANGLES, extent, label, over
 from placegraph.ros.pose import scale
 
 if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene
     from placegraph.ros.message import Fields
 
+MOST = 200_000
+"""Triangles, 120 bytes each, that markers show."""
+
 
 def map_messages(scene: Scene, stamp: float, frames: FrameIds | None = None) -> list[Message]:
     """The map, thrice: its mesh as markers (RViz), its names, and a `SceneUpdate` (Foxglove).
 
-    - ``localization/map``: a `MarkerArray`, a list of triangles an object with colours by vertex.
+    - ``localization/map``: a `MarkerArray`, a list of triangles an object with colours by vertex; of
+      more than `MOST` triangles the objects' boxes.
     - ``localization/names``: a `MarkerArray` of what the objects are called.
     - ``localization/scene``: a `foxglove_msgs/SceneUpdate` with the map as GLB and its textures.
 
@@ -28,6 +32,7 @@ def map_messages(scene: Scene, stamp: float, frames: FrameIds | None = None) -> 
     """
     frames = frames or FrameIds()
     head = header(stamp, frames.map)
+    shown = (_meshes if len(scene.mesh) <= MOST else _boxes)(scene, head)
     names = [_name(scene, row, head) for row in range(len(scene))]
     model = {
         "pose": {"orientation": {"w": 1.0}}, "scale": scale(1.0),
@@ -38,12 +43,24 @@ def map_messages(scene: Scene, stamp: float, frames: FrameIds | None = None) -> 
         "metadata": [{"key": "source", "value": scene.source}], "models": [model],
     }  # fmt: skip
     return [
-        Message("localization/map", MARKERS, stamp, {"markers": _meshes(scene, head)}, latched=True),
+        Message("localization/map", MARKERS, stamp, {"markers": shown}, latched=True),
         Message("localization/names", MARKERS, stamp, {"markers": names}, latched=True),
         Message(
             "localization/scene", "foxglove_msgs/msg/SceneUpdate", stamp, {"entities": [entity]},
             latched=True,
         ),
+    ]  # fmt: skip
+
+
+def _boxes(scene: Scene, head: Fields) -> list[Fields]:
+    graph = scene.graph
+    return [
+        {
+            "header": head, "ns": graph.labels[row], "id": row, "type": CUBE, "frame_locked": True,
+            "pose": {"position": xyz(graph.positions[row]), "orientation": {"w": 1.0}},
+            "scale": xyz(extent(scene, row)), "color": colour((0.6, 0.6, 0.6), 0.3),
+        }
+        for row in range(len(scene))
     ]  # fmt: skip
 
 
