@@ -162,12 +162,12 @@ class RerunWriter:
         self._log(_CAMERA, pinhole)
 
     def _transforms(self, message: Message) -> None:
-        for link in message.fields["transforms"]:
+        """Where the camera sits; the pose says where it goes."""
+        for link in message.fields["transforms"] if message.latched else ():
             moved = link["transform"]
-            entity = _CAMERA if message.latched else f"map/{link['child_frame_id']}"
             turn = [*moved["rotation"].values()]
             shown = self._rr.Transform3D(translation=_xyz(moved["translation"]), quaternion=turn)
-            self._log(entity, shown, static=message.latched)
+            self._log(_CAMERA, shown, static=True)
 
     def _markers(self, message: Message) -> None:
         entity = f"map/{message.topic.rpartition('/')[2]}"
