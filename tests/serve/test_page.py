@@ -36,6 +36,22 @@ def test_typing_asking_and_sharing(browser, url):
         page.wait_for_selector(".status.AMBIGUOUS")
 
 
+def test_rivals_in_two_towns_stand_in_their_own(browser, url):
+    with opened(browser, url + "#q=A bakery is to my west. A fountain is to my east.") as page:
+        for k in (0, 1):  # the likeliest two
+            page.locator(".mode").nth(k).click()
+            page.wait_for_selector(f'.pin.on[data-mode="{k}"]')
+            still(page)
+        towns = page.locator(".mode .where").all_inner_texts()
+        assert {town.split(".")[0] for town in towns} == {"43", "53"}
+        pins = page.locator(".pin").evaluate_all("all => all.map(p => p.dataset.mode)")
+        assert 0 < len(pins) < len(towns)
+    with opened(browser, url + "#q=A bakery is to my west. A fountain is to my east.") as page:
+        page.wait_for_selector(".status.AMBIGUOUS")
+        still(page)
+        page.wait_for_selector('.pin[data-mode="0"]')  # seen, wherever its rivals are
+
+
 def test_evidence_lights_up_both_ways(browser, url):
     with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE) as page:
         page.wait_for_selector(".evidence .object")

@@ -36,7 +36,18 @@ def test_words_and_ways(walker, town):
         assert told["estimate"]["modes"][0]["longitude"] == pytest.approx(known.best.longitude)
     nothing = client.post(at, json={})
     assert nothing.status_code == 422
-    assert "give text, east and north, or distance" in nothing.json()["detail"]
+    assert "give text, answers, east and north, or distance" in nothing.json()["detail"]
+
+
+def test_questions_on_the_way_are_answered(walker):
+    client, at = walker
+    question = client.post(at, json={"text": "I see a bench."}).json()["question"]
+    before = client.post(at, json={"distance": 0.0}).json()["estimate"]["modes"]
+    answer = {"question": question, "option": question["options"][0]}
+    told = client.post(at, json={"answers": [answer]}).json()
+    assert told["estimate"]["modes"][0]["probability"] > before[0]["probability"]
+    assert told["question"]["text"] != question["text"]
+    assert client.post(at, json={"answers": [answer | {"option": "?"}]}).status_code == 422
 
 
 def test_a_process_that_dies_holds_no_session():

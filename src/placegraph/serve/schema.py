@@ -129,6 +129,7 @@ class Step(_Body):
     """One step: words and way in a city, a frame in a scene."""
 
     text: str | None = Field(None, max_length=2000)
+    answers: list[Answered] = Field(default=[], max_length=30)
     east: Finite | None = None
     north: Finite | None = None
     sigma: Finite | None = None

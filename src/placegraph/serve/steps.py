@@ -9,7 +9,7 @@ from placegraph.errors import OptionError, RequestError
 from placegraph.formats.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
 from placegraph.serve.asked import LEVEL, camera_of
-from placegraph.serve.locate import answered, on_earth
+from placegraph.serve.locate import answered, given, on_earth
 from placegraph.serve.oscp import image_bytes
 from placegraph.serve.photo import Photo, check_focal, fitted, read_depth, read_photo
 
@@ -74,8 +74,12 @@ def _walked(tracker: CityTracker, asked: dict[str, Any]) -> Any:  # noqa: ANN401
         estimate = tracker.walk(asked["distance"], bearing)
     if asked["text"] is not None:
         estimate = tracker.tell(asked["text"])
+    for answer in asked["answers"]:
+        estimate = tracker.answer(given(answer))
     if estimate is None:
-        raise OptionError("step: nothing is said or moved; give text, east and north, or distance.")
+        raise OptionError(
+            "step: nothing is said or moved; give text, answers, east and north, or distance."
+        )
     return estimate
 
 

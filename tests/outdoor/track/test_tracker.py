@@ -12,6 +12,7 @@ from tests.outdoor.test_locate import HARBOUR, metres, sound
 from placegraph.errors import DescriptionError, OptionError
 from placegraph.estimate import Status
 from placegraph.outdoor.language import describe
+from placegraph.outdoor.search.ask import NO, UNKNOWN, YES
 from placegraph.outdoor.track.tracker import CityTracker
 
 BENCH, FOUNTAIN = {"amenity": "bench"}, {"amenity": "fountain"}
@@ -43,6 +44,25 @@ def off(city, estimate, at, east_north):
 
 
 # --- two places alike ---
+
+
+def test_answers_are_read_with_what_was_said_here(twins):
+    tracker = CityTracker(twins)
+    tracker.walk(10.0)
+    first = tracker.tell("A kiosk is south of me.")
+    question = first.next_question(twins)
+    assert question.options == (YES, NO)
+    shop = question.things[0].label
+    assert shop in {"shop=bakery", "amenity=pharmacy"}
+    unknown = tracker.answer(question.answer(UNKNOWN))
+    assert [m.probability for m in unknown.modes] == [m.probability for m in first.modes]
+    again = unknown.next_question(twins)
+    assert again.things[0].label != shop
+    told = tracker.answer(again.answer(YES))
+    assert told.status is Status.OK
+    assert told.best.probability > 1.5 * first.best.probability
+    assert len(told.understood.statements) == 2
+    assert told.next_question(twins) is None
 
 
 def test_a_second_sentence_tells_two_places_apart(twins, at):

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.search.ask import Answer
 
 REMEMBERED = 6
 """Of so many places before, the evidence is told again."""
@@ -125,19 +126,9 @@ class CityTracker:
         return self._stop.now.elsewhere
 
     def tell(self, text: str | Description) -> CityEstimate:
-        """Take what was said of places and of the way, sentence by sentence.
+        """Take what was said of places and of the way: "I walked 200 m east. I am at a bakery".
 
-        Parameters
-        ----------
-        text
-            Words such as "I walked 200 m east. There is a bakery to my north." (or an already parsed
-            description of what is in sight).
-
-        Raises
-        ------
-        DescriptionError
-            The text is empty, too long, or not text.
-
+        Or a parsed description of what is in sight. `DescriptionError`: empty, too long, no text.
         """
         why = ""
         if isinstance(text, Description):
@@ -150,6 +141,16 @@ class CityTracker:
             else:
                 why = self._hear(part)
         return self._noted(text.strip(), why)
+
+    def answer(self, answer: Answer) -> CityEstimate:
+        """Take the answer to a question about the last estimate, read with what was said here before."""
+        stop = self._stop
+        more = answer.added_to(stop.query.description if stop.query else Description(""))
+        query = compile_query(more, self.city)
+        if query.used:
+            self._stop = stop.heard((*stop.texts, more), query, self.city, self._grid)
+            self._understood = True
+        return self._noted(f"{answer.question.text} {answer.option}", "")
 
     def move(self, east: float, north: float, *, sigma: float | None = None) -> CityEstimate:
         """Move by a measured displacement.

@@ -37,9 +37,19 @@ export class Walk {
 
   clear() { this.app.text = ""; }
 
-  async tell() {
+  tell() {
     const text = this.app.text.trim();
-    if (!text || this.busy) return;
+    if (text) this.send({ text }, text);
+  }
+
+  reply(option) {
+    const { text, options, things } = this.result.question;
+    this.send({ answers: [{ question: { text, options, things }, option }] }, `${text} ${option}`);
+    document.getElementById("panel").focus({ preventScroll: true });
+  }
+
+  async send(step, words) {
+    if (this.busy) return;
     this.busy = true;
     this.error = null;
     this.render();
@@ -49,9 +59,9 @@ export class Walk {
         this.city = this.app.stage.cityName;
         this.session = (await call("v1/sessions", { json: { map: this.city, ...this.app.you.known } })).session;
       }
-      this.result = await call(`v1/sessions/${this.session}`, { json: { text } });
-      this.log.push(text);
-      this.app.text = "";
+      this.result = await call(`v1/sessions/${this.session}`, { json: step });
+      this.log.push(words);
+      if (step.text) this.app.text = "";
       if (this.app.tab === this) this.app.view.show(this.result);
       this.app.announce(this.result.estimate.reason);
     } catch (error) {
@@ -71,7 +81,7 @@ export class Walk {
         + "“I walked about 100 metres south.” Each sentence makes the place clearer.");
     const mode = result?.estimate.modes[app.view.selected];
     app.show(chipRow(app.you.chips()), told, this.busy ? el("p", { class: "busy", role: "status" }, "Thinking …") : null,
-      this.error ? app.problem(this.error) : null, result ? verdict(result.estimate) : null, result ? question(result.question) : null,
+      this.error ? app.problem(this.error) : null, result ? verdict(result.estimate) : null, result ? question(result.question, (option) => this.reply(option)) : null,
       result ? places(result, app.view.selected, (k) => app.view.select(k)) : null,
       mode ? evidence(mode, app.view.selected, app.hands) : null);
   }

@@ -86,12 +86,18 @@ export class AnswerMap {
     return mode?.map_from_camera ? this.answer.map : mode?.scene || null;
   }
 
+  /** Whether a mode may be on what the map shows now, and not in another city. */
+  reaches(mode) {
+    const city = this.stage?.cityOf(mode);
+    return !city || city.name === this.stage.name;
+  }
+
   /** Find where the modes are on what the map shows now. */
   place() {
     const { answer, plane, stage } = this, modes = answer?.estimate.modes ?? [];
     this.heat.set(plane ? (answer?.support ?? []).map(([lon, lat, p]) => [...plane.to(lon, lat), p]) : []);
     this.places = modes.map((mode, k) => {
-      const map = this.mapOf(k), within = stage?.indoors(map, mode.room), where = standing(mode, plane, within);
+      const map = this.mapOf(k), within = stage?.indoors(map, mode.room), where = this.reaches(mode) ? standing(mode, plane, within) : null;
       return { mode, at: null, found: [], ...where, within,
         ...(where && { found: witnesses(mode, plane, (id) => stage?.thing(map, id)) }) };
     });
