@@ -52,6 +52,19 @@ def test_rivals_in_two_towns_stand_in_their_own(browser, url):
         page.wait_for_selector('.pin[data-mode="0"]')  # seen, wherever its rivals are
 
 
+def test_a_way_is_told_and_asked_about(browser, url):
+    with opened(browser, url + "#map=hafenstadt&tab=walk") as page:
+        page.fill("#text", SENTENCE)
+        page.click("#go")
+        page.get_by_role("button", name="Fischmarkt", exact=True).first.click()
+        page.wait_for_selector(".status.OK")
+        assert page.locator(".log li").count() == 2
+        assert page.input_value("#text") == ""
+        page.fill("#text", "I walked 40 m east.")
+        page.keyboard.press("Enter")
+        page.wait_for_selector(".log li >> nth=2")
+
+
 def test_evidence_lights_up_both_ways(browser, url):
     with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE) as page:
         page.wait_for_selector(".evidence .object")

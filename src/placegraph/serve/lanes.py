@@ -77,6 +77,8 @@ class Lane:
         self.name, self.count, self.seconds, self.setting = name, count, seconds, setting
         self.waiting = 0
         self.running = 0
+        self.answered = 0
+        """Requests that were answered since the start, over WebSockets as well."""
         self.replaced = 0
         """Processes that died or were ended since the start."""
         self._idle: asyncio.Queue[Worker] = asyncio.Queue()
@@ -156,6 +158,7 @@ class Lane:
         finally:
             self.running -= 1
         self._idle.put_nowait(worker)
+        self.answered += 1
         return told
 
     def _replace(self, worker: Worker, why: str, status: int, code: str) -> Answer:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 BOUNDS = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0)
 """Of the histogram of seconds."""
-PATHS = ("/v1/locate", "/v1/localize", "/v1/live", "/v1/maps", "/v1/sessions", "/geopose", "/api")
+PATHS = ("/v1/locate", "/v1/localize", "/v1/maps", "/v1/sessions", "/geopose", "/api")
 
 
 class Metrics:

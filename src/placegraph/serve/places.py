@@ -69,16 +69,17 @@ class Places:
 
     def entry(self, name: str) -> Entry:
         """Map of a name; `RequestError` (404) where there is none."""
-        if name not in self._entries:
-            self._entries = self._found()
-        if name not in self._entries:
-            known = ", ".join(self._entries) or "none"
+        entries = self._entries  # others may replace it meanwhile
+        if name not in entries:
+            entries = self._entries = self._found()
+        if name not in entries:
+            known = ", ".join(entries) or "none"
             raise RequestError(
                 f"There is no map {name[:80]!r}; known are: {known}.",
                 status=404,
                 code="map_unknown",
             )
-        return self._entries[name]
+        return entries[name]
 
     def open(self, name: str) -> CityMap | SceneMap | SceneLibrary:
         """A map, as its file is now; raises as `open_map`, and `RequestError` where it is gone."""

@@ -101,10 +101,9 @@ def _add_questions(app: FastAPI, server: Server) -> None:
         lat: Annotated[float | None, Query(ge=-90, le=90)] = None,
         lon: Annotated[float | None, Query(ge=-180, le=180)] = None,
         limit: Annotated[int, Query(ge=1, le=50)] = 15,
-        lang: str | None = None,
     ) -> Response:
         """Names, kinds of things, or a sentence, as a search box asks; answered as Photon does."""
-        asked = {"q": q, "lat": lat, "lon": lon, "limit": limit, "lang": lang}
+        asked = {"q": q, "lat": lat, "lon": lon, "limit": limit}
         return await server.ask(server.sentences, "search", asked)
 
     @app.post("/v1/localize", openapi_extra=_FORM)

@@ -48,6 +48,7 @@ class Server:
         for lane in self.lanes:
             kind = f'{{lane="{lane.name}"}}'
             told |= {f"waiting{kind}": lane.waiting, f"running{kind}": lane.running}
+            told[f"answered_total{kind}"] = lane.answered
             told[f"workers_replaced_total{kind}"] = lane.replaced
         return told
 
