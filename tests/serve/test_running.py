@@ -90,7 +90,7 @@ def test_a_websocket_may_be_silent_for_longer_than_a_head(small):
     [
         (500, b'{"text": "a"}', b"408", b"slow"),  # less than announced
         (10**15, b"{", b"413", b"body_size"),
-        (5, b'{"text": "a"}', b"422", b"fields"),  # more than announced: cut, and the rest no HTTP
+        (5, b'{"text": "a"}', b"400", b"json"),  # more than announced: cut, and the rest no HTTP
     ],
 )
 def test_lengths_that_lie(small, length, body, status, code):
