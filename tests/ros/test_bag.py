@@ -1,3 +1,5 @@
+import sqlite3
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -149,6 +151,20 @@ def test_a_half_written_bag_never_has_its_name(tmp_path):
         bag.write(EMPTY)
         assert not (tmp_path / "out.mcap").exists()
         raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(28, "no space"), sqlite3.OperationalError("disk is full")]
+)
+def test_a_full_disk(tmp_path, monkeypatch, error):
+    def full(*_):
+        raise error
+
+    with pytest.raises(MapError, match=r"out cannot be written: .*(space|full)"):  # noqa: PT012, SIM117
+        with BagWriter(tmp_path / "out") as bag:
+            monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
+            bag.write(EMPTY)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -6,6 +6,7 @@ from mcap_ros2._dynamic import generate_dynamic
 
 from placegraph.errors import OptionError
 from placegraph.formats.ros.decode import decode
+from placegraph.formats.ros.types import typestore
 from placegraph.ros.encode import cdr, definition
 from placegraph.ros.message import Message, header, time
 
@@ -51,6 +52,19 @@ def test_types_that_ros_does_not_bring_are_defined_by_the_file():
     for read in both(Message("cloud", "nav2_msgs/msg/ParticleCloud", 1.0, cloud)):
         assert [p.weight for p in read.particles] == [0.25, 0.75]
         assert read.particles[0].pose.position.x == 0.0
+
+
+def test_foxglove_knows_the_same_fields():
+    messages = pytest.importorskip("foxglove.messages")
+    protobuf = pytest.importorskip("google.protobuf.descriptor_pb2")
+    files = protobuf.FileDescriptorSet.FromString(messages.SceneUpdate.get_schema().data)
+    kinds = [kind for file in files.file for kind in file.message_type]
+    ours = typestore("cdr").fielddefs
+    known = {k.name: k for k in kinds if f"foxglove_msgs/msg/{k.name}" in ours}
+    assert len(known) == 13
+    for name, kind in known.items():
+        told = [field for field, _ in ours[f"foxglove_msgs/msg/{name}"][1]]
+        assert told == [field.name for field in kind.field]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -52,7 +53,7 @@ class BagWriter:
     ) -> None:
         self.path = Path(path)
         ending = _ENDINGS.get(self.path.suffix.lower())
-        self._container: Container = container or ending or "mcap"
+        self._container: Container = ending or container or "mcap"
         self._one = ending is not None
         self._encoding = "ros1" if self._container == "rosbag1" else "cdr"
         self._store = known(self._encoding)
@@ -64,19 +65,26 @@ class BagWriter:
 
     def __enter__(self) -> Self:
         self._place = Unfinished(self.path)
-        with writing(self.path):
-            self._writer = self._opened(self._place.folder / self.path.stem)
+        try:
+            with writing(self.path):
+                self._writer = self._opened(self._place.folder / self.path.stem)
+        except BaseException:
+            self._place.drop()
+            raise
         return self
 
     def __exit__(self, kind: object, *error: object) -> None:
         assert self._place is not None  # noqa: S101  entered
         bag = self._place.folder / self.path.stem
         try:
+            if kind is not None:
+                with suppress(Exception):  # the first error counts
+                    self._writer.close()
+                return
             with writing(self.path):
                 self._writer.close()
-            if kind is None:
-                one = bag.is_dir() and self._one
-                self._place.finish(bag / f"{bag.name}{self.path.suffix.lower()}" if one else bag)
+            one = bag.is_dir() and self._one
+            self._place.finish(bag / f"{bag.name}{self.path.suffix.lower()}" if one else bag)
         finally:
             self._place.drop()
             self._place = self._writer = None
