@@ -60,6 +60,16 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
     )
 
 
+def open_rooms(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
+    """Open a scene map or a library; raises as `open_map`, and `MapError` where it is a city's."""
+    from placegraph.outdoor.city import CityMap
+
+    found = open_map(path)
+    if isinstance(found, CityMap):
+        raise MapError(f"{path} is the map of a city; give a scene map, or a library of several.")
+    return found
+
+
 @dataclass(frozen=True)
 class Found:
     """Files of a world, as they are called; none was looked into."""

@@ -1,4 +1,4 @@
-"""What `bag localize` and `live` share: maps, who carries the messages, and what is said in the end."""
+"""What `bag localize` and `live` share: who carries the messages, and what is said in the end."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import console, echo_json
-from placegraph.errors import MapError
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph.ros.loop import Sink
     from placegraph.ros.options import Summary
 
@@ -22,17 +19,6 @@ RoomsFile = Annotated[
 RerunFile = Annotated[
     Path | None, Option(help="Write a recording for Rerun (.rrd) as well; extra `rerun`.")
 ]
-
-
-def rooms_of(path: Path) -> SceneMap | SceneLibrary:
-    """Map of rooms, or a library of several; `MapError` where it is a city's."""
-    from placegraph.maps import open_map
-    from placegraph.outdoor.city import CityMap
-
-    found = open_map(path)
-    if isinstance(found, CityMap):
-        raise MapError(f"{path} is the map of a city; give a scene map, or a library of several.")
-    return found
 
 
 def carriers(stack: ExitStack, out: Path | None, rerun: Path | None) -> list[Sink]:

@@ -11,7 +11,7 @@ import click
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
-from placegraph.cli.following import RerunFile, RoomsFile, carriers, rooms_of, show_summary
+from placegraph.cli.following import RerunFile, RoomsFile, carriers, show_summary
 from placegraph.cli.keys import keys
 from placegraph.cli.scene.query import Device, Seed
 
@@ -61,6 +61,7 @@ def live(
 
     Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
     """
+    from placegraph.maps import open_rooms
     from placegraph.ros.localizer import Localizer
     from placegraph.ros.loop import run
     from placegraph.ros.options import LiveOptions, mode_of
@@ -79,7 +80,7 @@ def live(
             click.echo(f"Foxglove: open a connection to {server.address}", err=True)
         options = LiveOptions(mode=mode_of(mode), whole=bool(sinks), seed=seed)
         localizer = Localizer(
-            rooms_of(map_file), options, plan=from_where.plan, name=str(from_where.path),
+            open_rooms(map_file), options, plan=from_where.plan, name=str(from_where.path),
             wishes=from_where.wishes, device=device,
         )  # fmt: skip
         stack.enter_context(keys(pace, patience))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from placegraph.cli.bag.info import BagFile
 from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, progress_of
-from placegraph.cli.following import RerunFile, RoomsFile, carriers, rooms_of, show_summary
+from placegraph.cli.following import RerunFile, RoomsFile, carriers, show_summary
 from placegraph.cli.scene.query import Device, Seed
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def localize(
 
     Example: placegraph bag localize walk.mcap house.scene -o out.mcap
     """
+    from placegraph.maps import open_rooms
     from placegraph.ros.localizer import Localizer
     from placegraph.ros.loop import run
     from placegraph.ros.options import LiveOptions
@@ -46,7 +47,7 @@ def localize(
     options = LiveOptions(background=False, seed=seed)
     with ExitStack() as stack:
         sinks = carriers(stack, out, rerun)
-        localizer = Localizer(rooms_of(map_file), options, plan=source.plan, device=device)
+        localizer = Localizer(open_rooms(map_file), options, plan=source.plan, device=device)
         tell = stack.enter_context(progress_of(hidden=quiet or as_json))
 
         def told(localizer: Localizer) -> None:
