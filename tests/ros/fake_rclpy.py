@@ -66,20 +66,20 @@ class Node:
         name,
         value=None,
         descriptor=None,
-        ignore_override=False,  # noqa: ARG002
+        ignore_override=False,
     ):
         return SimpleNamespace(value=self.world.parameters.get(name, value))
 
     def create_publisher(
-        self, msg_type, topic, qos_profile, *, callback_group=None, event_callbacks=None,  # noqa: ARG002
-        qos_overriding_options=None, publisher_class=None,  # noqa: ARG002
+        self, msg_type, topic, qos_profile, *, callback_group=None, event_callbacks=None,
+        qos_overriding_options=None, publisher_class=None,
     ):  # fmt: skip
         self.publishers.append(Publisher(self, msg_type, topic, qos_profile))
         return self.publishers[-1]
 
     def create_subscription(
-        self, msg_type, topic, callback, qos_profile, *, callback_group=None,  # noqa: ARG002
-        event_callbacks=None, qos_overriding_options=None, raw=False,  # noqa: ARG002
+        self, msg_type, topic, callback, qos_profile, *, callback_group=None,
+        event_callbacks=None, qos_overriding_options=None, raw=False,
     ):  # fmt: skip
         made = Subscription(msg_type, self.resolved(topic), callback, qos_profile, raw=raw)
         self.subscriptions.append(made)
@@ -92,13 +92,13 @@ class Node:
         callback,
         *,
         qos_profile=None,
-        callback_group=None,  # noqa: ARG002
+        callback_group=None,
     ):
         self.services[srv_name] = SimpleNamespace(
             type=srv_type, callback=callback, group=callback_group
         )
 
-    def create_timer(self, timer_period_sec, callback, callback_group=None, clock=None):  # noqa: ARG002
+    def create_timer(self, timer_period_sec, callback, callback_group=None, clock=None):
         self.timers.append(callback)
 
     def destroy_subscription(self, subscription):
@@ -108,7 +108,7 @@ class Node:
     def destroy_node(self):
         self.destroyed = True
 
-    def get_topic_names_and_types(self, no_demangle=False):  # noqa: ARG002
+    def get_topic_names_and_types(self, no_demangle=False):
         return [(name, list(kinds)) for name, kinds in self.world.topics.items()]
 
     def get_logger(self):
@@ -159,14 +159,14 @@ class World:
             raise ModuleNotFoundError(kind)
         return kind
 
-    def create_node(self, node_name, *, context=None, namespace=None):  # noqa: ARG002
+    def create_node(self, node_name, *, context=None, namespace=None):
         self.node = Node(self, node_name)
         return self.node
 
-    def init(self, *, args=None, context=None):  # noqa: ARG002
+    def init(self, *, args=None, context=None):
         self.running = True
 
-    def try_shutdown(self, *, context=None):  # noqa: ARG002
+    def try_shutdown(self, *, context=None):
         self.running = False
 
     def install(self, monkeypatch):
@@ -174,7 +174,7 @@ class World:
         world = self
 
         class MultiThreadedExecutor:
-            def __init__(self, num_threads=None, *, context=None):  # noqa: ARG002
+            def __init__(self, num_threads=None, *, context=None):
                 self.nodes = []
 
             def add_node(self, node):
@@ -183,7 +183,7 @@ class World:
             def spin(self):
                 world.spin()
 
-        class ExternalShutdownException(Exception):  # noqa: N818
+        class ExternalShutdownException(Exception):
             pass
 
         class MutuallyExclusiveCallbackGroup:
@@ -206,7 +206,7 @@ class World:
         groups = module(
             "rclpy.callback_groups", MutuallyExclusiveCallbackGroup=MutuallyExclusiveCallbackGroup
         )
-        logging = module("rclpy.logging", get_logger=lambda name: self.logger)  # noqa: ARG005
+        logging = module("rclpy.logging", get_logger=lambda name: self.logger)
         module(
             "rclpy", qos=qos, executors=executors, callback_groups=groups, logging=logging,
             create_node=self.create_node, init=self.init, try_shutdown=self.try_shutdown,
