@@ -25,14 +25,20 @@ KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
 def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
     """Open a map file; what it holds is read from its header. A folder of scene maps is a library.
 
+    A scene graph of Hydra, Khronos or Clio (Spark-DSG's JSON) or of ConceptGraphs opens as the scene
+    map that `build_scene` makes of it, each time anew.
+
     Raises
     ------
     InputError
-        The file is missing, empty, or may not be read; a folder holds no scene map.
+        The file is missing, empty, or may not be read; a folder holds no scene map; a scene graph
+        cannot be built without an option, which the message names.
     MapError
         It is foreign, truncated, damaged, of a newer version, or of a kind not known here.
 
     """
+    if _is_scene_graph(Path(path)):
+        return open_scene(path)
     if Path(path).is_dir():
         from placegraph.indoor.library import SceneLibrary
 
@@ -68,6 +74,25 @@ def open_rooms(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
     if isinstance(found, CityMap):
         raise MapError(f"{path} is the map of a city; give a scene map, or a library of several.")
     return found
+
+
+def open_scene(path: str | os.PathLike[str]) -> SceneMap:
+    """Open a scene map, or another program's scene graph as one; errors as of `open_map`."""
+    from placegraph.indoor.scene_map import SceneMap
+
+    if _is_scene_graph(Path(path)):
+        from placegraph.indoor.build import build_scene
+
+        return build_scene(path, None)
+    return SceneMap.open(Path(path))
+
+
+def _is_scene_graph(path: Path) -> bool:
+    if path.suffix.lower() != ".json" and not path.is_dir():
+        return False
+    from placegraph.indoor.mapping.sources import is_scene_graph
+
+    return is_scene_graph(path)
 
 
 @dataclass(frozen=True)

@@ -39,10 +39,10 @@ def check(
     """
     from placegraph.indoor.mapping.check import check as findings_of
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     begun = perf_counter()
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     opened = perf_counter() - begun
     options = FilterOptions(heights=tuple(height)) if height else FilterOptions()
     size = map_file.stat().st_size

@@ -71,10 +71,10 @@ def diff(
 
     Example: placegraph scene diff house.scene walk/ --png changes.png -o changes.json
     """
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     options = _options(axes, least_shift, depth=depth, colour=colour, seed=seed)
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
         found = compared(scene, later, frames, options, tell)
     if out is not None:
@@ -177,12 +177,12 @@ def compared(
     """Diff of a map and a later look, which is a map file or a capture; raises as these do."""
     from placegraph.indoor.mapping.change.diff import diff as diff_of
     from placegraph.indoor.mapping.change.diff import diff_capture
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     if later.suffix.lower() == MAP_ENDING:
         if frames is not None:
             raise OptionError(f"--frames belongs to a capture, and {later} is a map.")
-        return diff_of(scene, SceneMap.open(later), options=options)
+        return diff_of(scene, open_scene(later), options=options)
     if options.b_from_a is not None:
         raise OptionError("--b-from-a belongs to a map; a capture's poses are found by localizing.")
     from placegraph.formats.capture.capture import open_capture

@@ -60,12 +60,12 @@ def export(
     """
     from placegraph.indoor.mapping.export import export as write
     from placegraph.indoor.mapping.export import losses
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     if os.path.realpath(map_file) == os.path.realpath(out):
         raise OptionError(f"{out} is the map itself; name another file.")
     paths = camera_paths(camera_path)
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     files = write(scene, out, camera_paths=paths, overwrite=force)
     sizes = {str(file): file.stat().st_size for file in files}
     if as_json:

@@ -140,7 +140,7 @@ def localize(
     """
     from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     options = _options(
         preset, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
@@ -152,7 +152,7 @@ def localize(
     chosen = chosen_frames(open_capture(capture), frames)
     if depth_network is not None:
         chosen, options, refining = _measured(chosen, depth_network, options, refining)
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     title = f"{capture.name} {frames}" if frames else capture.name
     with progress_of(hidden=quiet or as_json) as tell:
         estimate = scene.localize(

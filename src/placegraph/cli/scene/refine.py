@@ -76,7 +76,7 @@ def refine(
     """
     from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.refine import RefineOptions
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     if (pose is None) == (estimate is None):
         raise OptionError("Give one of --pose and --estimate: about where the camera is.")
@@ -90,7 +90,7 @@ def refine(
     else:
         assert estimate is not None  # noqa: S101  # one of both is there
         start = pose_of_estimate(estimate, mode, chosen[-1])
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     title = f"{capture.name} {frames}" if frames else capture.name
     with progress_of(hidden=quiet or as_json) as tell:
         refined = scene.refine(

@@ -99,14 +99,14 @@ def render(
     Example: placegraph scene render house.scene -o out --tum walk.tum --capture walk/ --frame 12
     """
     from placegraph.indoor.render import Renderer
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
 
     source = Source(pose, tum, estimate, row, mode)
     _check(source, camera=camera, capture=capture, frame=frame)
     clip, picture_camera = _camera(camera, capture)
     chosen = None if clip is None else _frame(clip, frame, source)
     map_from_camera = _pose(source, chosen, asked=frame is not None)
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     drawn = Renderer(scene, device=device).render(map_from_camera, picture_camera, samples=samples)
     files = _write(scene, drawn, map_from_camera, chosen, out)
     told = _told(scene, drawn, map_from_camera, chosen, files)

@@ -54,7 +54,7 @@ def view(
 
     Example: placegraph scene view house.scene --capture walk/ --frames 0:10
     """
-    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.maps import open_scene
     from placegraph.view.viewer.viewer import open_viewer
 
     if capture is not None and run is not None:
@@ -62,7 +62,7 @@ def view(
     if frames is not None and capture is None:
         raise OptionError("--frames belongs to --capture; give both.")
     paths = camera_paths(camera_path)
-    scene = SceneMap.open(map_file)
+    scene = open_scene(map_file)
     estimate = None
     if run is not None:
         from placegraph.indoor.pose.record import read_run

@@ -92,11 +92,20 @@ KINDS = (
         own=("mesh",),
     ),
     SourceKind("Spark-DSG's .json", "mesh.spark_dsg", "spark_dsg"),
+    SourceKind(
+        "ConceptGraphs' obj_json_*.json, or its folder",
+        "mesh.conceptgraphs",
+        "conceptgraphs",
+        takes=("up",),
+        own=("mesh",),
+    ),
     SourceKind(".ply", "mesh.ply", "ply", ".ply", ("up", "table", "object_property")),
 )
 """In the order in which they are asked: what is told by little comes last."""
 
 
+GRAPHS = ("spark_dsg", "conceptgraphs")
+"""Verbs of the kinds that are scene graphs already."""
 _FEW = 1000  # triangles: what is one object of fewer is meant to be one
 
 
@@ -118,6 +127,11 @@ class Reading:
             raise OptionError(f"scale is {self.scale}; it must be greater than 0.")
         if self.up not in {"auto", "y", "z"}:
             raise OptionError(f"up is {self.up!r}; it is 'auto', 'y' or 'z'.")
+
+
+def is_scene_graph(path: Path) -> bool:
+    """Whether another program's scene graph lies there."""
+    return any(kind.verb in GRAPHS and kind.fits(path) for kind in KINDS)
 
 
 def read_source(
