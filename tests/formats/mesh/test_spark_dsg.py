@@ -390,3 +390,17 @@ def test_any_json_ends_in_a_model_or_an_input_error(tmp_path_factory, value):
         path.write_text(json.dumps(content))
         with suppress(InputError):
             read_spark_dsg(path)
+
+
+def test_the_folder_that_hydra_logged_to(tmp_path):
+    """`backend/` has the graph twice; the one with the mesh counts."""
+    nodes = [thing(0, 3, mesh_connections=[3, 4, 5], bounds=box([0, 0, 0], [1, 1, 1]))]
+    (tmp_path / "backend").mkdir()
+    (tmp_path / "backend/dsg.json").write_text(json.dumps(graph(nodes)))
+    assert is_spark_dsg(tmp_path)
+    assert len(read_spark_dsg(tmp_path).triangles) == 12
+    (tmp_path / "backend/dsg_with_mesh.json").write_text(
+        json.dumps(graph(nodes, mesh=mesh([7] * 9)))
+    )
+    assert len(read_spark_dsg(tmp_path).triangles) == 3
+    assert not is_spark_dsg(tmp_path / "backend/nothing")

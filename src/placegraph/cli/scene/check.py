@@ -39,10 +39,10 @@ def check(
     """
     from placegraph.indoor.mapping.check import check as findings_of
     from placegraph.indoor.options import FilterOptions
-    from placegraph.maps import open_scene
+    from placegraph.indoor.scene_map import SceneMap
 
     begun = perf_counter()
-    scene = open_scene(map_file)
+    scene = SceneMap.open(map_file)
     opened = perf_counter() - begun
     options = FilterOptions(heights=tuple(height)) if height else FilterOptions()
     size = map_file.stat().st_size

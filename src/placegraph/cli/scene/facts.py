@@ -30,9 +30,9 @@ def info(
     Example: placegraph scene info house.scene --png plan.png
     """
     from placegraph.indoor.map.scene_file import bytes_of
-    from placegraph.maps import open_scene
+    from placegraph.indoor.scene_map import SceneMap
 
-    scene = open_scene(map_file)
+    scene = SceneMap.open(map_file)
     told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": bytes_of(map_file)}
     if png is not None:
         from placegraph.view import draw_scene

@@ -27,7 +27,7 @@ from placegraph.formats.mesh.spark_dsg_mesh import (
     pieces_of,
     read_mesh,
 )
-from placegraph.formats.mesh.spark_dsg_nodes import Json, object_of, plain, rooms_of, symbol
+from placegraph.formats.mesh.spark_dsg_nodes import Json, logged, object_of, plain, rooms_of, symbol
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -50,12 +50,15 @@ _DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, Overflo
 
 
 def is_spark_dsg(path: str | PathLike[str]) -> bool:
-    """Whether a file is a scene graph as Spark-DSG writes it in JSON; never raises."""
-    path = Path(path)
+    """Whether a file is a scene graph as Spark-DSG writes it in JSON, or a folder of Hydra's log.
+
+    Never raises.
+    """
+    file_of = logged(Path(path))
     try:
-        if path.suffix.lower() != ".json" or not path.is_file():
+        if file_of.suffix.lower() != ".json" or not file_of.is_file():
             return False
-        with path.open("rb") as file:
+        with file_of.open("rb") as file:
             head = file.read(1 << 16)
     except (OSError, ValueError):
         return False
@@ -63,7 +66,7 @@ def is_spark_dsg(path: str | PathLike[str]) -> bool:
 
 
 def read_spark_dsg(path: str | PathLike[str]) -> Model:
-    """Read a scene graph that Spark-DSG saved as JSON, version 1.0 to 1.x.
+    """Read a scene graph that Spark-DSG saved as JSON, version 1.0 to 1.x, or Hydra's log folder.
 
     An object's triangles are those of the scene's mesh whose vertices it is connected with, or its
     own mesh (Khronos); else those of its label within its box; else its box stands for it. What
@@ -77,7 +80,7 @@ def read_spark_dsg(path: str | PathLike[str]) -> Model:
         The file is missing, truncated, larger than 512 MB, of a newer version, or not such a graph.
 
     """
-    path = Path(path)
+    path = logged(Path(path))
     if path.is_file() and path.stat().st_size > LARGEST:
         raise InputError(
             f"{path} has {path.stat().st_size >> 20} MB, more than {LARGEST >> 20}; save a coarser "

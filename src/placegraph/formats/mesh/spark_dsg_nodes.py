@@ -3,9 +3,25 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Json = dict[str, Any]
+_LOGGED = ("dsg_with_mesh.json", "dsg.json")
+"""What Hydra saves in `backend/` of its log folder when it ends."""
+
+
+def logged(path: Path) -> Path:
+    """The graph in a folder that Hydra logged to, with its mesh if there is one; else the path itself."""
+    try:
+        if path.is_dir():
+            tried = (path / part / name for name in _LOGGED for part in ("backend", ""))
+            return next((file for file in tried if file.is_file()), path)
+    except (OSError, ValueError):
+        pass
+    return path
 
 
 def rooms_of(content: Json, layer: int, top: int) -> dict[int, str]:

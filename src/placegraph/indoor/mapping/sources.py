@@ -91,7 +91,7 @@ KINDS = (
         "scenegraphfusion",
         own=("mesh",),
     ),
-    SourceKind("Spark-DSG's .json", "mesh.spark_dsg", "spark_dsg"),
+    SourceKind("Spark-DSG's .json, or Hydra's log folder", "mesh.spark_dsg", "spark_dsg"),
     SourceKind(
         "ConceptGraphs' obj_json_*.json, or its folder",
         "mesh.conceptgraphs",
