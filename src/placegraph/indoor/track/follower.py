@@ -104,10 +104,12 @@ class Follower:
         self._placed = placed
         self._scene, self._tracker = "", None
         self._recent: deque[Frame] = deque(maxlen=KEPT)
+        self._clear()
         self._rival: Found | None = None
         self._strayed = self._waited = self._denied = 0
 
     _tracker: Tracker | None
+    _newest: Frame | None
 
     @property
     def following(self) -> bool:
@@ -126,7 +128,7 @@ class Follower:
         if estimate.status is Status.OK:
             return self._sure(frame, estimate)
         if not self._strayed:
-            self._recent.clear()  # what was before fits where the pose was known
+            self._clear()  # what was before fits where the pose was known
         self._strayed += 1
         self._remember(frame)
         if self._rival is not None and self._strayed >= STRAYED:
@@ -142,13 +144,13 @@ class Follower:
 
     def question(self) -> Question | None:
         """What is to be looked up now, where a pose is not known for sure and a frame is new enough."""
-        if not self._recent or (self.following and not self._strayed):
-            return None
+        known = self.following and not self._strayed
         due = self._fresh or self._waited >= WAIT
-        if not due:
+        if known or not due or self._newest is None:
             return None
         self._waited, self._fresh = 0, False
-        return Question(tuple(self._recent), self._placed, self._rng.spawn(1)[0])
+        before = [frame for frame in self._recent if frame is not self._newest][1 - KEPT :]
+        return Question((*before, self._newest), self._placed, self._rng.spawn(1)[0])
 
     def hear(self, found: Found) -> Said | None:
         """Take an answer over, or keep it for the next frame where another pose is still followed."""
@@ -157,7 +159,7 @@ class Follower:
             return None
         last = found.frames[-1]
         if found.estimate is None:
-            self._recent.clear()
+            self._clear()
             return Said(last, found.reason)
         if found.sure:
             self._tracker, self._scene = self._taken(found), found.scene
@@ -171,8 +173,13 @@ class Follower:
         told = not lost and found.estimate.best is not None
         return Said(last, found.reason, found.scene, found.estimate, told=told, over=True)
 
-    def _sure(self, frame: Frame, estimate: PoseEstimate) -> Said:
+    def _clear(self) -> None:
+        """Forget the frames that were to be looked up."""
         self._recent.clear()
+        self._newest, self._fresh = None, False
+
+    def _sure(self, frame: Frame, estimate: PoseEstimate) -> Said:
+        self._clear()
         self._placed = self._rival = None
         self._strayed = self._denied = 0
         return Said(frame, estimate.reason, self._scene, estimate, told=True)
@@ -187,10 +194,7 @@ class Follower:
     def _remember(self, frame: Frame) -> None:
         """Keep a frame that is far enough from the last, to be looked up with it."""
         self._waited += 1
+        self._newest = frame
         if not self._recent or apart(self._recent[-1], frame):
             self._recent.append(frame)
             self._fresh = True
-        else:
-            self._recent[-1] = frame
-
-    _fresh = False

@@ -1,0 +1,253 @@
+"""Walks with drifting odometry on which the camera is kidnapped, and how right a live pose is on them.
+
+A walk is made of recorded parts, one after the other; at each join the camera is elsewhere, and odometry
+has seen nothing of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from time import process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.estimate import Status
+from placegraph.geometry import between, compose, pose_matrix, split_pose
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.track.odometry import Odometry
+from placegraph_lab.tables.indoor.metrics import NEAR, near
+from placegraph_lab.tables.indoor.perturb import Shot, drift
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.random import Generator
+
+    from placegraph.formats.capture.frame import Frame
+    from placegraph.geometry import Floats
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.indoor.track.live import LiveTracker
+    from placegraph.indoor.track.live_pose import LivePose
+    from placegraph_lab.tables.indoor.perturb import Recording
+
+PERIOD = 0.2
+"""Seconds from an image to the next."""
+RATE = 10
+"""Samples of odometry an image: 50 Hz."""
+RIGHT = (0.1, 10.0)
+"""A right pose is this near [m], [deg]."""
+SENSES = FilterOptions().only(depth=True, colour=True)
+"""Labels of objects, which the recordings have, are not for robots."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """Frames in order of time, where they were taken, and at which the camera was kidnapped."""
+
+    frames: tuple[Frame, ...]
+    truth: Floats
+    """(T, 4, 4)"""
+    kidnapped: tuple[int, ...]
+
+    def pieces(self) -> Iterator[list[tuple[float, Floats]]]:
+        """Odometry at 50 Hz up to each frame, its own time being the last."""
+        odometry = Odometry()
+        before = self.frames[0].stamp - PERIOD
+        odometry.tell(before, self.frames[0].odometry)
+        for frame in self.frames:
+            odometry.tell(frame.stamp, frame.odometry)
+            stamps = before + (np.arange(RATE) + 1) / RATE * (frame.stamp - before)
+            found = [odometry.at(stamp) for stamp in [*stamps[:-1], frame.stamp]]
+            yield [(sample.stamp, sample.pose) for sample in found if sample is not None]
+            before = frame.stamp
+
+
+def joined(parts: Sequence[Shot], degrees: float, rng: Generator) -> Walk:
+    """Parts one after the other, with odometry that drifts by so many degrees a frame."""
+    frames: list[Frame] = []
+    for part in parts:
+        own = drift(part, degrees, rng).frames
+        onto = frames[-1].odometry @ np.linalg.inv(own[0].odometry) if frames else np.eye(4)
+        frames += [replace(frame, odometry=onto @ frame.odometry) for frame in own]
+    ends = np.cumsum([len(part.frames) for part in parts])
+    stamped = (replace(f, stamp=i * PERIOD, index=i) for i, f in enumerate(frames))
+    truth = np.concatenate([part.truth for part in parts])
+    return Walk(tuple(stamped), truth, tuple(ends[:-1].tolist()))
+
+
+def walks(recordings: Sequence[Recording], degrees: float, seed: int) -> list[Walk]:
+    """Whole recordings as walks of four parts, three kidnappings each, in an order that is drawn.
+
+    Four recordings are a walk; one that is alone is cut into quarters.
+    """
+    rng = np.random.default_rng(seed)
+    if len(recordings) == 1:
+        only = recordings[0]
+        ends = np.linspace(0, len(only.frames), 5).astype(int)
+        parts = [Shot.of(only, range(a, b)) for a, b in pairwise(ends.tolist())]
+    else:
+        parts = [Shot.of(r, range(len(r.frames))) for r in recordings]
+    order = rng.permutation(len(parts))
+    fours = [order[i : i + 4] for i in range(0, len(order) - 3, 4)]
+    return [joined([parts[i] for i in four], degrees, rng) for four in fours]
+
+
+def looped(
+    recordings: Sequence[Recording], degrees: float, rng: Generator
+) -> Iterator[tuple[Frame, Floats, bool]]:
+    """Frames without end: to and fro along a recording, then kidnapped onto another.
+
+    Each with its true pose (4, 4), and whether the camera was kidnapped just before.
+    """
+    at, level, number, row = np.zeros(4), None, 0, -1
+    while True:
+        row = int(rng.choice([r for r in range(len(recordings)) if r != row]))
+        part = recordings[row]
+        there = list(range(len(part.frames)))
+        loop = [*there, *there[-2:0:-1], *there, *there[-2::-1]]
+        poses, level = split_pose(np.stack([f.odometry for f in part.frames]))
+        for i, k in enumerate(loop):
+            if i:
+                step = between(poses[loop[i - 1]], poses[k])
+                noise = rng.standard_normal(4)
+                step[:3] += 0.02 * degrees * np.linalg.norm(step[:3]) * noise[:3]
+                step[3] += np.radians(degrees) * noise[3]
+                at = compose(at, step)
+            frame, stamp = part.frames[k], number * PERIOD
+            odometry = pose_matrix(at, level[k])
+            yield (
+                replace(frame, odometry=odometry, stamp=stamp, index=number),
+                part.truth[k],
+                i == 0,
+            )
+            number += 1
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What became of one frame."""
+
+    status: str
+    right: bool
+    """Whether its pose is `RIGHT`."""
+    foretold: bool
+    """Whether the pose that odometry told just before its image was looked at is."""
+    false: bool
+    """Whether it is `OK`, and not what `OK` promises."""
+    milliseconds: float
+    """CPU time."""
+    kidnapped: bool
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is `OK`."""
+        return self.status == Status.OK
+
+
+def is_right(pose: LivePose, truth: Floats, limits: tuple[float, float] = RIGHT) -> bool:
+    """Whether there is a pose, and it is that near to the truth (4, 4)."""
+    return pose.map_from_camera is not None and near(pose.map_from_camera, truth, limits)
+
+
+def followed(scene: SceneMap, walk: Walk, seed: int) -> list[Seen]:
+    """Each frame of a walk, with odometry at 50 Hz before it, in one tracker."""
+    live = scene.live(seed=seed, background=False, options=SENSES)
+    seen = []
+    rows = zip(walk.frames, walk.truth, walk.pieces(), strict=True)
+    for i, (frame, truth, samples) in enumerate(rows):
+        seen.append(looked_at(live, frame, truth, samples, kidnapped=i in walk.kidnapped))
+    return seen
+
+
+def looked_at(
+    live: LiveTracker,
+    frame: Frame,
+    truth: Floats,
+    samples: Sequence[tuple[float, Floats]],
+    *,
+    kidnapped: bool,
+) -> Seen:
+    """Odometry up to a frame, then the frame."""
+    start = process_time()
+    for stamp, pose in samples:
+        foretold = live.move(stamp, pose)
+    told = live.step(frame)
+    taken = process_time() - start
+    wrong = told.status is Status.OK and not is_right(told, truth, NEAR)
+    return Seen(
+        told.status.name, is_right(told, truth), is_right(foretold, truth), wrong, 1e3 * taken, kidnapped
+    )  # fmt: skip
+
+
+def recoveries(seen: Sequence[Seen]) -> list[int | None]:
+    """Frames after each kidnapping until one is `OK` and right; None: it was not before the next."""
+    starts = [i for i, s in enumerate(seen) if s.kidnapped]
+    found: list[int | None] = []
+    for start, end in pairwise([*starts, len(seen)]):
+        after = (i - start for i in range(start, end) if seen[i].sure and seen[i].right)
+        found.append(next(after, None))
+    return found
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of some walks."""
+
+    place: str
+    degrees: float
+    frames: int
+    right: float
+    """Share of all frames whose pose is right ..."""
+    sure: float
+    """... that are `OK` ..."""
+    tracked: float
+    """... and of those the share that is right."""
+    foretold: float
+    """Of frames after one that was `OK`, kidnapped ones left out: share right before its image came."""
+    false: float
+    """Share of all frames that are `OK` and wrong, and ..."""
+    longest: int
+    """... most of them in a row."""
+    recovered: list[int | None]
+    milliseconds: float
+    """CPU time a frame, median, ..."""
+    worst: float
+    """... and the worst."""
+
+    @classmethod
+    def of(cls, place: str, degrees: float, walks: Sequence[Sequence[Seen]]) -> Row:
+        """Figures of what was seen on each of some walks."""
+        every = [seen for walk in walks for seen in walk]
+        after = [b for walk in walks for a, b in pairwise(walk) if a.sure and not b.kidnapped]
+        took = [s.milliseconds for s in every]
+        return cls(
+            place, degrees, len(every),
+            right=_mean(s.right for s in every),
+            sure=_mean(s.sure for s in every),
+            tracked=_mean(s.right for s in every if s.sure),
+            foretold=_mean(s.foretold for s in after),
+            false=_mean(s.false for s in every),
+            longest=max(longest(walk, lambda s: s.false) for walk in walks),
+            recovered=[r for walk in walks for r in recoveries(walk)],
+            milliseconds=float(np.median(took)), worst=max(took),
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return asdict(self)
+
+
+def longest(seen: Sequence[Seen], which: Callable[[Seen], bool]) -> int:
+    """Most frames of a kind in a row."""
+    most = run = 0
+    for one in seen:
+        run = run + 1 if which(one) else 0
+        most = max(most, run)
+    return most
+
+
+def _mean(values: Iterator[bool]) -> float:
+    found = list(values)
+    return float(np.mean(found)) if found else float("nan")
