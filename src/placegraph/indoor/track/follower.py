@@ -110,6 +110,7 @@ class Follower:
 
     _tracker: Tracker | None
     _newest: Frame | None
+    _fresh: bool
 
     @property
     def following(self) -> bool:
