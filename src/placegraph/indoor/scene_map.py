@@ -264,7 +264,10 @@ class SceneMap(Shown, Scene):
         return Tracker(PoseQuery.of(self, seed=seed, **known), camera)
 
     def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
-        """The pose at any time, by odometry and images as they come: `placegraph.indoor.track.live`."""
+        """The pose at any time, by odometry and images as they come.
+
+        Options and errors: `placegraph.indoor.track.live.LiveTracker`.
+        """
         from placegraph.indoor.track.live import LiveTracker
 
         return LiveTracker(self, camera, **options)

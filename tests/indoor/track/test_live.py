@@ -321,3 +321,17 @@ def test_threads(room, film, truth):
         assert pose.status is Status.OK
         assert distance(pose, truth(film)[5]) < 0.2
         assert live.dropped == 0
+
+
+def test_slow_frames_are_looked_up_with_those_before(room, film):
+    """Each is too near the last to be a keyframe beside it; together they are a way."""
+    asked = []
+    live = room.live(film.camera, background=False, options=FilterOptions().only(colour=True))
+    live._follower.hear = lambda found: asked.append(found.frames)
+    for i in range(30):
+        odometry = film[0].odometry.copy()
+        odometry[:3, 3] += (0.04 * i, 0.0, 0.0)
+        live.step(replace(film[0], odometry=odometry, stamp=0.2 * i))
+    last = [frame.odometry[0, 3] for frame in asked[-1]]
+    assert len(last) > 5
+    assert np.all(np.diff(last) > 0.1)

@@ -85,7 +85,10 @@ class SceneLibrary(Shown, Scenes):
         return localize(self, capture, **options)
 
     def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
-        """The map and the pose in it at any time, as frames come: `placegraph.indoor.track.live`."""
+        """The map and the pose in it at any time, as frames come.
+
+        Options and errors: `placegraph.indoor.track.live.LiveTracker`.
+        """
         from placegraph.indoor.track.live import LiveTracker
 
         return LiveTracker(self, camera, **options)

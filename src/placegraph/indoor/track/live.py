@@ -5,16 +5,18 @@ from __future__ import annotations
 from threading import Condition
 from typing import TYPE_CHECKING, Any, Self
 
-from placegraph.errors import OptionError
+from placegraph.errors import MapError, OptionError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.track.belief import Belief
 from placegraph.indoor.track.finder import Finder
 from placegraph.indoor.track.follower import Follower
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
+from placegraph.indoor.track.saved import Saved, digest_of
 from placegraph.indoor.track.worker import Worker
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
+    from os import PathLike
     from types import TracebackType
 
     from numpy.typing import ArrayLike
@@ -195,6 +197,67 @@ class LiveTracker:
         """Forget the pose: it is looked for everywhere (``reinitialize_global_localization``)."""
         with self._changed:
             self._belief.forget("It was asked to forget the pose.")
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the pose of now, its map's name and digest into a file (atomically), such as robot.track.
+
+        Raises
+        ------
+        OptionError
+            Nobody knows the pose: there is nothing to save.
+        MapError, MapLockedError
+            The file cannot be written.
+
+        """
+        with self._changed:
+            pose, now = self._belief.pose(None), self._belief.odometry.newest
+            moved = self._belief.moved
+        if now is None or pose.map_from_camera is None or pose.covariance is None:
+            raise OptionError(f"There is no pose to save: {pose.reason}")
+        digest = digest_of(self._finder.scene(pose.scene))
+        Saved(
+            pose.scene, digest, now.stamp, moved, now.pose, pose.map_from_camera, pose.covariance
+        ).write(path)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | PathLike[str],
+        maps: SceneMap | SceneLibrary,
+        **options: Any,  # noqa: ANN401
+    ) -> Self:
+        """A tracker that begins where another was saved; images are to confirm it.
+
+        Odometry may go on, or begin anew: the camera is taken to be near where it was then.
+
+        Parameters
+        ----------
+        path
+            File that `save` wrote.
+        maps, **options
+            As of the class.
+
+        Raises
+        ------
+        InputError, MapError
+            The file is missing, or no sound file of a tracker; it is of another map than these.
+
+        """
+        saved = Saved.read(path)
+        live = cls(maps, **options)
+        try:
+            same = digest_of(live._finder.scene(live._finder.named(saved.scene))) == saved.digest
+        except OptionError as error:
+            raise MapError(f"{path} is of another map: {error}") from error
+        if not same:
+            raise MapError(
+                f"{path} was saved in another map named {saved.scene!r}; open that one, or begin anew."
+            )
+        belief = live._belief
+        belief.tell(saved.stamp, saved.odom_from_camera, None, own=saved.moved)
+        why = "It was loaded; no image has confirmed it."
+        belief.believe(saved.map_from_camera, saved.covariance, saved.scene, why)
+        return live
 
     def close(self) -> None:
         """End its threads; what is being looked at is finished first."""
