@@ -33,3 +33,10 @@ def test_a_digest_is_of_shape_names_and_what_the_file_holds(state):
     assert one == digest("shape", dict(reversed(state.items())))
     others = digest("other", state), digest("shape", state | {"a": state["a"] + 1})
     assert len({one, *others, digest("shape", {"c": state["a"], "b": state["b"]})}) == 4
+
+
+def test_numbers_that_are_none(state, tmp_path):
+    bad = np.full((3, 4), np.nan)
+    write_map(tmp_path / "w", "weights", 1, {}, halves(state | {"b": bad}))
+    with pytest.raises(ValueError, match="b holds"):
+        arrays_of(read_map(tmp_path / "w", "weights", 1), {"a": (5,), "b": (3, 4)})

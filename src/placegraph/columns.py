@@ -100,12 +100,14 @@ def pack_strings(strings: Sequence[str]) -> NDArray[np.uint8]:
     return np.frombuffer(blob, np.uint8)
 
 
-def unpack_strings(blob: NDArray[np.uint8]) -> tuple[str, ...]:
-    """Undo `pack_strings`; `MapError` where the bytes are not UTF-8."""
+def unpack_strings(blob: NDArray[np.uint8], most: int | None = None) -> tuple[str, ...]:
+    """Undo `pack_strings`; `MapError` where the bytes are not UTF-8, or more than `most` strings."""
     try:
         text = blob.tobytes().decode()
     except UnicodeDecodeError as error:
         raise MapError(f"Text is not UTF-8 ({error.reason}); build the map again.") from error
+    if most is not None and text and text.count(text[0]) > most:
+        raise MapError(f"It holds more than {most:,} texts; build the map again.")
     return tuple(text[1:].split(text[0])) if text else ()
 
 

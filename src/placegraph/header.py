@@ -151,7 +151,7 @@ def _parsed(content: dict[str, Any], path: Path, size: int) -> Header:
 
 def plausible(nbytes: int, stored: int) -> bool:
     """Guard against decompression bombs: real maps stay below 20 : 1."""
-    return nbytes <= (1 << 28) + (stored << 8)
+    return nbytes <= (1 << 25) + (stored << 8)
 
 
 def damaged(path: Path_, how: str) -> MapError:

@@ -47,10 +47,14 @@ __all__ = [
     "pack_strings",
     "read_header",
     "read_map",
+    "sound",
     "unpack_strings",
     "write_map",
     "writing",
 ]
+
+SENSELESS = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
+"""What is raised where checksums fit and contents do not, as in a forged file."""
 
 Write = Callable[[str, int, Mapping[str, Any], Mapping[str, NDArray[Any]]], None]
 
@@ -78,11 +82,11 @@ class MapFile:
             )
         return found
 
-    def strings(self, name: str) -> tuple[str, ...]:
-        """Column `name` as written by `pack_strings`; `MapError` where it is not."""
+    def strings(self, name: str, most: int | None = None) -> tuple[str, ...]:
+        """Column `name` as written by `pack_strings`; `MapError` where it is not, or of more than `most`."""
         blob = self.array(name, "|u1")
         try:
-            return unpack_strings(blob)
+            return unpack_strings(blob, most)
         except MapError as error:
             raise MapError(f"{self.header.path}: column {name!r}: {error}") from error
 
@@ -171,6 +175,16 @@ def read_map(path: Path_, kind: str, max_version: int) -> MapFile:
     if not intact:
         raise damaged(path, "its checksum does not fit its contents")
     return MapFile(header, arrays)
+
+
+@contextmanager
+def sound(path: Path_, mend: str) -> Iterator[None]:
+    """Within it, columns are put together: `MapError` where they contradict each other."""
+    try:
+        yield
+    except SENSELESS as error:
+        why = f"{type(error).__name__}: {error}" if isinstance(error, LookupError) else error
+        raise MapError(f"{path}: its columns contradict each other ({why}). {mend}") from error
 
 
 # --- writing ---

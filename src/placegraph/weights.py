@@ -30,10 +30,17 @@ def rounded(
 def arrays_of(
     file: MapFile, sizes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, NDArray[np.float32]]:
-    """Arrays of a file by name, with as many axes as their sizes; raises as `MapFile.array` does."""
-    return {
+    """Arrays of a file by name, with as many axes as their sizes, finite.
+
+    Raises as `MapFile.array` does, and `ValueError`.
+    """
+    found = {
         name: file.array(name, "<f2", len(size)).astype(np.float32) for name, size in sizes.items()
     }
+    for name, array in found.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} holds what is no finite number")
+    return found
 
 
 def digest(shape: object, arrays: Mapping[str, NDArray[Any]]) -> str:

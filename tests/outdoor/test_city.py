@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph.errors import InputError, MapError, PlacegraphError
+from placegraph.errors import InputError, MapError, PlacegraphError, StoreError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.city import KIND, VERSION
 from placegraph.store import read_map, write_map
+from placegraph.vectors import EmbeddedStore, open_store
 
 TEXT = "I am next to a bench. A bakery is north of me. A church is east of the bakery."
 
@@ -178,7 +179,8 @@ def test_a_damaged_column_is_named(harbour_file, tmp_path):
         {"grid": [0, 0, 50, 0, 0]}, {"grid": [0, 0, 50, 1, 1]}, {"grid": [1e300, 0, 50, 40, 40]},
         {"grid": [0, 0, 50]}, {"grid": {}}, {"cell_size": 0}, {"cell_size": -5},
         {"edge_distance": -1}, {"cell_size": None}, {"left_out": {"nodes": "many"}},
-        {"left_out": 7}, {"left_out": None},
+        {"left_out": 7}, {"left_out": None}, {"cell_size": 0.001}, {"cell_size": 1e5},
+        {"grid": [0, 0, 1e-6, 1 << 40, 1 << 40]},
     ],
     ids=str,
 )  # fmt: skip
@@ -277,6 +279,20 @@ def test_checks_name_the_column(harbour):
             replace(o, **{column: getattr(o, column)[:-1]}).check()
     with pytest.raises(ValueError, match="label_values point outside"):
         replace(o, labels=o.labels[:-1]).check()
+
+
+def test_tables_of_more_texts_than_are_used(forge):
+    """A column of separators is a few bytes in a file, and a list of millions in memory."""
+    with pytest.raises(MapError, match=r"'names': It holds more than"):
+        open_map(forge(names=np.zeros(1_000_000, np.uint8)))
+
+
+def test_vectors_of_cells_that_the_map_has_not(harbour, tmp_path):
+    encoded = harbour.encoded
+    ids = harbour.cells.points + 1_000_000
+    EmbeddedStore.of(ids, encoded.embeddings, origin=encoded.origin).save(tmp_path / "a.vectors")
+    with open_store(tmp_path / "a.vectors") as store, pytest.raises(StoreError, match="cells that"):
+        harbour.locate(TEXT, by="dense", store=store)
 
 
 def test_other_kinds_and_newer_versions(stored, tmp_path):

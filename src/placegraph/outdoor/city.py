@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
 from placegraph.notebook import Shown
+from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def build_city(
     edge_distance = cell_size if edge_distance is None else edge_distance
     sizes = {"cell_size": cell_size, "stride": stride, "edge_distance": edge_distance}
     for name, value in sizes.items():
-        if not 1.0 <= value <= 10_000.0:
+        if not SMALLEST <= value <= LARGEST:
             raise OptionError(f"{name} is {value} m; choose between 1 and 10,000 m.")
     from placegraph.outdoor.map.extract import read_extract
 

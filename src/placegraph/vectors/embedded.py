@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from placegraph.errors import MapError, OptionError, StoreError
-from placegraph.store import read_map, write_map
+from placegraph.errors import OptionError, StoreError
+from placegraph.store import read_map, sound, write_map
 from placegraph.vectors.content import (
     GRAIN,
     Neighbours,
@@ -196,13 +196,8 @@ class EmbeddedStore:
 
         """
         file = read_map(path, KIND, VERSION)
-        try:
+        with sound(path, "Make it again with `placegraph city embed`."):
             store = cls._read(file)
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise MapError(
-                f"{path}: its columns contradict each other ({error}). Make it again with "
-                "`placegraph city embed`."
-            ) from error
         refuse_other(str(path), store.origin, origin)
         return store
 

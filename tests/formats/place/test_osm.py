@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
+from placegraph.formats.place import osm_pass
 from placegraph.formats.place.osm import (
     AREA,
     LINE,
@@ -422,3 +423,19 @@ def test_a_reader_may_be_left_early(tmp_path):
 def test_names_of_strings_and_paths_alike(tmp_path):
     path = write(tmp_path / "wörld with blanks.osm")
     assert len(list(read_osm(str(path), KEYS))) == len(list(read_osm(path, KEYS))) == 5
+
+
+@pytest.mark.parametrize("signal", ["SIGSEGV", "SIGABRT"])
+def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, signal):
+    """Some damaged files end the process inside osmium, where areas are assembled."""
+    dying = tmp_path / "dying.py"
+    dying.write_text(f"import os, signal; os.kill(os.getpid(), signal.{signal})")
+    monkeypatch.setattr(osm_pass, "__file__", str(dying))
+    (tmp_path / "bad.osm").write_text(WORLD)
+    with pytest.raises(InputError, match=r"bad\.osm is damaged.*(fault|Abort).*again"):
+        list(read_osm(tmp_path / "bad.osm", KEYS))
+
+
+def test_the_file_that_was_found(shared):
+    with pytest.raises(InputError, match=r"segv\.osm\.pbf is damaged"):
+        list(read_osm(shared / "repro" / "segv.osm.pbf", KEYS))

@@ -126,3 +126,13 @@ def test_truncated_files(tmp_path_factory, at):
     path.write_bytes(whole[: min(at, len(whole) - 1)])
     with pytest.raises((InputError, MapError), match=r"a\.run"):
         read_run(path)
+
+
+def test_numbers_too_large_for_a_float(tmp_path):
+    write_run(tmp_path / "a.run", made())
+    held = read_map(tmp_path / "a.run", KIND, VERSION)
+    write_map(
+        tmp_path / "a.run", KIND, VERSION, held.meta | {"strides": [10**400] * 2}, held.arrays
+    )
+    with pytest.raises(MapError, match="contradict"):
+        read_run(tmp_path / "a.run")

@@ -132,7 +132,7 @@ def test_plane_stands_in_the_city(build_world):
     at = city.plane.to_plane(np.array([[10.0, 50.0], [10.01, 50.0]]))
     assert np.ptp(at[:, 0]) == pytest.approx(716.96, abs=1.0)
     assert len(city.objects) == 100
-    assert city.left_out == {"things longer than the city": 1}
+    assert city.left_out == {"things larger than a city": 1}
     assert np.ptp(city.objects.points, axis=0).max() < 1000
 
 
@@ -475,3 +475,30 @@ def test_a_hole_moves_the_centre_away():
     east, north = center(AREA, outer, hole)
     assert east == pytest.approx(north)
     assert east == pytest.approx((100 * 5 - 9 * 7.5) / 91, abs=1e-3)
+
+
+@pytest.mark.parametrize("stray", [[], [(-900_000.0, 0.0, BENCH), (900_000.0, 0.0, BENCH)]])
+def test_what_is_larger_than_a_city_is_left_out(build_world, stray):
+    """However far the extract reaches: a park of 2 x 2 degrees, and a road of 600 km."""
+    town = [(20.0 * i, 20.0 * j, BENCH) for i in range(3) for j in range(3)]
+    corners = [(-7e4, -1e5, {}), (7e4, -1e5, {}), (7e4, 1e5, {}), (-7e4, 1e5, {})]
+    ways = [([9, 10, 11, 12, 9], {"leisure": "park"}), ([9, 11], {"highway": "primary"})]
+    city = build_world([*town, *corners, *stray], ways)
+    assert city.left_out == {"things larger than a city": 2}
+    assert len(city.objects) == 9 + len(stray)
+    assert city.locate("I am next to a bench.").best is not None
+
+
+def test_of_many_large_things_the_largest_are_left_out(build_world):
+    """Twenty parks of 40 km are more ground than twenty things are looked through for."""
+    sizes = [20_000.0] * 20 + [200.0]
+    nodes = [(s * x, s * y, {}) for s in sizes for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    nodes += [(5.0, 5.0, BENCH)]
+    ways = [
+        ([4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3, 4 * i], {"leisure": "park"})
+        for i in range(len(sizes))
+    ]
+    city = build_world(nodes, ways, cell_size=1000.0)
+    assert city.left_out["things larger than a city"] >= 10
+    assert "way/21" in rows_by_id(city)
+    assert city.locate("I am next to a bench.").best is not None

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.errors import MapError
 from placegraph.outdoor.map.raster import Grid, sightings
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
@@ -191,3 +192,13 @@ def test_more_sightings_than_expected():
 def test_on_the_radius_counts():
     seen = Things((POINT, [[(30, 40)]])).seen(Grid(0.0, 0.0, 10.0, 1, 1), 50.0)
     assert len(seen.objects) == 1
+
+
+def test_more_ground_than_so_few_things_are_looked_through_for():
+    """A few bytes can draw a park of 200 km, or a line that crosses it a thousand times."""
+    corners = 2e5 * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+    zigzag = 2e4 * (np.arange(1000)[:, None] // [1, 2] % 2)
+    wide = Grid(0.0, 0.0, 20.0, 10_001, 10_001)
+    for kind, line in ((AREA, corners), (LINE, corners), (LINE, zigzag)):
+        with pytest.raises(MapError, match="more ground"):
+            Things((kind, [line])).seen(wide, 38.0)

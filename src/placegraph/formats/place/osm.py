@@ -6,7 +6,10 @@ latitude: nodes as points, open ways as lines, closed ways and multipolygon rela
 
 from __future__ import annotations
 
+import signal
 import struct
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.place import osm_pass
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -74,13 +78,15 @@ def read_osm(
     Raises
     ------
     InputError
-        The file is missing, empty, truncated, or not OpenStreetMap data.
+        The file is missing, empty, truncated, not OpenStreetMap data, or damaged such that its
+        reader crashes: another process has read it through before.
 
     """
     import osmium
 
-    path = checked_osm(Path(path))
-    wanted = osmium.filter.KeyFilter(*sorted(keys))
+    path, keys = checked_osm(Path(path)), sorted(keys)
+    _survived(path, keys)
+    wanted = osmium.filter.KeyFilter(*keys)
     reader = _Reader(LeftOut() if left_out is None else left_out)
     try:
         for item in osmium.FileProcessor(osm_file(path)).with_areas(wanted).with_filter(wanted):
@@ -159,8 +165,23 @@ def osm_file(path: Path) -> Any:  # noqa: ANN401  # osmium has no types
     """File for osmium, which knows endings in lower case only."""
     import osmium
 
-    ending = next(s for s in SUFFIXES if path.name.lower().endswith(s))
-    return osmium.io.File(path, ending.removeprefix("."))
+    return osmium.io.File(path, _ending(path))
+
+
+def _ending(path: Path) -> str:
+    return next(s for s in SUFFIXES if path.name.lower().endswith(s)).removeprefix(".")
+
+
+def _survived(path: Path, keys: list[str]) -> None:
+    """Raise `InputError` where a process dies of reading the file; costs a twelfth of reading it."""
+    program, file = str(osm_pass.__file__), str(path.absolute())
+    command = [sys.executable, "-P", program, file, _ending(path), *keys]
+    died = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)  # noqa: S603
+    if died.returncode < 0:
+        raise InputError(
+            f"{path} is damaged: reading it ends osmium, by {signal.strsignal(-died.returncode)}. "
+            "Download or export it again."
+        )
 
 
 def checked_osm(path: Path) -> Path:

@@ -14,7 +14,7 @@ from placegraph.indoor.library.localize import localize
 from placegraph.indoor.library.scenes import Entry, Scenes
 from placegraph.indoor.library.signature_file import GRAIN, KIND, VERSION, columns, signatures_in
 from placegraph.notebook import Shown
-from placegraph.store import pack_strings, read_map, write_map
+from placegraph.store import pack_strings, read_map, sound, write_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -156,7 +156,7 @@ class SceneLibrary(Shown, Scenes):
     ) -> SceneLibrary:
         file = read_map(path, KIND, VERSION)
         made = _encoders(file, encoders)
-        try:
+        with sound(path, "Make the library again."):
             library = cls(made, height=file.meta["height"])
             names, places = file.strings("names"), file.strings("paths")
             digests = [str(digest) for digest in file.meta["digests"]]
@@ -171,10 +171,6 @@ class SceneLibrary(Shown, Scenes):
             ):
                 at = Path(os.path.normpath(folder / place))
                 library.insert(name, Entry(signature, at, digest, earth))
-        except (OptionError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise MapError(
-                f"{path}: its columns contradict each other ({error}). Make the library again."
-            ) from error
         return library
 
     @classmethod

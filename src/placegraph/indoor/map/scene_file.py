@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.earth import Anchor
-from placegraph.errors import MapError, OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.landmarks import MOST, Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
-from placegraph.store import pack_strings, read_header, read_map, write_map
+from placegraph.store import pack_strings, read_header, read_map, sound, write_map
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -52,12 +51,8 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
     """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
     file = read_map(path, KIND, VERSION)
-    try:
+    with sound(path, "Build it again."):
         return _sound(kind(**_fields(file)))
-    except (OptionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise MapError(
-            f"{file.header.path}: its columns contradict each other ({error}). Build it again."
-        ) from error
 
 
 def near_box(points: NDArray[np.float64], box: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MapError
 from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
-from placegraph.store import read_map, write_map
+from placegraph.store import read_map, sound, write_map
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -83,7 +82,7 @@ def read_run(path: str | PathLike[str]) -> PoseEstimate:
 
     """
     file = read_map(path, KIND, VERSION)
-    try:
+    with sound(path, "Record it again."):
         frames = file.array("frames", "<i8")
         return PoseEstimate(
             status=Status[file.meta["status"]],
@@ -93,10 +92,6 @@ def read_run(path: str | PathLike[str]) -> PoseEstimate:
             frames=frames,
             history=_history(file),
         )
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise MapError(
-            f"{path}: its columns contradict each other ({error}). Record it again."
-        ) from error
 
 
 def _shares(weights: Floats) -> NDArray[np.uint16]:

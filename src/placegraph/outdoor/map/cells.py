@@ -26,6 +26,8 @@ NEAR = 10.0
 """Objects of a cell closer than this are "near" each other [m]."""
 BESIDE = 15.0
 """Points and areas closer than this to a line stand "along" it [m]."""
+SMALLEST, LARGEST = 1.0, 10_000.0
+"""What sizes of cells may be [m]."""
 _NAMED = re.compile(r"c(0|[1-9][0-9]{,8})r(0|[1-9][0-9]{,8})")
 
 
@@ -62,8 +64,10 @@ class Cells(Portable, Mapping[str, Cell]):
     def check(self) -> None:
         """Raise `ValueError` where this is no grid (a damaged or hand-made map)."""
         sizes = (self.grid.stride, self.size, self.edge_distance)
-        if not all(0.0 < size < 1e6 for size in sizes):
+        if not all(SMALLEST <= size <= LARGEST for size in sizes):
             raise ValueError(f"sizes {sizes}")
+        if min(self.grid.columns, self.grid.rows) < 1:
+            raise ValueError(f"grid {self.grid}")
         if not np.isfinite(self.grid).all() or (np.abs(self.grid[:2]) > 1e9).any():
             raise ValueError(f"grid {self.grid}")
         last = self.grid.columns * self.grid.rows

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from placegraph.errors import MapError
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
@@ -19,7 +18,7 @@ from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import GRAIN, CityColumns, CityObjects, centers, of_name
 from placegraph.outdoor.map.raster import Grid
 from placegraph.portable import Portable
-from placegraph.store import pack_strings, read_map, write_map
+from placegraph.store import pack_strings, read_map, sound, write_map
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -101,12 +100,14 @@ class City(Portable):
     def open(cls, path: str | PathLike[str]) -> Self:
         """Open a map file; raises `InputError` or `MapError` where it is not a sound city map."""
         file = read_map(path, KIND, VERSION)
-        try:
+        with sound(path, "Build it again."):
             meta = file.meta
             plane = LocalPlane(*map(float, meta["origin"]))
             grain = float(meta["grain"])
             _check_frame(plane, grain)
             kind = file.array("kind", "u1")
+            label_values = file.array("label_values", "<i4")
+            name_values = file.array("name_values", "<i4")
             part_starts = _starts(file.array("part_counts", "<u2"))
             point_starts = _starts(file.array("point_counts", "<u4"))
             points = (file.array("points", "<i4", 2) * grain).astype(np.float32)
@@ -115,15 +116,15 @@ class City(Portable):
                 osm_id=file.array("osm_id", "<i8"),
                 kind=kind,
                 label_starts=_starts(file.array("label_counts", "u1")),
-                label_values=file.array("label_values", "<i4"),
+                label_values=label_values,
                 name_starts=_starts(file.array("name_counts", "<u2")),
-                name_values=file.array("name_values", "<i4"),
+                name_values=name_values,
                 part_starts=part_starts,
                 point_starts=point_starts,
                 points=points,
                 center=np.zeros((0, 2), np.float32),
-                labels=file.strings("labels"),
-                names=file.strings("names"),
+                labels=file.strings("labels", most=len(label_values)),
+                names=file.strings("names", most=len(name_values)),
             )
             objects.check()
             center = centers(kind, part_starts, point_starts, points)
@@ -134,10 +135,6 @@ class City(Portable):
             cells.check()
             left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
             source = str(meta["source"])
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise MapError(
-                f"{path}: its columns contradict each other ({error}). Build it again."
-            ) from error
         return cls(plane, replace(objects, center=center), cells, source, left_out)
 
     def graph(self, cell: str) -> SceneGraph:

@@ -14,7 +14,9 @@ from placegraph.errors import InputError
 from placegraph.formats.place.osm import LINE, POINT, LeftOut, OsmElement, read_osm
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
+from placegraph.outdoor.map.raster import EACH, MOST
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -28,7 +30,7 @@ Progress = Callable[[str, int], None]
 TOLERANCE = 0.75
 """Outlines and lines are simplified to this error [m]: directions between things do not feel it."""
 LONGEST = 50_000.0
-"""Things longer than this, and longer than the city, are left out [m]: meridians, sea lanes."""
+"""Things longer than this are left out [m]: meridians, sea lanes, long-distance roads in one piece."""
 UNKNOWN = "name=*"
 """Label of things that have a name and no tag the vocabulary knows."""
 NOT_THINGS = frozenset({"boundary", "route", "type"})
@@ -68,7 +70,7 @@ def read_extract(
     elements = read_osm(path, keys_read(vocabulary), left_out)
     columns = _label(elements, vocabulary, progress or (lambda _step, _n: None))
     if columns.elements:
-        columns = _without_longest(columns, left_out)
+        columns = _without_largest(columns, left_out)
     if not columns.elements:
         raise InputError(
             f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
@@ -129,17 +131,21 @@ def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]
     return tuple(best[:3]) or (UNKNOWN,)
 
 
-def _without_longest(columns: _Columns, left_out: LeftOut) -> _Columns:
-    """Leave out what would stretch the map far beyond the city."""
+def _without_largest(columns: _Columns, left_out: LeftOut) -> _Columns:
+    """Leave out what would stretch the map far beyond a city, or fill it with grid points."""
     lonlat = np.concatenate([part for parts in columns.parts for part in parts])
     at = _plane(lonlat).to_plane(lonlat)
-    first = _starts([sum(map(len, parts)) for parts in columns.parts])[:-1]
+    counts = [sum(map(len, parts)) for parts in columns.parts]
+    first = _starts(counts)[:-1]
     span = np.maximum.reduceat(at, first) - np.minimum.reduceat(at, first)
-    city = np.ptp(np.percentile(at[first], (1, 99), axis=0), axis=0).max()
-    keep = span.max(axis=1) <= max(LONGEST, city)
+    keep = span.max(axis=1) <= LONGEST
+    points = span / STRIDE + 5.0  # of the grid of viewpoints
+    cost = keep * (points.prod(axis=1) + points[:, 1] * counts)
+    order = np.argsort(cost, kind="stable")
+    keep[order] &= 2.0 * np.cumsum(cost[order]) <= MOST + EACH * len(keep)
     if keep.all():
         return columns
-    left_out.counts["things longer than the city"] += int((~keep).sum())
+    left_out.counts["things larger than a city"] += int((~keep).sum())
     return _Columns(
         list(compress(columns.elements, keep)),
         list(compress(columns.labels, keep)),

@@ -18,6 +18,8 @@ POINT, LINE, AREA = 0, 1, 2
 """Kinds of geometry."""
 GRAIN = 0.5
 """Coordinates are stored in these steps [m]."""
+FARTHEST = 2.1e7
+"""No place is farther from another [m]: half the way around the Earth, and a little."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,8 @@ class CityObjects(Portable):
         starts_of_all = (self.label_starts, self.part_starts, self.point_starts)
         if not n or any(np.diff(starts).min(initial=1) < 1 for starts in starts_of_all):
             raise ValueError("there is no object, or one lacks a label or a point")
+        if not (np.abs(self.points) <= FARTHEST).all():
+            raise ValueError("a point lies beyond the Earth")
         if max(self.kind.max(), self.osm_type.max()) > 2:
             raise ValueError("an object is of no known kind")
         for values, table, name in (

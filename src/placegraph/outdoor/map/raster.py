@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from placegraph.errors import MapError
 from placegraph.outdoor.map.raster_kernels import _collect
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+
+MOST, EACH = 1 << 24, 1024
+"""Comparisons of grid points with boxes and segments: so many, and so many more an object. Cities take
+100 to 300 an object, and ten square kilometres of park 25,000."""
 
 
 class Grid(NamedTuple):
@@ -57,10 +63,12 @@ def sightings(
     `kind`, `part_starts`, `point_starts` and `points` are the columns of `CityObjects`; `rows`
     restricts to these objects. Cost grows with segments times grid points near them, and with the
     rows of the grid that areas span, not with the area's bounding box times its points.
+
+    Raises `MapError` where that is out of proportion: a few bytes can draw a park as large as a continent.
     """
     if rows is None:
         rows = np.arange(len(kind))
-    at, who, where = _collect(
+    at, who, where, done = _collect(
         kind,
         part_starts,
         point_starts,
@@ -69,7 +77,14 @@ def sightings(
         tuple(grid),
         radius,
         max(1024, 32 * len(rows)),
+        MOST + EACH * len(rows),
     )
+    if not done:
+        raise MapError(
+            f"The map's {len(rows):,} things reach over more ground than a map of so many is looked "
+            f"through for, every {grid.stride:g} m. Build it of a smaller extract, or of larger cells "
+            "further apart."
+        )
     order = _sorted(at)
     at, who, where = at[order], who[order], where[order]
     first = np.flatnonzero(np.diff(at, prepend=-1))

@@ -92,12 +92,14 @@ def _sort(values, count):
 
 
 @kernel
-def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity):
+def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity, most):
+    """Entries of `sightings`, unsorted, and whether they were found by at most `most` comparisons."""
     east0, north0, stride, columns, n_rows = grid
     at = np.empty(capacity, np.int64)
     who = np.empty(capacity, np.int32)
     where = np.empty((capacity, 2), np.float32)
     used = 0
+    spent = 0.0
     best = np.empty(64, np.float64)
     near = np.empty((64, 2), np.float32)
     crossings = np.empty(64, np.float64)
@@ -118,9 +120,12 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
         if c1 < c0 or r1 < r0:
             continue
         width, height = c1 - c0 + 1, r1 - r0 + 1
+        spent += float(width) * height + (height * (b - a) if kind[row] == AREA else 0)
+        if spent > most:  # before anything is allocated by it
+            return at[:0], who[:0], where[:0], False
         if width * height > len(best):
-            best = np.empty(2 * width * height, np.float64)
-            near = np.empty((2 * width * height, 2), np.float32)
+            best = np.empty(width * height, np.float64)
+            near = np.empty((width * height, 2), np.float32)
         best[: width * height] = np.inf
         # segments reach the grid points around them
         for part in range(part_starts[row], part_starts[row + 1]):
@@ -134,6 +139,9 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                 cb = min(c1, int(np.floor((max(x0, x1) + radius - east0) / stride)))
                 ra = max(r0, int(np.ceil((min(y0, y1) - radius - north0) / stride)))
                 rb = min(r1, int(np.floor((max(y0, y1) + radius - north0) / stride)))
+                spent += float(max(0, rb - ra + 1)) * max(0, cb - ca + 1)
+                if spent > most:
+                    return at[:0], who[:0], where[:0], False
                 for r in range(ra, rb + 1):
                     gy = north0 + r * stride
                     for c in range(ca, cb + 1):
@@ -182,4 +190,4 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                     where[used, 0] = near[r * width + c, 0]
                     where[used, 1] = near[r * width + c, 1]
                     used += 1
-    return at[:used], who[:used], where[:used]
+    return at[:used], who[:used], where[:used], True

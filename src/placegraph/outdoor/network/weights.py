@@ -12,7 +12,7 @@ from placegraph.outdoor.network.graphs_kernels import CHANNELS, MOST_THINGS, REA
 from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.labels_kernels import BUCKETS, LONGEST, SHORTEST
 from placegraph.outdoor.network.network_kernels import LITERAL
-from placegraph.store import pack_strings, read_header, read_map, write_map
+from placegraph.store import SENSELESS, pack_strings, read_header, read_map, write_map
 from placegraph.weights import arrays_of, digest, halves, rounded
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     except MapError as error:
         why = str(error).removeprefix(f"{path}: ").partition("; ")[0]
         raise MapError(f"{path}: {why}; train or install the weights again.") from error
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+    except SENSELESS as error:
         raise MapError(
             f"{path}: its weights do not fit together ({error}). Train or install them again."
         ) from error

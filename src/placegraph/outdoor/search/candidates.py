@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from placegraph.errors import StoreError
 from placegraph.outdoor.likelihood.bound_kernels import HIGHEST, promising_views
 from placegraph.outdoor.likelihood.score_kernels import distant
 
@@ -158,7 +159,14 @@ def dense_cells(asked: Request, n: int) -> NDArray[np.int64]:
     store, cells = asked.matching.store, asked.city.cells
     store = asked.encoded.store if store is None else store
     near = store.search(asked.embedding, min(n, len(cells)), asked.matching.region)
-    return np.searchsorted(cells.points, near.ids[0][near.ids[0] >= 0])
+    ids = near.ids[0][near.ids[0] >= 0]
+    rows = np.searchsorted(cells.points, ids)
+    if (cells.points[np.minimum(rows, len(cells) - 1)] != ids).any():
+        raise StoreError(
+            "The store of vectors names cells that the map has not; make it again with "
+            "`placegraph city embed`."
+        )
+    return rows
 
 
 def _sparse_cells(asked: Request, n: int) -> NDArray[np.int64]:
