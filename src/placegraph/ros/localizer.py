@@ -91,6 +91,7 @@ class Localizer:
         )
         self._telling = Telling(maps, self._frame_ids(), options.tolerance, whole=options.whole)
         self._seen: object = None
+        self._live: LivePose | None = None  # as it is after the last move
         self._wanted = True  # whether images are to be looked at
         self._moves = False
         self._carried: tuple[float, Floats] | None = None
@@ -172,20 +173,22 @@ class Localizer:
         self._moves = True
         self._carried = part.stamp, part.odometry_from_camera
         live = self.tracker.move(*self._carried)
-        self._mounted()
+        self._live = None if self._mounted() else live
         return self._telling.moved(live, *self._carried)
 
-    def _mounted(self) -> None:
-        """Know where the camera sits, and where it is if somebody has told before."""
+    def _mounted(self) -> bool:
+        """Know where the camera sits, and whether it was told before where it is: that counts now."""
         mount = self._assembly.base_from_camera() if self._assembly is not None else None
         if mount is not None:
             self._telling.base_from_camera = mount
-        if self._placed is not None:
-            told, self._placed = self._placed, None
+        told, self._placed = self._placed, None
+        if told is not None:
             self.place(*told)
+        return told is not None
 
     def _see(self, frame: Frame) -> list[Message]:
         """Look at a frame, or have it looked at."""
+        self._live = None
         self.frames += 1
         self._stamps[frame.index] = frame.stamp
         if len(self._stamps) > _REMEMBERED:
@@ -213,7 +216,7 @@ class Localizer:
 
     def _news(self) -> list[Message]:
         """What images have changed since it was told."""
-        live = self.tracker.pose()
+        live, self._live = self._live or self.tracker.pose(), None
         if self.options.background and live.estimate is not self._seen:
             self._told[live.status.name] += 1
         self._seen = live.estimate
@@ -279,13 +282,10 @@ class Localizer:
     @property
     def summary(self) -> Summary:
         """What became of the frames so far."""
-        parts, plan = self._assembly, None
-        left_out = Counter(self._left_out)
-        notes: list[str] = []
+        parts, left_out, notes = self._assembly, Counter(self._left_out), []
         if parts is not None:
-            plan = parts.plan
             left_out += parts.left_out
-            notes += plan.notes
+            notes += parts.plan.notes
             if parts.jumps:
                 notes.append(
                     f"The clock was set back {parts.jumps} times; the stream goes on from there."

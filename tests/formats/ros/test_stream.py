@@ -16,7 +16,9 @@ from placegraph.formats.ros.files.bag import open_bag
 from placegraph.formats.ros.files.mcap_stream import mcap_packets
 from placegraph.formats.ros.packets import Fault, packets_of
 from placegraph.formats.ros.plan import plan_of
+from placegraph.formats.ros.transforms import Tree
 from placegraph.formats.ros.wishes import Wishes
+from placegraph.geometry import quaternion_from_rotation, rotation_from_vector
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start
@@ -188,3 +190,27 @@ def test_where_depth_falls_silent_colours_go_on(clip, bag):
     assert min(late) == pytest.approx(SILENT, abs=0.11)
     assert all(f.depth() is None for f in frames[len(clip) :])
     assert assembly.left_out == {"no depth within 20 ms": 30 - len(late)}
+
+
+def test_transforms_of_a_stream_are_those_of_all_their_samples(rng):
+    """One by one, some late, some broken; what is older is forgotten, and a clock set back begins anew."""
+    key, count = ("odom", "base_link"), 200
+    turns = np.cumsum(rng.normal(size=(count, 3)) * 0.1, axis=0)
+    xyzw = np.array([quaternion_from_rotation(rotation_from_vector(t)) for t in turns])
+    xyzw *= np.where(rng.random(count) < 0.5, -1.0, 1.0)[:, None]  # both mean the same turn
+    rows = np.c_[np.arange(count) * 0.02, rng.normal(size=(count, 3)), xyzw]
+    whole, live = Tree(), Tree()
+    whole.add({key: [rows]})
+    order = np.arange(count)
+    order[50:52] = 51, 50  # late
+    for i in order:
+        live.extend(key, rows[i : i + 1], keep=2.0)
+        live.extend(key, np.full((1, 8), np.nan), keep=2.0)
+    stamps = np.linspace(2.0, 3.9, 77)
+    np.testing.assert_allclose(live.between(*key, stamps), whole.between(*key, stamps), atol=1e-12)
+    assert np.isnan(live.between(*key, np.array([1.0]))).any(), "forgotten"
+    assert live.broken == count
+    live.extend(key, rows[:1] - [10.0, *[0.0] * 7], keep=2.0)
+    assert len(live.edges[key].stamps) == 1
+    assert np.isfinite(live.between(*key, np.array([-10.0]))).all()
+    assert np.isnan(live.between(*key, np.array([-9.0]))).any()

@@ -75,6 +75,7 @@ class Assembly:
         self._lean = np.eye(4)
         self._lean[:3, :3] = plan.placing.lean
         self._turns: int | None = None
+        self._mount: NDArray[np.float64] | None = None
         self._tree = Tree()
         self._tree.add(plan.wishes.transforms, static=True)
         self._waiting: deque[tuple[float, Packet]] = deque()
@@ -105,11 +106,16 @@ class Assembly:
 
     def base_from_camera(self) -> NDArray[np.float64] | None:
         """(4, 4) of the robot's base and the frames' camera as they are now; None: nothing joins them."""
-        stamp = np.array([self._moved if np.isfinite(self._moved) else 0.0])
-        found = self._tree.between(self.base, self.camera, stamp)
-        if found is None or np.isnan(found).any():
-            return None
-        return self._turned(found[0])
+        if self._mount is None:
+            stamp = np.array([self._moved if np.isfinite(self._moved) else 0.0])
+            found = self._tree.between(self.base, self.camera, stamp)
+            if found is None or np.isnan(found).any():
+                return None
+            steps = self._tree.path(self.base, self.camera) or []
+            if not all(_edge(self._tree, near, far).fixed for near, far in steps):
+                return self._turned(found[0])
+            self._mount = found[0]
+        return self._turned(self._mount)
 
     # --------------------------------------------------------------------------------- images
 

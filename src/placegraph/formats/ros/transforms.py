@@ -51,6 +51,17 @@ class Edge:
         same = bool((np.ptp(np.c_[values[:, :3], xyzw], axis=0) <= _STILL).all())
         return cls(stamps, values[:, :3], xyzw, static or same)
 
+    def joined(self, newer: Edge, since: float) -> Edge:
+        """Samples of this one after a time [s], and newer ones; where those are older, all in order."""
+        first = int(np.searchsorted(self.stamps, since, "right"))
+        same = 1.0 if (self.xyzw[-1] * newer.xyzw[0]).sum() >= 0 else -1.0
+        stamps = np.concatenate([self.stamps[first:], newer.stamps])
+        position = np.concatenate([self.position[first:], newer.position])
+        xyzw = np.concatenate([self.xyzw[first:], same * newer.xyzw])
+        if newer.stamps[0] > self.stamps[-1]:
+            return Edge(stamps, position, xyzw, fixed=False)
+        return replace(Edge.of(stamps, np.c_[position, xyzw], static=False), fixed=False)
+
     def at(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
         """parent_from_child (T, 4, 4) at stamps (T,); NaN where it is not known."""
         poses = np.tile(np.eye(4), (len(stamps), 1, 1))
@@ -104,14 +115,17 @@ class Tree:
         It may change at any time, however long it stood still. Where stamps go back by more than
         `LONGEST`, the clock was set: what was known is forgotten.
         """
-        edge = self.edges.get(key)
-        if edge is not None and rows[0, 0] > edge.stamps[-1] - LONGEST:
-            held = edge.stamps > rows[-1, 0] - keep
-            before = np.c_[edge.stamps, edge.position, edge.xyzw][held]
-            rows = np.concatenate([before, rows])
+        edge = self.edges.pop(key, None)
         self.add({key: [rows]})
-        if key in self.edges:
-            self.edges[key] = replace(self.edges[key], fixed=False)
+        newer = self.edges.get(key)
+        if newer is None:
+            if edge is not None:
+                self.edges[key] = edge
+            return
+        newer = replace(newer, fixed=False)
+        if edge is not None and newer.stamps[0] > edge.stamps[-1] - LONGEST:
+            newer = edge.joined(newer, newer.stamps[-1] - keep)
+        self.edges[key] = newer
 
     @property
     def names(self) -> list[str]:
