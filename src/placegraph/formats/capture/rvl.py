@@ -12,7 +12,7 @@ from placegraph.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_SIDE = 1 << 14
+_MOST = 1 << 24  # pixels; no sensor of depth has as many, and a few bytes could claim any number
 _LONGEST = 10  # nibbles of three bits that a number of 30 bits has
 
 
@@ -28,7 +28,7 @@ def rvl_image(data: bytes, name: str) -> NDArray[np.uint16]:
     Raises `InputError`, which begins with `name`, where the stream does not make up the image.
     """
     width, height = rvl_size(data)
-    if not (0 < width <= _SIDE and 0 < height <= _SIDE):
+    if not 0 < width * height <= _MOST:
         raise InputError(f"{name} says it has {width} x {height} pixels; record that image again.")
     if len(data) - 8 > 3 * width * height + 16:  # the worst that packing can do
         raise InputError(f"{name}: {len(data):,} bytes are too many for {width} x {height} pixels.")
@@ -60,7 +60,7 @@ def _numbers(data: bytes) -> NDArray[np.int64]:
 
 def _pixels(numbers: NDArray[np.int64], count: int) -> NDArray[np.uint16] | None:
     """Pixels (count,): by turns how many are 0, how many are not, and those, each by its difference."""
-    steps = np.zeros(count, np.int64)
+    steps = np.zeros(count, np.int32)
     read = np.zeros(count, np.bool_)
     at = pixel = 0
     while pixel < count:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 _UNITS = {"m": ("<f2", 1.0), "mm": ("<u2", 1000.0)}
 """Numbers of the depth stream, and units in a metre."""
+_MOST = 1 << 24  # pixels of a frame
 
 
 def is_multiscan(path: Path) -> bool:
@@ -110,7 +111,7 @@ def _size(path: Path, stream: dict[str, Any]) -> tuple[int, int] | None:
     if "resolution" not in stream:
         return None
     height, width = numbers(path, stream, "resolution", 2)
-    if not (0 < width < 1 << 14 and 0 < height < 1 << 14):
+    if not (0 < width < 1 << 16 and 0 < height < 1 << 16 and width * height <= _MOST):
         raise InputError(
             f"{path}: resolution is {height:g} x {width:g}; it is a height and a width."
         )
@@ -165,8 +166,9 @@ def _metres(
 ) -> NDArray[np.float32]:
     kind, per_metre = _UNITS[unit]
     shape = camera.height, camera.width
-    metres = np.frombuffer(depth.read(index), kind).reshape(shape).astype(np.float32)
-    metres /= np.float32(per_metre)
+    units = np.frombuffer(depth.read(index), kind).reshape(shape)
+    with np.errstate(invalid="ignore"):  # of a damaged stream any bits may come
+        metres = units.astype(np.float32) / np.float32(per_metre)
     metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
     if sure is not None:
         metres[np.frombuffer(sure.read(index), np.uint8).reshape(shape) == 0] = np.nan
