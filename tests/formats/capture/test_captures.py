@@ -94,6 +94,7 @@ def test_what_is_known_is_listed(tmp_path):
 
 
 def test_formats_are_told_by_what_lies_there(walk, tmp_path):
+    (walk / "preview.mp4").touch()
     assert format_of(walk).name == "capture folder"
     assert is_capture(walk)
     for name, files in {

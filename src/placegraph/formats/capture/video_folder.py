@@ -45,8 +45,9 @@ _WIDTHS = (8, 17)  # EuRoC's truth goes on with velocities and biases
 
 
 def is_video_folder(path: Path) -> bool:
-    """Whether a folder has a video and `camera.json`."""
-    return (path / "camera.json").is_file() and bool(_videos(path))
+    """Whether a folder has a video and `camera.json`, and no images in `rgb/`, as capture folders have."""
+    alone = (path / "camera.json").is_file() and not (path / "rgb").exists()
+    return alone and bool(_videos(path))
 
 
 def read_video_folder(path: Path) -> Capture:
