@@ -20,6 +20,7 @@ from placegraph.outdoor.search.ask import (
     Thing,
     _Around,
     _gain,
+    _which,
     _yes_or_no,
     next_question,
     possible_questions,
@@ -311,3 +312,20 @@ def test_false_answers_do_not_crash(harbour, rng):
                 break
             answers.append(question.answer(str(rng.choice([*question.options, UNKNOWN]))))
             assert sum(m.probability for m in estimate.modes) <= 1 + 1e-6
+
+
+def test_names_of_the_same_words_are_one_choice():
+    names = ["McDonald's", "McDonalds", "Blenz", "Esso"]
+    named = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0.5]])
+    around = _Around([], np.zeros((2, 0), np.int64), np.zeros((5, 0)), names, named)
+    (question,) = _which(np.array([0.3, 0.25, 0.25, 0.2]), around)
+    assert question.options == ("McDonald's", "Blenz", "Esso", NONE)
+    merged = _Around(
+        [],
+        around.pairs,
+        around.expected,
+        names[1:],
+        np.maximum(named[1:], [[1, 0, 0, 0]] + 2 * [4 * [0]]),
+    )
+    (same,) = _which(np.array([0.3, 0.25, 0.25, 0.2]), merged)
+    assert question.gain == pytest.approx(same.gain)

@@ -25,6 +25,7 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
+from placegraph.outdoor.language.words import tokens
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -263,14 +264,17 @@ def _which(weights: NDArray[np.float64], around: _Around) -> list[Question]:
     """At most one choice question: names that together cover the likeliest places."""
     left = weights.copy()
     sure = np.minimum(around.named, 1.0)
-    chosen: list[int] = []
-    while len(chosen) < MOST_NAMES and around.names:
+    spelt: dict[str, int] = {}  # by their words: "McDonald's" and "McDonalds" are one
+    while len(spelt) < MOST_NAMES and around.names:
         share = sure @ left
         telling = max(np.flatnonzero(share == share.max()).tolist(), key=lambda i: around.names[i])
         if share[telling] < 0.02:  # the rest is too unlikely to be asked about
             break
-        chosen.append(telling)
+        first = spelt.setdefault(" ".join(tokens(around.names[telling])), telling)
         left = left * (1.0 - sure[telling])
+        if first != telling:
+            sure[first] = np.minimum(sure[first] + sure[telling], 1.0)
+    chosen = list(spelt.values())
     if len(chosen) < 2:  # that would be a yes/no question
         return []
     present = sure[chosen]
