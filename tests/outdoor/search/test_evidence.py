@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.evidence import evidence_at, reference, wind
+from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.search.evidence import evidence_at, looked_at, reference, wind
 from placegraph.outdoor.search.evidence import said as in_words
 
 BAKERY, BENCH, FOUNTAIN, PARK = "shop=bakery", "amenity=bench", "amenity=fountain", "leisure=park"
@@ -120,3 +120,12 @@ def test_winds(angle):
     names = ["north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest"]
     off = [abs((angle - i * np.pi / 4 + np.pi) % (2 * np.pi) - np.pi) for i in range(8)]
     assert off[names.index(wind(angle))] <= np.pi / 8 + 1e-9
+
+
+def test_positions_that_lie_far_apart_are_judged_each_by_itself(harbour):
+    query = compile_query(read(harbour, "A bakery is north of me."), harbour)
+    here, away = np.zeros(2), np.full(2, 30_000.0)  # from where nothing is in sight
+    both, served = looked_at(np.array([here, away]), harbour, query)
+    assert both[0] == pytest.approx(looked_at(here[None], harbour, query)[0][0])
+    assert both[1] == pytest.approx(looked_at(away[None], harbour, query)[0][0])
+    assert (served[1] == -1).all()

@@ -88,7 +88,8 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
         for k in range(len(at)):
             where[k, i, 0], where[k, i, 1], distance2[k, i] = near[0, k], near[1, k], squares[k]
     for k in range(len(at)):
-        total = apart = squared = np.float32(0.0)
+        total = np.float32(1e-30)  # of a position from which nothing of them is in sight
+        apart = squared = np.float32(0.0)
         for i in range(len(nearby)):
             d2 = distance2[k, i]
             sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SHARP))
