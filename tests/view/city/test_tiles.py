@@ -8,6 +8,7 @@ from placegraph.outdoor.city import build_city
 from placegraph.view.city.examples import examples
 from placegraph.view.city.tiles import FINEST, SIDE, UNIT, CityTiles
 from placegraph.view.draw.style import LAYER, PAINTS
+from placegraph_lab.worlds.town.town import Town
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +73,14 @@ def test_examples_are_found_where_they_are_true(tmp_path):
         estimate = city.locate(text)
         assert estimate.modes
         assert not estimate.understood.ignored
+
+
+def test_examples_say_what_people_say(tmp_path):
+    drawn = (
+        "[town]\nname = Small\ncenter = 7.42 43.73\n\n[drawing]\n"
+        "   A   \n" + 8 * "       \n" + "   G   \n\n[legend]\nA: shop=alcohol\nG: shop=gift\n"
+    )
+    source = Town.parse(drawn).write_osm(tmp_path / "small.osm")
+    city = build_city(source, tmp_path / "small.city")
+    said = "A liquor store is north of me and a gift shop is to the south."
+    assert said in examples(city, CityTiles(city)._paints)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.objects import POINT
 from placegraph.view.city.items import common_name
 
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 KEYS = ("shop", "amenity", "leisure", "tourism", "railway", "highway")
 """Things of these kinds are spoken of."""
 DULL = frozenset(
-    ("parking", "parking entrance", "vending machine", "waste basket", "crossing", "street lamp",
-     "give way", "turning circle", "motorway junction", "shop", "switch", "level crossing", "signal",
-     "buffer stop", "vacant")
+    ("parking", "bicycle parking", "parking entrance", "vending machine", "waste basket", "crossing",
+     "street lamp", "give way", "turning circle", "motorway junction", "shop", "switch", "level crossing",
+     "signal", "buffer stop", "vacant")
 )  # fmt: skip
 NEAR, FAR = 12.0, 120.0
 """What is spoken of is so far away [m]."""
@@ -35,11 +36,13 @@ def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
     found: list[str] = []
     if not len(rows):
         return found
+    spoken = Vocabulary.default().spoken
+    names = [spoken(objects.label(row)) for row in rows.tolist()]
     at = objects.center[rows].astype(np.float64)
     # from all over the city, the same each time
     for start in range(0, len(rows), max(1, len(rows) // 40)):
         here = at[start] - (0.0, 20.0)
-        sentence = _said(here, at, [objects.label(row) for row in rows.tolist()])
+        sentence = _said(here, at, names)
         if sentence and sentence not in found:
             found.append(sentence)
         if len(found) == most:
@@ -53,7 +56,7 @@ def _worth(label: str, paint: str) -> bool:
     return plain and bool(paint) and spoken
 
 
-def _said(here: Floats, at: Floats, labels: list[str]) -> str:
+def _said(here: Floats, at: Floats, names: Sequence[str]) -> str:
     """What is seen from a place to the four winds; empty where there is too little."""
     delta = at - here
     distance = np.hypot(*delta.T)
@@ -63,7 +66,7 @@ def _said(here: Floats, at: Floats, labels: list[str]) -> str:
             break
         turn = np.degrees(np.arctan2(delta[k, 0], delta[k, 1])) % 360.0
         wind = round(turn / 90.0)
-        name = common_name(labels[k])
+        name = names[k]
         if distance[k] < NEAR or abs(turn - 90.0 * wind) > 25.0 or name in things.values():
             continue
         things.setdefault(WINDS[wind % 4], name)
