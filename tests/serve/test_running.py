@@ -12,6 +12,7 @@ import sys
 
 import httpx
 import pytest
+from tests.browser import opened
 from tests.serve.conftest import Running
 
 from placegraph.errors import OptionError
@@ -128,6 +129,8 @@ def test_nested_json(small, bomb):
         ({"X-API-Key": "secret"}, "/v1/maps", 200),
         ({}, "/v1/maps?key=secret", 200),
         ({}, "/metrics", 401),
+        ({}, "/api?q=bakery", 401),
+        ({}, "/api.js", 200),
         ({}, "//v1/maps", 404),
         ({}, "/healthz", 200),
         ({}, "/", 200),
@@ -137,6 +140,19 @@ def test_keys(small, headers, path, status):
     answer = httpx.get(small.url + path, headers=headers)
     assert answer.status_code == status
     assert "access-control-allow-origin" not in answer.headers
+
+
+def test_the_page_asks_for_the_key(browser, small):
+    with opened(browser, f"{small.url}/", refused=True) as page:
+        page.fill("[type=password]", "wrong")
+        page.keyboard.press("Enter")
+        page.wait_for_selector(".problem:has-text('does not know this key')")
+        page.fill("[type=password]", "secret")
+        page.keyboard.press("Enter")
+        page.wait_for_selector(".examples button")
+        page.fill("#text", SAID["text"])
+        page.wait_for_selector(".status")
+        assert "secret" not in page.url
 
 
 def test_websockets_need_keys_and_a_page_of_this_host(small):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 LARGE = ("/v1/localize", "/v1/sessions/", "/geopose")
 """Paths whose bodies carry images."""
-OPEN = ("/v1", "/api", "/geopose", "/metrics")
+CLOSED = ("/v1/", "/api/", "/geopose/", "/metrics/")
 """Paths that need a key where there are keys; the page and the state of health do not."""
 _TOKENS = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"|\\.|[\[\]{}]', re.DOTALL)
 _MOST_BRACKETS = 200_000
@@ -53,7 +53,7 @@ class Keys:
 
     def let_in(self, scope: Scope) -> bool:
         """Whether a request has a key, in its header or, where there is none, as `key=`."""
-        if not self.known or not scope["path"].startswith(OPEN):
+        if not self.known or not f"{scope['path']}/".startswith(CLOSED):
             return True
         headers = {name: value for name, value in scope["headers"] if name in _HEADERS}
         given = headers.get(b"x-api-key") or headers.get(b"authorization", b"").removeprefix(

@@ -184,9 +184,9 @@ class App {
 
   keyhole() {
     const field = el("input", { type: "password", "aria-label": "Key", autocomplete: "off" });
-    const use = () => { useKey(field.value.trim()); this.start(); };
+    const use = () => { this.tried = true; useKey(field.value.trim()); this.start(); };
     field.addEventListener("keydown", (event) => { if (event.key === "Enter") use(); });
-    return el("div", { class: "problem" }, el("b", {}, "This server wants a key."),
+    return el("div", { class: "problem" }, el("b", {}, this.tried ? "The server does not know this key." : "This server wants a key."),
       el("div", { class: "key" }, field, button(null, { class: "act", onclick: use }, "Use it")));
   }
 }
