@@ -48,5 +48,6 @@ def opened(browser, url, *, first="", refused=False, **options):
 
 
 def still(page):
-    """Wait until the map has come to rest."""
+    """Wait until the map has come to rest, from what was done to it just now as well."""
+    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     page.wait_for_selector('.map[data-state="still"]')

@@ -73,7 +73,7 @@ def test_evidence_lights_up_both_ways(browser, url):
         row.hover()
         assert page.get_attribute(".map", "data-lit") == row.get_attribute("data-ids")
         row.locator(".object").click()
-        page.wait_for_selector('.map[data-state="still"]')
+        still(page)
         box = page.locator(".map canvas").bounding_box()
         page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         page.wait_for_selector(".evidence li.on")

@@ -87,6 +87,7 @@ def test_a_home_of_no_town_has_a_plan_of_its_own(browser, url):
         )
         page.wait_for_selector(".problem[role=alert]")
         assert "images[0]" in page.inner_text(".problem")
+        assert page.inner_text(".problem").count("opy it again") == 1  # the mend
         page.click("#tab-here")
         page.fill("#text", KITCHEN)
         page.wait_for_selector('.map[data-stage="city"]')

@@ -165,6 +165,14 @@ def test_questions_tell_twins_apart_and_a_no_is_no_yes(world, films):
     assert unknown.next_question(world).text != question.text
 
 
+def test_what_one_of_two_towns_says_of_itself_is_not_said_of_all(world):
+    text = "A church is south of me and Lange Straße is south of me. A bakery is east of me."
+    estimate = world.locate(text)  # the towns are the same
+    assert estimate.status is Status.AMBIGUOUS
+    assert estimate.best.probability < 0.6
+    assert f"only {estimate.best.probability:.0%} of the probability" in estimate.reason
+
+
 def test_rooms_are_asked_for_where_the_building_is_known(world):
     told = World(world.cities, {"suite": world.scenes["suite"]}).locate("I am in the hotel")
     question = told.next_question(world)

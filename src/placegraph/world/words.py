@@ -143,7 +143,10 @@ def _judged(
         share = best.probability / max(best.place.probability, 1e-9)
         sure = town.estimate.status is Status.OK and share >= SURE
         rooms = " No mapped room fits." if witnesses.speaks_inside and witnesses.scenes else ""
-        return Status.OK if sure else Status.AMBIGUOUS, town.estimate.reason + rooms
+        why = town.estimate.reason
+        if share < SURE and town.estimate.status is not Status.LOST:  # it speaks of itself alone
+            why = f"The best place holds only {best.probability:.0%} of the probability."
+        return Status.OK if sure else Status.AMBIGUOUS, why + rooms
     of_scene = sum(m.probability for m in modes if m.scene == best.scene)
     if of_scene >= SURE and witnesses.scenes[best.scene].said < 0:
         return (

@@ -10,9 +10,11 @@ export function useKey(given) {
 /** A problem (RFC 9457) as an error with its mend. */
 export class Problem extends Error {
   constructor(told, status) {
-    super(told?.detail || told?.title || `The server answered with ${status}.`);
+    const mend = told?.mend ?? "", detail = told?.detail || told?.title || `The server answered with ${status}.`;
+    const ends = mend && detail.toLowerCase().endsWith(mend.toLowerCase()); // it is said once, on a line of its own
+    super(ends ? detail.slice(0, -mend.length).replace(/;? *$/, "").replace(/\w$/, "$&.") || detail : detail);
     this.status = told?.status ?? status;
-    this.mend = told?.mend ?? "";
+    this.mend = mend;
   }
 }
 

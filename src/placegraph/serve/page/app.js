@@ -78,7 +78,6 @@ class App {
     if (afresh) this.tab?.leave?.();
     if (city && (name || !this.stage.name)) await this.stage.city(city.name);
     else if (!city && scenes[0]) await this.stage.open(scenes[0]);
-    this.source();
     this.you.read(told);
     this.tabs.here.read(told);
     if (!afresh) return;
@@ -179,7 +178,7 @@ class App {
 
   problem(error) {
     if (!(error instanceof Problem)) console.error(error);
-    return el("div", { class: "problem", role: "alert" }, el("b", {}, error.message), error.mend ?? "");
+    return el("div", { class: "problem", role: "alert" }, el("b", {}, error.message), error.mend ? ` ${error.mend}` : "");
   }
 
   keyhole() {

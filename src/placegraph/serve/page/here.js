@@ -100,6 +100,8 @@ export class Here {
   failed(error) {
     if (error.status === 401) { this.app.trouble(error); return; }
     this.error = error;
+    this.result = null; // it was the answer to something else
+    this.app.view.show(null, { move: false });
     this.render();
   }
 

@@ -67,6 +67,7 @@ export class Stage {
       button(`Enter ${plan.title}`, { class: "door", title: `Enter ${plan.title}`, "data-house": plan.house, onclick: () => this.enter(this.shown.get(plan.house)) },
         el("bdi", {}, plan.title))));
     this.view.root.dataset.stage = this.index ? "city" : "scene";
+    this.app.source();
     this.follow();
   }
 
