@@ -1,6 +1,7 @@
 """Maps of a folder: opened lazily, bad ones named, foreign ones left alone."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -43,3 +44,15 @@ def test_scenes_of_a_library_belong_to_the_world(folder, tmp_path):
     world = pg.open_world([tmp_path])
     assert set(world.scenes) == {"reading"}
     assert world.library.entry("reading") is world.libraries["all"].entry("reading")
+
+
+def test_a_map_that_changed_since_its_library_was_made_is_compared_anew(folder, films, tmp_path):
+    """As `scene anchor` changes it in its folder."""
+    shutil.copy(folder / "reading.scene", tmp_path)
+    library = pg.SceneLibrary()
+    library.add("reading", tmp_path / "reading.scene")
+    library.save(tmp_path / "all.library")
+    scene = pg.open_map(tmp_path / "reading.scene")
+    scene.anchored(replace(scene.anchors[0], level="3")).save(tmp_path / "reading.scene")
+    best = pg.open_world(tmp_path).locate(capture=films["study"]).best
+    assert (best.scene, best.level) == ("reading", "3")

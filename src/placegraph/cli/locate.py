@@ -104,5 +104,5 @@ def _earth(mode: WorldMode) -> str:
     """Where on Earth a mode's pose is."""
     if mode.earth is None:
         return ""
-    heading = f"heading {degrees(mode.earth.heading):.0f}°"
+    heading = f"heading {round(degrees(mode.earth.heading)) % 360}°"
     return f"  {mode.earth.latitude:.6f}, {mode.earth.longitude:.6f}, {mode.earth.height:.1f} m, {heading}"

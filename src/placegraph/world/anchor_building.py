@@ -67,19 +67,17 @@ def fit_building(
         )
     scores = np.array([fit.score for _, fit in good])
     anchors = [_anchor(footprint, fit, level) for footprint, fit in good]
-    notes = ["Nobody says how high the map stands: it is put at height 0 m; give --height."]
+    notes = []
     if prior is not None:
         scores = scores + _agreement(anchors, prior, walls.points.mean(axis=0))
         anchors = [_as_high(anchor, prior) for anchor in anchors]
-        notes = []
     shares = np.exp(scores - scores.max())
     shares /= shares.sum()
     order = [k for k in np.argsort(-shares, kind="stable").tolist() if shares[k] >= _LEAST]
     if len(order) > 1:
-        notes.insert(
-            0,
+        notes.append(
             f"The walls fit in {len(order)} ways; --capture, --pose or --pair beside --in would tell "
-            "which.",
+            "which."
         )
     levels = good[order[0]][0].levels
     if level and levels and not set(levels_of(level)) & set(levels):

@@ -110,7 +110,7 @@ def fit_points(
     centred = start.shifted(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
     centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
     anchor = replace(centred.shifted([*middle, 0.0]), height=height)
-    return Fitted((anchor,), tuple(_notes(sources, targets, sigma, weights, off, here, there)))
+    return Fitted((anchor,), tuple(_notes(sources, targets, sigma, weights, off, there)))
 
 
 def _robust(
@@ -197,9 +197,8 @@ def _height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[fl
 
 
 def _notes(
-    sources: Floats, targets: Floats, sigma: Floats, weights: Floats, off: Floats,
-    here: Floats, there: Floats,
-) -> list[str]:  # fmt: skip
+    sources: Floats, targets: Floats, sigma: Floats, weights: Floats, off: Floats, lonlath: Floats
+) -> list[str]:
     """What a person should know of the fit."""
     mute = np.flatnonzero(weights < 0.05).tolist()
     notes = [f"Point {k + 1} is {off[k]:.1f} m off, and has no say." for k in mute]
@@ -219,11 +218,20 @@ def _notes(
         size = np.sqrt(np.square(b - b.mean(axis=0)).sum() / np.square(a - a.mean(axis=0)).sum())
         if abs(size - 1.0) > _SCALE_OFF and width[0] * abs(size - 1.0) > 2 * np.median(sigma) * 0.1:
             notes.append(f"The points would fit better if the map were {size:.3f} times as large.")
-        mirrored = sources * (-1.0, 1.0)
-        turn = _heading(mirrored, targets, np.ones(len(off)))
-        left = float(np.median(_off(mirrored, targets, turn, np.ones(len(off)))))
+        notes += _exchanged(sources, targets, off, lonlath)
+    return notes
+
+
+def _exchanged(sources: Floats, targets: Floats, off: Floats, lonlath: Floats) -> list[str]:
+    """What would fit much better than what is left (N,) [m], if two coordinates changed places."""
+    tried = {"x and y": (sources * (-1.0, 1.0), targets)}
+    if (np.abs(lonlath[:, 0]) <= 90.0).all():
+        there = np.column_stack([lonlath[:, 1::-1], np.zeros(len(off))])
+        base = Anchor(float(there[0, 0]), float(there[0, 1]), 0.0, 0.0)
+        tried["longitude and latitude"] = (sources, base.to_map(there)[:, :2])
+    notes, every = [], np.ones(len(off))
+    for which, sides in tried.items():
+        left = float(np.median(_off(*sides, _heading(*sides, every), every)))
         if left < 0.3 * float(np.median(off)) and np.median(off) > 0.5:
-            notes.append(f"Mirrored they would fit to {left:.2f} m: are x and y exchanged?")
-    if not (np.isfinite(here[:, 2]) & np.isfinite(there[:, 2])).any():
-        notes.append("No point has a height in both: the map stands at height 0 m; give --height.")
+            notes.append(f"They would fit to {left:.2f} m, were {which} exchanged.")
     return notes

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
 from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.library.scenes import digest_of
 from placegraph.maps import checked, open_map
 from placegraph.world.maps import Maps
 
@@ -51,7 +52,10 @@ class World:
 
     @cached_property
     def library(self) -> SceneLibrary:
-        """All scenes side by side, to be searched; made once, of a library's file where it has them."""
+        """All scenes side by side, to be searched; made once.
+
+        What a library's file says of a scene is taken where it is of the map as it is now.
+        """
         library = SceneLibrary()
         keys = [e.key for e in library.encoders]
         known = {
@@ -65,7 +69,7 @@ class World:
         for name in self.scenes:
             path = paths.get(name)
             entry = None if path is None else known.get(path.resolve())
-            if entry is not None:
+            if path is not None and entry is not None and entry.digest == digest_of(path):
                 library.insert(name, entry)
             else:
                 library.add(name, self.scenes[name])

@@ -96,6 +96,8 @@ def test_by_a_pose_in_place_and_off_again(run, scene):
         (["--pose", "7,99,0,0"], "latitude is 99"),
         (["--pair", "0,0"], "give x and y in the map"),
         (["--pair", "0,0=7,43"], "at least 3"),
+        (["--pose", "7,43,0,0", "--accuracy=-1,2"], "give metres and degrees"),
+        (["--pose", "7,43,0,0", "--level", "top"], "--level is 'top'; give a number"),
     ],
 )
 def test_bad_options_leave_the_map_alone(run, scene, options, named):
@@ -104,6 +106,18 @@ def test_bad_options_leave_the_map_alone(run, scene, options, named):
     assert result.code == 7
     assert named in result.err
     assert scene.read_bytes() == before
+
+
+def test_a_height_is_asked_for_where_nobody_says_it(run, scene):
+    for known, asked in (([], True), (["--height", "6.4"], False)):
+        told = run("scene", "anchor", scene, *pairs([(0, 0), (5, 0), (5, 4)]), *known, "--json")
+        assert any("give --height" in note for note in json.loads(told.out)["notes"]) == asked
+
+
+def test_north_is_0_and_not_360(run, scene):
+    run("scene", "anchor", scene, "--pose", "7,43,0,359.999", "--quiet")
+    assert json.loads(run("scene", "info", scene, "--json").out)["anchors"][0]["heading_deg"] == 0
+    assert " 0.0°" in run("scene", "anchor", scene, "--pose", "7,43,0,359.999").out
 
 
 def test_check_says_what_is_odd_of_an_anchor(run, scene):

@@ -14,6 +14,7 @@ from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of, table
 from placegraph.cli.scene.query import MapFile
 from placegraph.errors import OptionError
+from placegraph.formats.place.levels import levels_of
 
 if TYPE_CHECKING:
     from placegraph.earth import Anchor
@@ -105,6 +106,8 @@ def anchor(
         )
     if place is not None and not building:
         raise OptionError("--in needs --building: the name of the building that the map is of.")
+    if level and not levels_of(level):
+        raise OptionError(f"--level is {level!r}; give a number as OpenStreetMap does, as 1 or -1.")
     scene = SceneMap.open(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
         fitted = _fitted(scene, pair, pose, accuracy, capture, tell, rough=place is not None)
@@ -113,6 +116,9 @@ def anchor(
         fitted = on._replace(notes=(*fitted.notes, *on.notes))
     floor = float(scene.floors.min())
     found = tuple(_told(a, floor, height, level, building) for a in fitted.anchors)
+    notes = list(fitted.notes)
+    if any(a.known and a.covariance[2, 2] > UNKNOWN**2 for a in found):
+        notes.append("Nobody says how high the map stands: it is put at height 0 m; give --height.")
     target = out or map_file
     anchored = scene.anchored(*found)
     anchored.save(target)
@@ -124,12 +130,12 @@ def anchor(
         told = {
             "map": str(target),
             "anchors": [summary(a) for a in found],
-            "notes": list(fitted.notes),
+            "notes": notes,
         }
         click.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         show(found)
-        for note in fitted.notes:
+        for note in notes:
             click.echo(note)
         click.echo(f"{target}: {'anchored' if found else 'stands nowhere now'}.")
 
@@ -165,7 +171,7 @@ def summary(anchor: Anchor) -> dict[str, object]:
         "longitude": round(anchor.longitude, 8),
         "latitude": round(anchor.latitude, 8),
         "height_m": round(anchor.height, 2) if up < UNKNOWN else None,
-        "heading_deg": round(degrees(anchor.heading), 2),
+        "heading_deg": round(degrees(anchor.heading), 2) % 360,
         "sd_m": [round(v, 3) for v in (east, north, up)] if anchor.known else None,
         "sd_deg": round(degrees(turn), 3) if anchor.known else None,
         "probability": round(anchor.probability, 4),
@@ -194,7 +200,7 @@ def show(anchors: tuple[Anchor, ...]) -> None:
         where = " ".join(x for x in (a.building, a.osm and f"({a.osm})") if x) or "-"
         rows.add_row(
             f"{a.probability:.0%}", f"{a.longitude:.7f}", f"{a.latitude:.7f}",
-            f"{degrees(a.heading):.1f}°", off, left, where,
+            f"{round(degrees(a.heading), 1) % 360:.1f}°", off, left, where,
         )  # fmt: skip
     from placegraph.cli.common import console
 
@@ -218,7 +224,10 @@ def _posed(text: str, accuracy: str) -> Anchor:
 
     mend = "give longitude, latitude, height and heading_deg, as 7.42,43.73,50,90."
     lon, lat, height, heading = numbers_of(text, "--pose", {4}, mend)
-    metres, turn = numbers_of(accuracy, "--accuracy", {2}, "give metres and degrees, as 1,2.")
+    mend = "give metres and degrees, as 1,2."
+    metres, turn = numbers_of(accuracy, "--accuracy", {2}, mend)
+    if min(metres, turn) < 0:
+        raise OptionError(f"--accuracy is {accuracy!r}; {mend}")
     spread = np.square([metres, metres, metres, radians(turn)])
     return Anchor(lon, lat, height, radians(heading), np.diag(spread), method="pose")
 

@@ -140,7 +140,7 @@ def _told(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
         east, north, _, turn = np.sqrt(np.diag(best.covariance))
         spread = f" ±{np.hypot(east, north) / np.sqrt(2):.1f} m, ±{degrees(turn):.1f}°"
     chances = "     ".join(
-        f"{k}: {a.probability:.0%}, heading {degrees(a.heading):.0f}°"
+        f"{k}: {a.probability:.0%}, heading {round(degrees(a.heading)) % 360}°"
         for k, a in enumerate(anchors[:TOLD], 1)
     )
     more = f"     and {len(anchors) - TOLD} more" if len(anchors) > TOLD else ""
