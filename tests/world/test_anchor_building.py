@@ -125,6 +125,29 @@ def test_a_rough_place_tells_the_turn_and_the_height(scenes, tmp_path):
         fit_building(scene, file, "Stadtbibliothek", prior=far)
 
 
+def test_a_flat_of_a_row_may_stand_between_its_ends(scenes, tmp_path):
+    """Its building goes on at both sides, and nothing says how far; a fix does."""
+    scene, far = scenes[SQUARE], 14.0
+    (x0, y0), (x1, y1) = OUTLINES[SQUARE][0], OUTLINES[SQUARE][2]
+    row = [(x0 - far, y0), (x1 + far, y0), (x1 + far, y1), (x0 - far, y1)]
+    file = extract(tmp_path / "a.osm", row)
+    found = fit_building(scene, file, "Stadtbibliothek").anchors
+    middle = scene.bounds.mean(axis=0) * (1, 1, 0)
+    true, rows = TRUE.shifted(-middle), np.ix_([0, 1], [0, 1])
+    held = 0.0
+    for anchor in found:
+        here = anchor.shifted(-middle)
+        away = true.to_map((here.longitude, here.latitude, 0.0))[:2]
+        turned = true.enu_from_map[:2, :2] @ away
+        if turned @ np.linalg.solve(here.covariance[rows], turned) < 9:
+            held += anchor.probability
+    assert held > 0.5
+    prior = replace(TRUE, covariance=np.diag([4.0, 4.0, 4.0, 0.1]), method="gps")
+    best = fit_building(scene, file, "Stadtbibliothek", prior=prior).anchors[0]
+    assert off(best, OUTLINES[SQUARE]) < 1.0
+    assert 0.5 < np.sqrt(np.linalg.eigvalsh(best.covariance[rows])[1]) < 2.5
+
+
 @pytest.mark.parametrize("corners", [
     [(0, 0), (5, 0), (5, 4), (0, 4)],
     [(0, 0), (60, 0), (60, 45), (0, 45)],

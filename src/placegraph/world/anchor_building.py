@@ -13,6 +13,7 @@ from placegraph.geometry import rotation_z, wrap
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
 from placegraph.world.footprints import footprints
 from placegraph.world.outer_walls import outer_walls
+from placegraph.world.slides import between
 from placegraph.world.wall_fit import fits, wrong
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ def fit_building(
     path, name, level
         As of `footprints`.
     prior
-        Where the map roughly stands, as by the fixes of a capture: says which turn is likely, and how
-        high.
+        Where the map roughly stands, as by the fixes of a capture: says which turn is likely, how
+        high, and where along a building that goes on at both ends.
 
     Raises
     ------
@@ -56,11 +57,15 @@ def fit_building(
 
     """
     walls = outer_walls(scene)
-    found = [(p, fit) for p in footprints(path, name, level) for fit in fits(walls, p)]
-    good = [(p, fit) for p, fit in found if not wrong(walls, fit)]
+    found, good = [], []
+    for footprint in footprints(path, name, level):
+        tried = fits(walls, footprint)
+        held = [fit for fit in tried if not wrong(walls, fit)]
+        found += tried
+        good += [(footprint, fit) for fit in (*held, *between(walls, footprint, held))]
     if not good:
-        best = max(found, key=lambda pair: pair[1].score, default=None)
-        why = "no wall has its directions" if best is None else wrong(walls, best[1])
+        best = max(found, key=lambda fit: fit.score, default=None)
+        why = "no wall has its directions" if best is None else wrong(walls, best)
         raise OptionError(
             f"The map does not fit the building {name!r}: {why}. Name another building, or give "
             "--pair or --pose."
@@ -69,8 +74,8 @@ def fit_building(
     anchors = [_anchor(footprint, fit, level) for footprint, fit in good]
     notes = []
     if prior is not None:
-        scores = scores + _agreement(anchors, prior, walls.points.mean(axis=0))
-        anchors = [_as_high(anchor, prior) for anchor in anchors]
+        anchors, logs = _joined(anchors, prior, walls.points.mean(axis=0))
+        scores = scores + logs
     shares = np.exp(scores - scores.max())
     shares /= shares.sum()
     order = [k for k in np.argsort(-shares, kind="stable").tolist() if shares[k] >= _LEAST]
@@ -103,20 +108,33 @@ def _anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
     )  # fmt: skip
 
 
-def _agreement(anchors: Sequence[Anchor], prior: Anchor, middle: Floats) -> Floats:
-    """Log density (N,) of each candidate under a prior, at the middle (2,) of the map [m]."""
+def _joined(
+    anchors: Sequence[Anchor], prior: Anchor, middle: Floats
+) -> tuple[list[Anchor], Floats]:
+    """Candidates as a prior corrects them at the middle (2,) of the map [m], and log density (N,) of each."""
     rows, back = np.ix_([0, 1, 3], [0, 1, 3]), np.array([-middle[0], -middle[1], 0.0])
-    there, logs, squares, away = prior.shifted(back), [], [], []
+    there, found, logs, squares, away = prior.shifted(back), [], [], [], []
     for anchor in anchors:
         here = anchor.shifted(back)
         place = there.enu_from_map[:3, :3] @ there.to_map(
             (here.longitude, here.latitude, there.height)
         )
         off = np.array([*place[:2], wrap(here.heading - there.heading)])
-        spread = (here.covariance + there.covariance)[rows]
-        squares.append(float(off @ np.linalg.solve(spread, off)))
-        logs.append(-0.5 * (squares[-1] + np.linalg.slogdet(spread)[1]))
+        own = here.covariance[rows]
+        gain = np.linalg.solve(own + there.covariance[rows], own).T
+        squares.append(float(off @ np.linalg.solve(own + there.covariance[rows], off)))
+        logs.append(-0.5 * (squares[-1] + np.linalg.slogdet(own + there.covariance[rows])[1]))
         away.append(off)
+        covariance = np.zeros((4, 4))
+        covariance[rows] = own - gain @ own
+        covariance[2, 2] = there.covariance[2, 2]
+        east, north, turn = (-gain @ off).tolist()
+        lon, lat, _ = replace(here, heading=0.0).to_earth((east, north, 0.0)).tolist()
+        moved = replace(
+            here, longitude=lon, latitude=lat, heading=here.heading + turn, covariance=covariance,
+            method=f"{anchor.method} and {prior.method}",
+        )  # fmt: skip
+        found.append(replace(moved.shifted(-back), height=prior.height))
     best = int(np.argmin(squares))
     if squares[best] > _CONTRADICTS:
         metres, turn = np.hypot(*away[best][:2]), np.degrees(abs(away[best][2]))
@@ -124,11 +142,4 @@ def _agreement(anchors: Sequence[Anchor], prior: Anchor, middle: Floats) -> Floa
             f"The walls fit the building {metres:.1f} m and {turn:.0f}° from where it stands "
             f"by {prior.method}; leave one of the two out."
         )
-    return np.array(logs)
-
-
-def _as_high(anchor: Anchor, prior: Anchor) -> Anchor:
-    covariance = anchor.covariance.copy()
-    covariance[2, 2] = prior.covariance[2, 2]
-    method = f"{anchor.method} and {prior.method}"
-    return replace(anchor, height=prior.height, covariance=covariance, method=method)
+    return found, np.array(logs)

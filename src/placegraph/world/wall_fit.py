@@ -65,20 +65,22 @@ def fits(walls: OuterWalls, footprint: Footprint) -> list[Fit]:
     for fit in found:
         if fit.score < found[0].score - _NATS:
             break
-        if not any(_same(fit, other, middle) for other in kept):
+        if not any(same(fit, other, middle) for other in kept):
             kept.append(fit)
     return kept
 
 
-def _same(one: Fit, other: Fit, middle: Floats) -> bool:
+def same(one: Fit, other: Fit, middle: Floats, metres: float = 0.6) -> bool:
+    """Whether two fits have the middle (2,) of a map within some metres, and turn it alike."""
     turn = abs((one.heading - other.heading + np.pi) % (2 * np.pi) - np.pi)
-    away = _moved(middle[None], one.heading, one.shift) - _moved(
+    away = moved_by(middle[None], one.heading, one.shift) - moved_by(
         middle[None], other.heading, other.shift
     )
-    return bool(turn < 0.1 and np.linalg.norm(away) < 0.6)
+    return bool(turn < 0.1 and np.linalg.norm(away) < metres)
 
 
-def _moved(points: Floats, heading: float, shift: Floats) -> Floats:
+def moved_by(points: Floats, heading: float, shift: Floats) -> Floats:
+    """Points (N, 2) of a map [m] in a footprint's plane."""
     moved: Floats = points @ rotation_z(-heading)[:2, :2].T + shift
     return moved
 
@@ -111,7 +113,7 @@ def _log_wall(inwards: Floats, sigma: float) -> Floats:
 
 def _shifts(walls: OuterWalls, footprint: Footprint, heading: float, sigma: float) -> list[Floats]:
     """Shifts (2,) [m] of the map's origin that are worth refining under a heading."""
-    turned = _moved(walls.points, heading, np.zeros(2))
+    turned = moved_by(walls.points, heading, np.zeros(2))
     centre = (turned.min(axis=0) + turned.max(axis=0)) / 2.0
     corners = np.concatenate([footprint.starts, footprint.ends])
     margin = float(np.linalg.norm(np.ptp(turned, axis=0))) / 2.0 + 2.0
@@ -148,8 +150,8 @@ def _refined(
     """Least squares of a pose and of the walls' thickness, from a pose near by."""
     thick, weights = THICK, np.minimum(walls.weights, walls.step / 2.0)
     for _ in range(8):
-        moved = _moved(walls.points, heading, shift)
-        inwards, normal, matched, _ = _against(walls, footprint, moved, heading)
+        moved = moved_by(walls.points, heading, shift)
+        inwards, normal, matched, _ = against(walls, footprint, moved, heading)
         left = inwards - thick
         trust = weights * matched / sigma**2 / (1.0 + (left / (2 * sigma)) ** 2) ** 2
         lever = moved - shift
@@ -166,7 +168,7 @@ def _refined(
     return _judged(walls, footprint, (heading, shift, thick), sigma, covariance)
 
 
-def _against(
+def against(
     walls: OuterWalls, footprint: Footprint, moved: Floats, heading: float
 ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.int64]]:
     """How far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
@@ -186,31 +188,39 @@ def _judged(
 ) -> Fit:  # fmt: skip
     """A pose with its log-likelihood: walls, windows that face nobody, doors at entrances."""
     heading, shift, thick = pose
-    moved = _moved(walls.points, heading, shift)
-    inwards, _, near, which = _against(walls, footprint, moved, heading)
+    moved = moved_by(walls.points, heading, shift)
+    inwards, _, near, which = against(walls, footprint, moved, heading)
     inside = within(moved, footprint.rings)
     far = off_segments(moved, footprint.starts, footprint.ends).min(axis=1)
     depth = np.where(near, inwards - thick + THICK, np.where(inside, np.maximum(far, 0.01), -far))
     lost = near | (far > 3 * sigma) | ~inside
     log = np.where(lost, _log_wall(depth, sigma), np.log((1 - _OUTER) * _WITHIN))
     outer = near & (np.abs(inwards - thick) < 2.5 * sigma)
-    windows, doors = walls.kind == WINDOW, walls.kind == DOOR
+    windows = walls.kind == WINDOW
     log += windows * np.log(np.where(outer & ~footprint.shared[which], _SURELY, 1 - _SURELY))
     score = float(walls.weights @ log)
     score -= 0.5 * ((thick - THICK) / VARIES) ** 2
-    if len(footprint.entrances):
-        there = moved[outer]
-        away = np.linalg.norm(moved[:, None] - footprint.entrances, axis=2)
-        close = np.exp(-0.5 * (np.maximum(away - THICK, 0.0) / _ENTRY) ** 2)
-        score += float((walls.weights * doors * outer) @ np.log(0.2 + 3.0 * close.max(axis=1)))
-        if len(there):  # an entrance where the map has a wall without a door
-            covered = (away[outer] < 0.5).any(axis=0)
-            served = (away[doors] < 3 * _ENTRY).any(axis=0)
-            score += float(np.log(0.3)) * int((covered & ~served).sum())
+    score += at_entrances(walls, footprint, moved, outer)
     out = float((~inside & (far > 3 * sigma)).mean())
     seen = float(outer[windows].mean()) if windows.any() else np.nan
     off = np.where(outer, np.abs(inwards - thick), np.nan)
     return Fit(heading, shift, score, off, covariance, (float(outer.mean()), out, seen))
+
+
+def at_entrances(
+    walls: OuterWalls, footprint: Footprint, moved: Floats, outer: NDArray[np.bool_]
+) -> float:
+    """Log-likelihood of doors (N, 2), where they are moved to, in outer walls (N,), by entrances."""
+    if not len(footprint.entrances):
+        return 0.0
+    doors = walls.kind == DOOR
+    away = np.linalg.norm(moved[:, None] - footprint.entrances, axis=2)
+    close = np.exp(-0.5 * (np.maximum(away - THICK, 0.0) / _ENTRY) ** 2)
+    score = float((walls.weights * doors * outer) @ np.log(0.2 + 3.0 * close.max(axis=1)))
+    # an entrance where the map has a wall without a door
+    covered = (away[outer] < 0.5).any(axis=0)
+    served = (away[doors] < 3 * _ENTRY).any(axis=0)
+    return score + float(np.log(0.3)) * int((covered & ~served).sum())
 
 
 def wrong(walls: OuterWalls, fit: Fit) -> str:
