@@ -8,6 +8,7 @@ import pytest
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
+from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.world import World
 
 
@@ -183,3 +184,14 @@ def test_contradictions_are_told_of_what_is_ambiguous_too(world, films):
     estimate = world.locate("I am in the bakery", films["parlour"], refine=False)
     assert estimate.status is Status.AMBIGUOUS
     assert "what was said of the outside is not so there" in estimate.reason
+
+
+def test_a_pose_in_a_merged_map_stands_where_its_own_part_does(world, films):
+    parts = {name: world.scenes[name] for name in ("suite", "reading")}
+    merged = World({"west": world.cities["west"]}, {"both": merge_scenes(parts)})
+    for film, building in (("parlour", "Hotel Hansa"), ("study", "Stadtbibliothek")):
+        best = merged.locate(capture=films[film], refine=False).best
+        assert (best.building, best.earth.building) == (building, building)
+    suite = parts["suite"].anchors[0]
+    near = merged.locate(near=(suite.longitude, suite.latitude), radius=15.0)
+    assert near.best.building == "Hotel Hansa"

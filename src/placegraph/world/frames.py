@@ -130,22 +130,26 @@ def _modes(
     scene, w = world.scenes[name], witnesses.scenes[name]
     out = []
     for mode in answer.modes[:POSES]:
-        at = mode.map_from_camera[:3, 3]
+        # a library tells poses in the axes of the part of a merged map, anchors are in the map's
+        part = mode.scene.partition("/")[2] or scene.scenes[0]
+        there = np.linalg.inv(scene.scene_from_map[scene.scenes.index(part)]) @ mode.map_from_camera
+        at = there[:3, 3]
         room = room_at(scene, at)
         explain = partial(_evidence, witnesses, name, mode)
-        if not w.standings:
+        own = [k for k, s in enumerate(w.standings) if s.part == part]
+        if not own:
             out.append(WorldMode(
                 None, None, share * mode.probability, nowhere(), scene=name, room=room, pose=mode,
                 explain=explain,
             ))  # fmt: skip
             continue
-        shares = w.shares * np.array(
-            [_looks(s.anchor.pose(mode.map_from_camera).heading, known) for s in w.standings]
-        )
-        k = int(shares.argmax())
-        chance = float(shares[k] / shares.sum())
-        earth = w.standings[k].anchor.pose(
-            mode.map_from_camera, mode.covariance, room=room, storey=storey_at(scene, at)[0]
+        anchors = [w.standings[k].anchor for k in own]
+        looks = [_looks(a.pose(there).heading, known) for a in anchors]
+        shares = w.shares[own] * looks
+        best = int(shares.argmax())
+        chance = float(shares[best] / shares.sum())
+        earth = anchors[best].pose(
+            there, mode.covariance, room=room, storey=storey_at(scene, at)[0]
         )
         earth = replace(earth, probability=share * mode.probability * chance)
         out.append(WorldMode(
@@ -165,7 +169,9 @@ def _looks(heading: float, known: Known) -> float:
 
 
 def _evidence(witnesses: Witnesses, name: str, mode: PoseMode) -> tuple[Evidence, ...]:
-    return (*witnesses.evidence(name), *mode.evidence)
+    """What speaks for a pose; a statement that the pose was judged by speaks of that, not of the scene."""
+    told = {e.statement for e in mode.evidence}
+    return (*(e for e in witnesses.evidence(name) if e.statement not in told), *mode.evidence)
 
 
 def _judged(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.earth import Anchor
+    from placegraph.earth import Anchor, EarthPose
     from placegraph.indoor.map.scene import Scene
 
 UNANCHORED = 0.1
@@ -25,30 +25,38 @@ WRONG_FIX = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """One candidate of a scene's place."""
+    """One candidate of the place of a scene, or of a part of one that was merged."""
 
     anchor: Anchor
     corners: NDArray[np.float64]
-    """(4, 2) longitude, latitude [deg] of the map's bounds."""
+    """(4, 2) longitude, latitude [deg] of the part's bounds."""
+    there: EarthPose
+    """Of somebody anywhere in it, with its probability among all of the scene."""
+    part: str
+    """Which of the merged scenes it is of."""
 
     @classmethod
     def of(cls, scene: Scene) -> tuple[Standing, ...]:
         """Candidates of a scene, best first; none where it is not anchored."""
-        (x0, y0, z), (x1, y1, _) = scene.bounds.tolist()
-        box = np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])
-        return tuple(cls(a, a.to_earth(box)[:, :2]) for a in scene.anchors)
+        found, share = [], 1.0 / len(scene.scenes)
+        for part, box in zip(scene.scenes, scene.scene_bounds, strict=True):
+            (x0, y0, z), (x1, y1, _) = box.tolist()
+            corners = [(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)]
+            found += [
+                cls(a, a.to_earth(corners)[:, :2], a.somewhere(box, probability=share), part)
+                for a in scene.anchors_of(part)
+            ]
+        return tuple(sorted(found, key=lambda s: -s.there.probability))
 
     @property
     def lonlat(self) -> tuple[float, float]:
-        """Of the middle of the map."""
-        longitude, latitude = self.corners.mean(axis=0).tolist()
-        return longitude, latitude
+        """Longitude, latitude [deg] of the middle of the map."""
+        return self.there.longitude, self.there.latitude
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2) east-north [m^2] of somebody anywhere in the map."""
-        metres = LocalPlane(*self.lonlat).to_plane(self.corners)
-        return np.asarray(self.anchor.covariance[:2, :2] + np.cov(metres.T, bias=True))
+        return self.there.covariance[:2, :2]
 
     def near(self, lonlat: Sequence[float], radius: float) -> float:
         """How well, `WRONG_FIX` to 1, the place fits a fix of which half lies within a radius [m]."""

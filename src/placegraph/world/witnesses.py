@@ -161,7 +161,7 @@ class _Heard:
             return Witness(
                 name, outside=CALLED * called - refused, inside=said, near=fits, meant=called
             )
-        priors = np.array([s.anchor.probability for s in standings])
+        priors = np.array([s.there.probability for s in standings])
         told = [_told(s, self.towns) for s in standings]
         ratios = np.array([t.ratio if t else 0.0 for t in told])
         ratios += [ratio_of(self.floors, s.anchor.level, above) for s in standings]
