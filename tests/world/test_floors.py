@@ -6,7 +6,7 @@ import pytest
 
 from placegraph.estimate import Status
 from placegraph.world import World
-from placegraph.world.floors import ratio_of, said_floors
+from placegraph.world.floors import ABOVE, ratio_of, said_floors
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,8 @@ from placegraph.world.floors import ratio_of, said_floors
         ("Ich bin im Hotel, 2. Stock. Ein Bett ist links.", {2}, "Ich bin im Hotel. Ein Bett ist links."),
         ("Wir sind im Erdgeschoss", {0}, ""),
         ("Im 1. OG vom Hotel", {1}, "im Hotel"),
+        ("I am on the top floor of the hotel, by the bed", set(ABOVE), "I am in the hotel, by the bed"),
+        ("Ich bin im Dachgeschoss", set(ABOVE), ""),
         ("A bakery is on the ground floor of the hotel.", set(), None),
         ("The floor is dark, and I am next to a bed.", set(), None),
         ("I am in the 3rd street", set(), None),
@@ -43,6 +45,8 @@ def test_floors_are_understood_and_taken_out(text, levels, left):
         ("I am not on the ground floor", "1", 0, 0),
         ("Ich bin im zweiten Stock", "1", 0, -1),
         ("I am in the basement", "-1", 0, 1),
+        ("Ich bin im obersten Stock", "0", 0, -1),
+        ("I am on the top floor", "3", 0, 0),  # which of those above the ground, nobody knows
     ],
 )
 def test_what_a_floor_weighs(text, level, storeys, sign):

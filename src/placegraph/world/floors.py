@@ -25,6 +25,10 @@ USUAL = 0.25
 """Share of people on any one floor."""
 BELOW = (-1.0, -2.0, -3.0)
 """Levels of a basement."""
+ABOVE = tuple(map(float, range(1, 200)))
+"""Levels that may be the top floor of a house that has several."""
+_UP = 0.4
+"""Share of people on a top floor, among those above the ground: which level it is, no map says."""
 _EN = (
     "first",
     "second",
@@ -55,13 +59,15 @@ _FLOORS = (
     (
         "en", _NOT + r"\b(?:(?:on|at|in|from)\s+)?(?:(?:the|my|our)\s+)?(?:"
         rf"(?P<nth>{'|'.join(_EN)}|\d{{1,2}}(?:st|nd|rd|th))\s+(?:floor|storey|story|level)"
-        r"|(?:floor|level)\s+(?P<n>\d{1,2})|(?P<zero>ground\s+(?:floor|level))|(?P<low>basement|cellar))\b"
+        r"|(?:floor|level)\s+(?P<n>\d{1,2})|(?P<zero>ground\s+(?:floor|level))|(?P<low>basement|cellar)"
+        r"|(?P<up>(?:top|upper|uppermost)\s+(?:floor|storey|story|level)|attic))\b"
         r"(?P<of>\s+of\b)?",
     ),
     (
         "de", _NOT + r"\b(?:(?:im|in\s+der|in\s+dem|auf\s+der|in\s+meinem)\s+)?(?:"
         rf"(?P<nth>(?:{'|'.join(_DE)})[nrms]?|\d{{1,2}}\.)\s*(?:stockwerk|stock|etage|obergeschoss|geschoss|og)"
-        r"|(?P<zero>erdgeschoss|parterre|eg)|(?P<low>keller|untergeschoss|ug))\b"
+        r"|(?P<zero>erdgeschoss|parterre|eg)|(?P<low>keller|untergeschoss|ug)"
+        r"|(?P<up>oberste[nrms]?\s+(?:stockwerk|stock|etage|geschoss)|dachgeschoss|obergeschoss|dg))\b"
         r"(?P<of>\s+(?:der|des|vom|von|in\s+der|im)\b)?",
     ),
 )  # fmt: skip
@@ -140,6 +146,8 @@ def _floor(found: re.Match[str], language: str) -> Floor:
         levels = {k: 1.0} if language == "de" else {k: 0.5, k - 1.0: 0.5}
     elif found["zero"]:
         levels = {0.0: 1.0}
+    elif found["up"]:
+        levels = dict.fromkeys(ABOVE, _UP)
     else:
         levels = dict.fromkeys(BELOW, 1.0)
     return Floor(found[0].removesuffix(found["of"] or "").strip(), levels, bool(found["no"]))
