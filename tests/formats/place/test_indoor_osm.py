@@ -113,7 +113,7 @@ def test_rooms_come_back_to_the_centimetre(tmp_path_factory, sides, names, level
         said = {"level": level, "name": name.strip()}
         shapes.append(IndoorShape("way/1", "room", (), said, [corners * METRE + (9.0, 3.0)]))
         west += wide
-    path = tmp_path_factory.getbasetemp() / "written.osm"
+    path = tmp_path_factory.getbasetemp() / ("written.osmag" if osmag else "written.osm")
     path.write_bytes(encode_rooms(shapes, osmag=osmag, generator="test"))
     rooms = read_indoor_osm(path).shapes
     assert {s.levels for s in rooms} == {(float(level),)}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 NODE, WAY, RELATION = 0, 1, 2
 POINT, LINE, AREA = 0, 1, 2
 
-SUFFIXES = (".osm.pbf", ".pbf", ".osm", ".osm.gz", ".osm.bz2", ".osm.xml", ".xml")
+SUFFIXES = (".osm.pbf", ".pbf", ".osm", ".osm.gz", ".osm.bz2", ".osm.xml", ".xml", ".osmag")
 LINE_KEYS = frozenset({"highway", "barrier", "railway", "waterway", "power", "aerialway", "route"})
 """Keys whose closed ways are loops, not areas, unless `area=yes` or the value says otherwise."""
 AREA_VALUES = frozenset(
@@ -169,7 +169,8 @@ def osm_file(path: Path) -> Any:  # noqa: ANN401  # osmium has no types
 
 
 def _ending(path: Path) -> str:
-    return next(s for s in SUFFIXES if path.name.lower().endswith(s)).removeprefix(".")
+    ending = next(s for s in SUFFIXES if path.name.lower().endswith(s))
+    return ending.removeprefix(".").replace("osmag", "osm")
 
 
 def _survived(path: Path, keys: list[str]) -> None:
