@@ -44,6 +44,13 @@ def test_rooms_are_understood_in_other_languages(world, text, outside, inside):
     assert not [i for i in told.ignored if "unknown" in i.reason]
 
 
+def test_a_name_that_is_heard_is_not_called_ignored(world):
+    text = "Ich bin in der Küche der Bücherhalle"
+    for names, ignored in (((), True), (("Bücherhalle",), False)):
+        told = understand(text, {"west": world.cities["west"]}, THINGS, names=names)
+        assert bool(told.ignored) == ignored
+
+
 def test_addresses_are_known_number_last(world):
     told = understand("I am at Lange Straße 7", {"west": world.cities["west"]}, THINGS)
     assert told.outside["west"].mentions[2].name == "7 Lange Straße"

@@ -129,6 +129,8 @@ def understand(
     if sentence is not None:  # what the other wing could use
         used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.things}
         ignored = tuple(i for i in ignored if _plain(i.text) not in used)
+    # a scene's or a building's name is heard wherever it is spoken (`witnesses`)
+    ignored = tuple(i for i in ignored if not any(f" {n} " in f" {_plain(i.text)} " for n in own))
     return Understood(text, outside, sentence, ignored, floors)
 
 
