@@ -86,3 +86,14 @@ def test_a_map_of_another_name_or_kind_is_told(maps):
     assert unknown.value.status == 404
     with pytest.raises(RequestError, match="name one of: home1, home2"):
         places.scene("hafenstadt")
+
+
+def test_where_a_damaged_map_lies_is_not_told(maps, tmp_path):
+    file = tmp_path / "home.scene"
+    shutil.copy(maps / "home1.scene", file)
+    places = Places([tmp_path])
+    file.write_bytes(file.read_bytes()[:2000])
+    with pytest.raises(MapError, match=f"^{file.name} is damaged"):
+        places.scene("home")
+    (listed,) = places.listed()
+    assert listed["problem"].startswith(f"{file.name} is damaged")

@@ -90,7 +90,10 @@ class Places:
         state = state_of(path)
         held = self._held.get(path)
         if held is None or held[0] != state:
-            held = self._held[path] = state, open_map(path)
+            try:
+                held = self._held[path] = state, open_map(path)
+            except PlacegraphError as error:
+                raise type(error)(without_folder(error, path)) from error
         return held[1]
 
     def city(self, name: str) -> CityMap:
@@ -144,7 +147,7 @@ class Places:
         try:
             header = store.read_header(entry.path)
         except PlacegraphError as error:
-            return facts | {"problem": str(error)}
+            return facts | {"problem": without_folder(error, entry.path)}
         facts["bytes"] = header.file_size
         rows = {block.name: block.shape[0] for block in header.blocks}
         if entry.kind == "library":
@@ -165,6 +168,11 @@ class Places:
         files = ((kind, path) for kind, paths in found.items() for path in paths.values())
         named = (Entry(p.stem if stems[p.stem] == 1 else p.name, kind, p) for kind, p in files)
         return {entry.name: entry for entry in named}
+
+
+def without_folder(error: PlacegraphError, path: Path) -> str:
+    """What an error says; where the file lies is no client's business."""
+    return str(error).replace(f"{path.parent}/", "")
 
 
 def state_of(path: Path) -> State:
