@@ -89,7 +89,7 @@ class LiveTracker:
     def move(
         self, stamp: float, odom_from_camera: ArrayLike, covariance: ArrayLike | None = None
     ) -> LivePose:
-        """Take a sample of odometry, and tell the pose there; microseconds, for 100 Hz and more.
+        """Take a sample of odometry, and tell the pose there: a fraction of a millisecond.
 
         Parameters
         ----------

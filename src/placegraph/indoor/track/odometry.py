@@ -25,6 +25,7 @@ JUMP = 1.0
 """Stamps that go back by less [s] are late; by more, the clock was set back."""
 FASTEST, TWITCH = 10.0, 0.5
 """No camera moves faster [m/s], beyond this [m]: odometry has begun anew."""
+_UNIT = np.eye(4)
 _BASE = 0.1  # seconds over which speed is measured, since samples jitter
 
 
@@ -135,8 +136,8 @@ def checked_pose(what: str, matrix: ArrayLike) -> Floats:
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise OptionError(f"{what}: shape {pose.shape}; a pose is 4x4 finite numbers.")
     turn = pose[:3, :3]
-    rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
-    if not rigid or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
+    off = max(np.abs(turn @ turn.T - _UNIT[:3, :3]).max(), np.abs(pose[3] - _UNIT[3]).max())
+    if off > 1e-3 or np.linalg.det(turn) <= 0:
         raise OptionError(f"{what}: not rigid; give a rotation and a translation, 0 0 0 1 below.")
     return pose
 
