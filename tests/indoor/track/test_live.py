@@ -274,6 +274,16 @@ def test_somebody_says_where_it_is(room, film, truth):
     assert now.status is Status.OK
 
 
+def test_somebody_who_points_at_a_plan_knows_no_height(live, film, truth):
+    told = truth(film)[0].copy()
+    told[:3, 3] += (0.2, 0.1, -1.5)
+    live.move(0.0, film[0].odometry)
+    live.place(told, np.diag([0.09, 0.09, 1.0, 0.01, 0.01, 0.04]))
+    after = live.step(film[0])
+    assert after.status is Status.OK
+    assert distance(after, truth(film)[0]) < 0.15
+
+
 def test_to_lose_a_pose(live, film):
     found(live, film)
     live.lose()

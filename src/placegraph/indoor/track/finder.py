@@ -17,7 +17,7 @@ from placegraph.indoor.pose.polish import polished
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.slide import freed, least_known
+from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.pose.polish import Fit
     from placegraph.indoor.scene_map import SceneMap
+
+HEIGHT = 0.15
+"""A told height with a larger standard deviation [m] is none: on a map of RViz there is no height."""
 
 
 def look_up(window: Window, rng: Generator) -> tuple[PoseEstimate, Fit]:
@@ -107,8 +110,9 @@ class Finder:
 
 
 def prior_of(map_from_camera: Floats, covariance: Floats) -> Prior:
-    """A pose (4, 4) with its covariance (6, 6) as a prior."""
+    """A pose (4, 4) with its covariance (6, 6) as a prior; who tells a height loosely knows none."""
     (x, y, z, yaw), _ = split_pose(map_from_camera)
-    spread, _ = least_known(covariance)
+    spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     turn = min(float(np.sqrt(covariance[5, 5])), np.pi)
-    return Prior(float(x), float(y), float(z), float(yaw), max(spread, 0.02), max(turn, 0.01))
+    height = float(z) if covariance[2, 2] < HEIGHT**2 else None
+    return Prior(float(x), float(y), height, float(yaw), max(spread, 0.02), max(turn, 0.01))
