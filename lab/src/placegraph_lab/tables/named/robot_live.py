@@ -114,7 +114,7 @@ def pacing(every: list[dict[str, Any]]) -> str:
     header = ["images", "looked at", "dropped", "odometry", "ms a call", "99 %", "most",
               "age of poses, ms", "95 %", "cores"]  # fmt: skip
     rows = [
-        [f"{p['rate']:g} Hz", number(p["looked_at"] / p["seconds"], 1, "Hz"),
+        [f"{p['rate']:g} Hz", number((p["images"] - p["dropped"]) / p["seconds"], 1, "Hz"),
          share(p["dropped"] / p["images"]), number(p["moves"] / p["seconds"], 0, "Hz"),
          number(p["move_ms"]["p50"], 2), number(p["move_ms"]["p99"], 1),
          number(p["move_ms"]["most"], 1), number(p["age_ms"].get("p50"), 0),
