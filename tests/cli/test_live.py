@@ -1,7 +1,9 @@
 """`placegraph bag localize` and `placegraph live`: files, what is said, exit codes."""
 
 import json
+import os
 import sys
+import termios
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,8 +11,12 @@ import pytest
 from tests.ros.world import FRAMES, START, made
 
 import placegraph as pg
+from placegraph.cli.keys import keys
 from placegraph.cli.live import live
+from placegraph.errors import InputError
 from placegraph.formats.ros.files.bag import open_bag
+from placegraph.ros.pace import Pace
+from placegraph.ros.sources import Patience
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 
@@ -95,6 +101,36 @@ def test_what_lacks_is_named_with_the_mend(layout, words, run, room, tmp_path):
     assert result.code == 3
     assert words in result.err
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_pipe_that_lacks_something_ends_with_what(room, tmp_path, monkeypatch):
+    """No bag of nothing is written."""
+    with BagWriter(tmp_path / "walk") as writer:
+        write_capture(writer, room.clip, Layout(infos=False))
+    with next((tmp_path / "walk").glob("*.mcap")).open("rb") as pipe:
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=pipe, isatty=lambda: False))
+        with pytest.raises(InputError, match="stdin holds no CameraInfo"):
+            live(room.map, Path("-"), out=tmp_path / "out.mcap", speed=float("inf"))
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_keys_of_a_terminal(monkeypatch):
+    """It is as it was afterwards."""
+    master, slave = os.openpty()
+    stdin = SimpleNamespace(isatty=lambda: True, fileno=lambda: slave)
+    monkeypatch.setattr(sys, "stdin", stdin)
+    pace, patience, before = Pace(), Patience(0.0), termios.tcgetattr(slave)
+    with keys(pace, patience):
+        for key, done in (
+            (b" ", lambda: pace.paused), (b"+", lambda: pace.speed == 2.0),
+            (b"q", lambda: pace.stopped),
+        ):  # fmt: skip
+            os.write(master, key)
+            with pace._changed:
+                assert pace._changed.wait_for(done, 20)
+    assert termios.tcgetattr(slave) == before
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.parametrize(

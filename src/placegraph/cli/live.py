@@ -14,6 +14,7 @@ from placegraph.cli.common import AsJson, Quiet
 from placegraph.cli.following import RerunFile, RoomsFile, carriers, show_summary
 from placegraph.cli.keys import keys
 from placegraph.cli.scene.query import Device, Seed
+from placegraph.errors import InputError
 
 if TYPE_CHECKING:
     from placegraph.indoor.track.live_pose import LivePose
@@ -87,7 +88,10 @@ def live(
         lines = _Lines(as_json=as_json, quiet=quiet)
         paced = pace.paced(from_where.happenings, time_of)
         with suppress(KeyboardInterrupt):  # the usual end of it
-            run(paced, localizer, sinks, lines)
+            summary = run(paced, localizer, sinks, lines)
+            if not summary.frames:
+                why = (*summary.lacks, *summary.left_out, f"{source} holds no frame.")
+                raise InputError(why[0])
         written = {name: str(file) for name, file in (("out", out), ("rerun", rerun)) if file}
     if as_json or not quiet:
         show_summary(localizer.summary, written, as_json=as_json)

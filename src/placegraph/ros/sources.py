@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from placegraph.formats.ros.plan import Plan
     from placegraph.formats.ros.wishes import Wishes
 
-    Happening = Packet | Fault | Frame
+    Happening = Packet | Fault | Frame | None
 
 STDIN = Path("stdin")
 """What standard input is called in messages; `stdin.json` says what it does not."""
@@ -37,7 +37,7 @@ _LOOK = 0.2  # seconds between two looks at what may have grown
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """What happens, in order."""
+    """What happens, in order; None: nothing has, for a while."""
 
     path: Path
     happenings: Iterator[Happening]
@@ -130,7 +130,7 @@ def time_of(event: Happening) -> float | None:
     return event.time if isinstance(event, Packet) else None
 
 
-def _filling(path: Path, patience: Patience) -> Iterator[Frame]:
+def _filling(path: Path, patience: Patience) -> Iterator[Frame | None]:
     """Frames of a folder, and those that come into it: it is opened again whenever it has changed.
 
     While it cannot be read it is waited for, as a row may come before its image.
@@ -150,6 +150,7 @@ def _filling(path: Path, patience: Patience) -> Iterator[Frame]:
                 yield frame
                 last, came = frame.stamp, True
         more = patience.more(came=came)
+        yield None
     if error is not None:
         raise error
 
