@@ -93,6 +93,7 @@ def test_a_pipe_that_is_cut_off_is_read_as_far_as_it_goes(packed, bag):
         assert isinstance(fault, Fault)
         assert "stdin was cut off" in fault.reason
         assert packets == whole[: len(packets)]
+        assert packets or packed or cut == 9, "of a chunk that is cut off what is there"
     with pytest.raises(InputError, match="stdin is no MCAP stream"):
         list(mcap_packets(io.BytesIO(b"{}").read, "stdin"))
 

@@ -48,13 +48,15 @@ def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | F
             yield Fault("", f"{name} is damaged: a record of {length:,} bytes; it ends here.")
             return
         data = read(length)
-        if len(data) < length:
-            break
+        whole = len(data) == length
         try:
-            yield from _told(known, op, data, name)
+            yield from _told(known, op, data, name) if whole or op == CHUNK else ()
         except (Cut, InputError, struct.error) as error:
-            said = str(error) or "it is cut off"
-            yield Fault("", f"{name}, a chunk: {said}; what follows is read.")
+            if whole:
+                said = str(error) or "it is cut off"
+                yield Fault("", f"{name}, a chunk: {said}; what follows is read.")
+        if not whole:
+            break
     yield Fault("", f"{name} was cut off, for it has no end; it is read as far as it goes.")
 
 
