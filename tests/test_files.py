@@ -1,12 +1,13 @@
 """Files written whole or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from placegraph import files, locks
-from placegraph.errors import MapError, MapLockedError
-from placegraph.files import write_file
+from placegraph.errors import InputError, MapError, MapLockedError
+from placegraph.files import regular, write_file
 
 
 def test_a_file_takes_the_place_of_the_old_one(tmp_path):
@@ -52,3 +53,24 @@ def test_what_cannot_be_written_is_said(tmp_path):
         write_file("a\0b", [b""])
     with locks.exclusive(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
         write_file(tmp_path / "a.bin", [b""])
+
+
+def test_a_link_where_the_temporary_file_stands_is_not_followed(tmp_path):
+    """Somebody who may write to the folder could have any file of ours overwritten."""
+    precious = tmp_path / "precious"
+    precious.write_bytes(b"old")
+    (tmp_path / ".a.bin.tmp").symlink_to(precious)
+    write_file(tmp_path / "a.bin", [b"new"])
+    assert precious.read_bytes() == b"old"
+    assert (tmp_path / "a.bin").read_bytes() == b"new"
+    assert not (tmp_path / "a.bin").is_symlink()
+
+
+def test_what_may_never_end_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    for name in ("pipe", "link"):
+        with pytest.raises(InputError, match=f"{name} is not a plain file"):
+            regular(tmp_path / name)
+    assert regular(tmp_path) == tmp_path
+    assert regular(tmp_path / "none") == tmp_path / "none"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph import locks
-from placegraph.errors import MapError
+from placegraph.errors import InputError, MapError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -43,7 +45,10 @@ def replace_file(target: Path, chunks: Chunks) -> None:
     """
     temporary = target.with_name(f".{target.name}.tmp")  # ours alone: the lock is held
     try:
-        with temporary.open("wb") as file:
+        with suppress(FileNotFoundError):  # left by a crash, or a link that somebody put there
+            temporary.unlink()
+        made = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        with os.fdopen(os.open(temporary, made, 0o666), "wb") as file:
             for chunk in chunks:
                 file.write(chunk)
             file.flush()
@@ -52,6 +57,14 @@ def replace_file(target: Path, chunks: Chunks) -> None:
         _sync_folder(target.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def regular(path: Path) -> Path:
+    """Path of a file to read; `InputError` where it is a pipe or a device, which may never end."""
+    with suppress(OSError, ValueError):  # for the reader to say
+        if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
+            raise InputError(f"{path} is not a plain file; copy what it holds into one.")
+    return path
 
 
 def real_path(path: str | os.PathLike[str]) -> Path:

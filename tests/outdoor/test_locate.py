@@ -497,3 +497,8 @@ def test_swapped_degrees_are_told(harbour, hafenstadt):
     with pytest.raises(OptionError, match="longitude comes first"):
         harbour.track(near=(latitude, longitude))
     assert "Swapped" not in harbour.locate(TEXT, near=(0.0, 0.0)).reason
+
+
+def test_no_answers_may_be_none(harbour):
+    text = "I am next to a bench."
+    assert harbour.locate(text, answers=None).to_dict() == harbour.locate(text).to_dict()

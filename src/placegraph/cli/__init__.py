@@ -16,6 +16,7 @@ from placegraph.cli.command import Group
 from placegraph.cli.compiling import Compiling
 from placegraph.cli.extensions import extensions
 from placegraph.cli.interrupts import INTERRUPTED, interruptible
+from placegraph.cli.terminal import bare, guarded, harmless
 from placegraph.errors import InputError, PlacegraphError
 from placegraph.kept import listening, use_folder
 
@@ -87,7 +88,7 @@ def main() -> NoReturn:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
     warnings.formatwarning = lambda message, *_: f"{NAME}: {message}\n"
     words = sys.argv[1:]
-    with interruptible(), listening(Compiling(words)):
+    with guarded(), interruptible(), listening(Compiling(words)):
         sys.exit(_run(words))
 
 
@@ -111,7 +112,8 @@ def _run(arguments: list[str]) -> int:
         click.echo("Aborted.", err=True)
         return 1
     except PlacegraphError as error:
-        click.secho(f"{NAME}: {error}", err=True, fg="red")
+        said = harmless(f"{NAME}: {error}")
+        click.secho(said, file=bare(sys.stderr), fg="red")
         return error.exit_code
     except OSError as error:
         return _failed(error)

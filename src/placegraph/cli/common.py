@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from placegraph.cli.command import Option
+from placegraph.cli.terminal import bare, harmless
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
+    from rich.text import Text
 
 AsJson = Annotated[bool, Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
@@ -55,7 +57,7 @@ def progress_of(*, hidden: bool) -> Iterator[Callable[..., None]]:
         stack.callback(bar.remove_task, task)
 
         def tell(step: str, done: int = 0, total: int | None = None) -> None:
-            bar.update(task, description=step, completed=done, total=total)
+            bar.update(task, description=harmless(step), completed=done, total=total)
 
         yield tell
 
@@ -71,7 +73,8 @@ def _bar() -> Iterator[Progress]:
         progress.BarColumn(bar_width=28),
         progress.TimeElapsedColumn(),
     )
-    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    shown = Console(file=bare(sys.stderr))
+    with progress.Progress(*columns, console=shown, transient=True) as bar:
         _SHOWN.append(bar)
         try:
             yield bar
@@ -84,10 +87,16 @@ _SHOWN: list[Progress] = []
 
 
 def console() -> Console:
-    """Where answers are printed, as they are."""
+    """Where answers are printed, as they are but for what would steer the terminal."""
     from rich.console import Console
 
-    return Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+    class Harmless(Console):
+        def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401  # rich's
+            return super().render_str(harmless(text), **options)
+
+    return Harmless(
+        file=bare(sys.stdout), soft_wrap=True, highlight=False, markup=False, emoji=False
+    )
 
 
 def table(*headings: str, show_header: bool = True) -> Table:

@@ -34,7 +34,7 @@ class Hints:
     radius: float = 1000.0
     heading: float | None = None
     listener: Sequence[float] | None = None
-    answers: Sequence[Answer] = ()
+    answers: Sequence[Answer] | None = ()
     language: str | None = None
 
 
@@ -63,11 +63,11 @@ def understand(
     """What was said, answers to questions included, and what it asks of the city."""
     known = Whereabouts.around(city, hints.near, hints.radius)
     if hints.heading is not None and not np.isfinite(number(hints.heading)):
-        raise OptionError(f"heading is {hints.heading!r}; give an angle in radians.")
+        raise OptionError(f"heading is {hints.heading!r}; give a finite angle.")
     heading = None if hints.heading is None else number(hints.heading)
     listener = None if hints.listener is None else position(city, hints.listener, "listener")
     description = read(city, text, heading=heading, language=hints.language)
-    for answer in hints.answers:
+    for answer in hints.answers or ():
         if not hasattr(answer, "added_to"):
             raise OptionError(
                 f"answers holds {answer!r}; answer questions by `question.answer(option)`."

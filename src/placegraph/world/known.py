@@ -48,7 +48,7 @@ class Known:
             if not is_count(getattr(self, name)):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it is a number from 1 on.")
         if self.heading is not None and not abs(number(self.heading)) < 1e6:
-            raise OptionError(f"heading is {self.heading!r}; give an angle in radians.")
+            raise OptionError(f"heading is {self.heading!r}; give a finite angle.")
         if not 1.0 <= number(self.radius) <= 1e7:
             raise OptionError(f"radius is {self.radius!r} m; choose between 1 and 10,000,000 m.")
         if self.near is not None:

@@ -60,3 +60,10 @@ def test_spoilt_archives(data, tmp_path):
             assert archive.read(name) == FILES[name]
     except InputError:
         return
+
+
+def test_a_file_without_a_name_is_refused(tmp_path):
+    path = zipped(tmp_path / "a.zip")
+    path.write_bytes(path.read_bytes().replace(b"empty", b"\0mpty"))
+    with pytest.raises(InputError, match="readable ZIP"):
+        Archive(path)

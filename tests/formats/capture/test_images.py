@@ -1,11 +1,18 @@
 """Images as they are stored, or as a telephone shows them."""
 
+import os
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from placegraph.errors import InputError
-from placegraph.formats.capture.images import read_rgb
+from placegraph.formats.capture import images
+from placegraph.formats.capture.camera import read_json
+from placegraph.formats.capture.images import read_rgb, read_whole
+from placegraph.formats.capture.tum import read_tum
+from placegraph.formats.mesh.glb import read_glb
+from placegraph.formats.mesh.ply import read_ply
 
 
 @pytest.fixture
@@ -31,3 +38,24 @@ def test_without_a_word_of_it_it_is_not_turned(tmp_path):
     Image.new("RGB", (6, 4)).save(tmp_path / "b.png")
     with pytest.raises(InputError, match="6 x 4 pixels, but its camera says 4 x 6"):
         read_rgb(tmp_path / "b.png", (4, 6))
+
+
+def test_more_pixels_than_a_frame_has_are_refused_before_they_are_read(tmp_path, monkeypatch):
+    """13,000 x 13,000 black ones are a file of half a megabyte."""
+    monkeypatch.setattr(images, "MOST_PIXELS", 40 * 30 - 1)
+    Image.new("L", (40, 30)).save(tmp_path / "a.png")
+    monkeypatch.setattr(Image.Image, "load", None)
+    for read in (read_rgb, lambda *given: read_whole(*given, ("L",))):
+        with pytest.raises(InputError, match=r"a\.png has 40 x 30 pixels; frames of at most"):
+            read(tmp_path / "a.png", (40, 30))
+
+
+@pytest.mark.parametrize("name", ["odometry.tum", "camera.json", "rgb/0.png", "mesh.ply", "a.glb"])
+def test_a_pipe_is_refused_wherever_a_file_belongs(tmp_path, name):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    os.mkfifo(path)
+    readers = {".tum": read_tum, ".json": read_json, ".ply": read_ply, ".glb": read_glb}
+    read = readers.get(path.suffix, lambda at: read_rgb(at, (4, 3)))
+    with pytest.raises(InputError, match="is not a plain file"):
+        read(path)

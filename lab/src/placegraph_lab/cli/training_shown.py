@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from placegraph.cli.command import Option
+from placegraph.cli.terminal import bare
 from placegraph_lab.train.training import rows_of
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def training(work: Path, *, hidden: bool) -> Iterator[Progress]:
 
 def progress_bars(*, hidden: bool) -> Progress:
     """Bars on stderr; never there for a file or a pipe."""
-    console = Console(stderr=True)
+    console = Console(file=bare(sys.stderr))
     return Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[losses]}"),

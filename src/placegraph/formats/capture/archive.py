@@ -10,6 +10,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,9 +28,9 @@ class Archive:
         """Read the directory; `flat`: names are without folders."""
         self.path = path
         try:
-            with zipfile.ZipFile(path) as archive:
+            with zipfile.ZipFile(regular(path)) as archive:
                 held = [entry for entry in archive.infolist() if not entry.is_dir()]
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        except (zipfile.BadZipFile, OSError, ValueError, LookupError, RuntimeError) as error:
             raise InputError(f"{path} is no readable ZIP ({error}); copy it again.") from error
         self._entries = {PurePosixPath(e.filename).name if flat else e.filename: e for e in held}
         self.names = frozenset(self._entries)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import regular
 from placegraph.geometry import Camera
 from placegraph.lens import MODELS
 
@@ -87,7 +88,7 @@ def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
 def read_json(path: Path) -> Any:  # noqa: ANN401  # whatever the file holds
     """Content of a JSON file; `InputError` where it is missing or not JSON."""
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(regular(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (ValueError, RecursionError) as error:

@@ -6,21 +6,25 @@ import re
 import struct
 import zlib
 from contextlib import contextmanager
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
     from PIL.Image import Image
 
 ENDINGS = (".png", ".jpg", ".jpeg")
 """Endings of image files, in lower case."""
+
+MOST_PIXELS = 1 << 26
+"""Of a frame; four times those of a good telephone's."""
 
 WHOLE_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
@@ -38,7 +42,7 @@ def opened(source: Path | IO[bytes], name: object) -> Iterator[Image]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(source) as image:
+        with Image.open(regular(source) if isinstance(source, Path) else source) as image:
             yield image
     except InputError:
         raise
@@ -119,6 +123,11 @@ def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDA
 
 
 def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
+    if image.width * image.height > MOST_PIXELS:  # before any is read: black ones take no bytes
+        raise InputError(
+            f"{path} has {image.width} x {image.height} pixels; frames of at most "
+            f"{MOST_PIXELS >> 20} million are read: make the images smaller, and their intrinsics."
+        )
     if image.size != size:
         raise InputError(
             f"{path} has {image.width} x {image.height} pixels, but its camera says "

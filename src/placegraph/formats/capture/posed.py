@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import regular
 from placegraph.formats.capture.frame_files import posed_frame, upright_turns
 from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera, rotation_from_quaternion
@@ -207,7 +208,7 @@ def smaller_view(camera: Camera, size: tuple[int, int], name: object) -> Camera:
 def read_text(path: Path) -> str:
     """Text of a file; `InputError` where it is missing, unreadable or not text."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.geometry import quaternion_from_rotation, rotation_from_quaternion
 
@@ -188,7 +189,7 @@ def _check(table: Table, columns: tuple[str, ...], unknown: tuple[str, ...]) -> 
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except UnicodeDecodeError as error:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.capture.posed import camera_of, pose_of, read_text
 
 if TYPE_CHECKING:
@@ -277,7 +278,7 @@ def _floats(where: str, words: list[str]) -> NDArray[np.float64]:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return regular(path).read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except OSError as error:

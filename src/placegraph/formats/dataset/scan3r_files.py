@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.labels import Entry, label_table
 
@@ -149,7 +150,7 @@ def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
 def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
     """Entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
     try:
-        text = path.read_bytes()
+        text = regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     found, at = [], -1

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.capture.archive import Archive
 from placegraph.formats.capture.frame_files import (
     DepthUnit,
@@ -287,6 +288,6 @@ class _Folder:
 
     def read(self, name: str) -> bytes:
         try:
-            return (self.folder / name).read_bytes()
+            return regular(self.folder / name).read_bytes()
         except OSError as error:
             raise InputError(f"{self.where(name)} cannot be read: {error.strerror}.") from error

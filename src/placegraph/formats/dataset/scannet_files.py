@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.geometry import Camera
 
@@ -236,7 +237,7 @@ def _group(path: Path, row: int, entry: object) -> Group:
 def read_text(path: Path) -> str:
     """Text of a file in any encoding; `InputError` where it cannot be read."""
     try:
-        return path.read_bytes().decode("utf-8-sig", errors="replace")
+        return regular(path).read_bytes().decode("utf-8-sig", errors="replace")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.capture.images import opened
 
 if TYPE_CHECKING:
@@ -241,7 +242,7 @@ def _exactly(file: BinaryIO, path: Path, length: int, what: str) -> bytes:
 
 def _file(path: Path) -> BinaryIO:
     try:
-        return path.open("rb")
+        return regular(path).open("rb")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

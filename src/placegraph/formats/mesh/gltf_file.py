@@ -7,6 +7,7 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +60,7 @@ def json_of(path: Path, data: bytes) -> Json:
 def content_of(path: Path) -> bytes:
     """Bytes of a file; `InputError` where it cannot be read."""
     try:
-        return path.read_bytes()
+        return regular(path).read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

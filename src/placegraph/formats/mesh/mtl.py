@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.mesh.model import Picture
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def read_materials(
 
 def _read(path: Path, left_out: Counter[str]) -> dict[str, _Material]:
     try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        lines = regular(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     materials: dict[str, _Material] = {}
@@ -127,7 +128,7 @@ def _picture(material: _Material, left_out: Counter[str]) -> Picture:
     data = None
     if material.picture is not None:
         try:
-            data = material.picture.read_bytes()
+            data = regular(material.picture).read_bytes()
         except (OSError, ValueError):
             left_out["textures that are missing"] += 1
     if data is None:

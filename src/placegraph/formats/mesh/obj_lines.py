@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,7 +47,7 @@ class Lines(NamedTuple):
 def blocks(path: Path) -> Iterator[bytes]:
     """Whole lines, some megabytes at a time; a line that ends with a backslash goes on."""
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             rest = file.read(3).removeprefix(b"\xef\xbb\xbf")
             while block := file.read(BLOCK):
                 rest += block

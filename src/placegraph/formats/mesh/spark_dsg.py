@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.mesh.spark_dsg_mesh import (
@@ -58,7 +59,7 @@ def is_spark_dsg(path: str | PathLike[str]) -> bool:
     try:
         if file_of.suffix.lower() != ".json" or not file_of.is_file():
             return False
-        with file_of.open("rb") as file:
+        with regular(file_of).open("rb") as file:
             head = file.read(1 << 16)
     except (OSError, ValueError):
         return False

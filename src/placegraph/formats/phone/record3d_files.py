@@ -9,6 +9,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, MissingExtraError
+from placegraph.files import regular
 from placegraph.formats.capture.archive import Archive
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import check_shape
@@ -35,7 +36,7 @@ class Folder:
     def open(self, name: str) -> IO[bytes]:
         """File for reading."""
         try:
-            return (self.path / name).open("rb")
+            return regular(self.path / name).open("rb")
         except OSError as error:
             raise InputError(f"{self.path / name} cannot be read: {error.strerror}.") from error
 

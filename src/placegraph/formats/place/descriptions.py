@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -48,7 +49,7 @@ def read_descriptions(path: str | PathLike[str]) -> tuple[Told, ...]:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = regular(path).read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw
@@ -31,11 +32,8 @@ class Sheet:
 
     def save(self, path: str | Path) -> Path:
         """Write the sheet as a PNG."""
-        path = Path(path)
-        self.image.reduce(SUPERSAMPLE).save(
-            path, "PNG", compress_level=6
-        )  # the best level takes ten times as long
-        return path
+        # the best level takes ten times as long
+        return write_image(self.image.reduce(SUPERSAMPLE), path, "PNG", compress_level=6)
 
     def paste(self, picture: Image.Image, corner: tuple[int, int]) -> None:
         """Lay a picture that is `SUPERSAMPLE` times as large on the sheet."""
@@ -193,6 +191,18 @@ class Sheet:
     def _color(self, name: str) -> tuple[int, int, int]:
         red, green, blue = ImageColor.getrgb(PALETTE[name][self.dark])[:3]
         return red, green, blue
+
+
+def write_image(image: Image.Image, path: str | Path, form: str, **options: Any) -> Path:  # noqa: ANN401  # Pillow's
+    """Write a picture; the `OSError` of a full disk names the file too."""
+    path, written = Path(path), BytesIO()
+    image.save(written, form, **options)
+    try:
+        path.write_bytes(written.getbuffer())
+    except OSError as error:
+        error.filename = error.filename or str(path)
+        raise
+    return path
 
 
 def _up(at: XY) -> XY:

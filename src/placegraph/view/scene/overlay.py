@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from colorsys import hsv_to_rgb
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,9 +10,11 @@ from PIL import Image, ImageDraw
 
 from placegraph.errors import OptionError
 from placegraph.view.draw.fonts import face_for
+from placegraph.view.draw.sheet import write_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -101,8 +102,7 @@ def write_overlay(
         rendering = renderer.render(pose, frame.camera, samples=samples)
         drawn.append((rendering, rendering.normals(scene.mesh, pose)))
     sheet = overlay(frame.rgb(), *drawn[0], before=drawn[1] if coarse else None)
-    sheet.save(path, "PNG")
-    return Path(path)
+    return write_image(sheet, path, "PNG")
 
 
 def overlay(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ from placegraph.errors import OptionError
 from placegraph.view.draw.canvas import Frame, Item
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import likely, paint_picture
-from placegraph.view.draw.sheet import Sheet
+from placegraph.view.draw.sheet import Sheet, write_image
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.plan_drawing import Drawing, measures, names
 from placegraph.view.scene.plan_layout import FOOT, HEAD, Layout, evenly
@@ -24,6 +23,8 @@ from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import RoomPlan
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from placegraph.estimate import PoseEstimate
@@ -127,10 +128,9 @@ def write_plan_animation(
         swatch.paste(picture, (0, k * height))
     palette = swatch.quantize(COLOURS)
     flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    path = Path(path)
     times = [PAUSE] * (len(flat) - 1) + [REST]
-    flat[0].save(path, "GIF", save_all=True, append_images=flat[1:], duration=times, loop=0)
-    return path
+    moving = {"save_all": True, "append_images": flat[1:], "duration": times, "loop": 0}
+    return write_image(flat[0], path, "GIF", **moving)
 
 
 def draw_scene(

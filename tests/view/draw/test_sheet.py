@@ -1,0 +1,13 @@
+"""Sheets as files."""
+
+from pathlib import Path
+
+import pytest
+
+from placegraph.view.draw.sheet import Sheet
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full: a disk without room")
+def test_a_full_disk_is_told_with_the_name_of_the_file():
+    with pytest.raises(OSError, match="/dev/full"):
+        Sheet(40, 30).save("/dev/full")
