@@ -27,6 +27,8 @@ class Publisher:
     def publish(self, msg):
         if not isinstance(msg, bytes):
             raise TypeError(msg)
+        if not self.node.world.running:
+            raise RuntimeError("Failed to publish: publisher's context is invalid")
         message = typestore("cdr").deserialize_cdr(msg, self.msg_type.__msgtype__)
         self.node.told.setdefault(self.topic_name, []).append(message)
 
@@ -166,6 +168,9 @@ class World:
     def init(self, *, args=None, context=None):
         self.running = True
 
+    def ok(self, *, context=None):
+        return self.running
+
     def try_shutdown(self, *, context=None):
         self.running = False
 
@@ -209,7 +214,8 @@ class World:
         logging = module("rclpy.logging", get_logger=lambda name: self.logger)
         module(
             "rclpy", qos=qos, executors=executors, callback_groups=groups, logging=logging,
-            create_node=self.create_node, init=self.init, try_shutdown=self.try_shutdown,
+            create_node=self.create_node, init=self.init, ok=self.ok,
+            try_shutdown=self.try_shutdown,
         )  # fmt: skip
         module("rosidl_runtime_py")
         module("rosidl_runtime_py.utilities", get_message=self.message, get_service=self.service)

@@ -15,6 +15,7 @@ from placegraph.formats.ros.packets import Packet, packets_of
 from placegraph.formats.ros.types import typestore
 from placegraph.ros import node as ros_node
 from placegraph.ros.inbox import NEWEST, Inbox
+from placegraph.ros.localizer import Localizer
 from placegraph.ros.node import LocalizerNode, Ros, main
 from placegraph.ros.node_options import PARAMETERS
 from placegraph.ros.sources import bag_source
@@ -39,6 +40,7 @@ def robot(room, recorded, monkeypatch):
     def started(lacks=(), **parameters):
         world = World({"map": str(room.map), "seed": 1} | parameters, recorded[1], lacks)
         world.install(monkeypatch)
+        world.init()
         shell = LocalizerNode(Ros.imported())
         nodes.append(shell)
         return world, shell
@@ -231,13 +233,25 @@ def test_main(room, recorded, monkeypatch, capsys):
 
 def test_a_worker_that_dies_ends_the_node(robot):
     world, shell = robot()
-    world.running = True
     shell.inbox.ask(lambda _: 1 / 0)
     shell._worker.join(60)
     assert not world.running
     with pytest.raises(ZeroDivisionError):
         shell.close()
     shell._error = None
+
+
+def test_ctrl_c_in_the_middle(robot, recorded):
+    """ROS is shut down before the node hears of it: what it says then has nowhere to go."""
+    world, shell = robot()
+    sent(world, shell, recorded[0][: len(recorded[0]) // 2])
+    told = len(world.node.told["/localization/status"])
+    world.try_shutdown()
+    shell.inbox.ask(Localizer.relocalize)
+    shell.inbox.ask(lambda _: shell.inbox.close() or [])
+    shell._worker.join(60)
+    shell.close()
+    assert len(world.node.told["/localization/status"]) == told
 
 
 def test_the_package():
@@ -249,7 +263,8 @@ def test_the_package():
     assert f"localizer = {ros_node.__name__}:main" in setup
     assert (PACKAGE / "resource" / "placegraph_ros").is_file()
     written = YAML(typ="safe").load((PACKAGE / "config" / "localizer.yaml").read_text("utf-8"))
-    assert written[ros_node.NAME]["ros__parameters"] == PARAMETERS
+    # whatever namespace and name the node is given
+    assert written["/**"]["ros__parameters"] == PARAMETERS
 
 
 def test_the_launch_file(monkeypatch):

@@ -175,7 +175,12 @@ class LocalizerNode:
                 self._profile(message),
             )  # fmt: skip
         if (publisher := self._publishers[message.topic]) is not None:
-            publisher.publish(cdr(message))
+            data = cdr(message)
+            try:
+                publisher.publish(data)
+            except Exception:  # what is said after a Ctrl-C has nowhere to go
+                if self.ros.rclpy.ok():
+                    raise
 
     def _profile(self, message: Message) -> Any:  # noqa: ANN401  # rclpy's
         q = self.ros.qos
