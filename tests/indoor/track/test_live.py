@@ -2,6 +2,8 @@
 
 from concurrent.futures import Executor, Future
 from dataclasses import replace
+from threading import Thread
+from time import sleep
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from placegraph.estimate import Status
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.track.odometry import AHEAD, KEPT, Odometry
+from placegraph.indoor.track.finder import Finder
+from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, Odometry
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -331,6 +334,72 @@ def test_threads(room, film, truth):
         assert pose.status is Status.OK
         assert distance(pose, truth(film)[5]) < 0.2
         assert live.dropped == 0
+
+
+def test_who_waits_is_told_that_it_was_closed(room, film):
+    """By an executor that never comes to it."""
+    live, told = room.live(film.camera, background=Held()), []
+    live.see(film[0])
+
+    def waits():
+        with pytest.raises(OptionError, match="closed"):
+            live.wait()
+        told.append(True)
+
+    waiting = Thread(target=waits, daemon=True)
+    waiting.start()
+    while not live._changed._waiters:  # until it waits
+        sleep(0.001)
+    live.close()
+    waiting.join(10)
+    assert told
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_odometry_that_falls_silent(told, live, film):
+    """Images come without it, or nothing does: where the camera went nobody knows."""
+    for frame in film[:6]:
+        live.move(frame.stamp, frame.odometry)
+        live.see(frame)
+    assert live.pose(frame.stamp + JUMP).status is Status.OK
+    later = frame.stamp + 3.0
+    if told:
+        live.see(replace(film[6], stamp=later))
+    pose = live.pose(later)
+    assert pose.status is Status.AMBIGUOUS
+    assert "silent for 3 s" in pose.reason
+    assert live.move(later, frame.odometry).status is Status.OK
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_of_several_places_none_is_the_pose(count, live, film, monkeypatch):
+    whole = Finder.anywhere
+
+    def doubted(finder, frames, rng):
+        name, told = whole(finder, frames, rng)
+        return name, replace(told, status=Status.AMBIGUOUS, modes=told.modes[:1] * count)
+
+    monkeypatch.setattr(Finder, "anywhere", doubted)
+    pose = live.step(film[0])
+    assert pose.status is Status.AMBIGUOUS
+    assert (pose.map_from_camera is None) == (count > 1)
+    assert len(pose.estimate.modes) == count
+
+
+def test_depth_in_another_unit_is_named(live, film):
+    class Thousandth:
+        def __init__(self, frame):
+            self.labels, self.rgb, self.depth = (
+                frame.labels,
+                frame.rgb,
+                lambda: frame.depth() / 1000,
+            )
+
+    frame = film[0]
+    known = (getattr(frame, n) for n in Frame.__slots__[:-1])
+    pose = live.step(Frame(*known, images=Thousandth(frame)))
+    assert pose.status is Status.LOST
+    assert "metres" in pose.reason
 
 
 def test_slow_frames_are_looked_up_with_those_before(room, film):

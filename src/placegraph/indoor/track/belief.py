@@ -9,7 +9,7 @@ import numpy as np
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.indoor.track.follower import Placed
 from placegraph.indoor.track.live_pose import Anchor, LivePose, predicted
-from placegraph.indoor.track.odometry import AHEAD, KEPT, TWITCH, Odometry
+from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, TWITCH, Odometry
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
@@ -128,11 +128,16 @@ class Belief:
 
     def pose(self, stamp: float | None) -> LivePose:
         """The pose at a time, or at that of the newest odometry."""
-        now = self.odometry.newest if stamp is None else self.odometry.at(stamp)
-        if self.anchor is not None and now is not None:
-            return predicted(self.anchor, now, self.noise, self._last)
-        when = now.stamp if now is not None else np.nan if stamp is None else stamp
+        newest = self.odometry.newest
+        now = newest if stamp is None else self.odometry.at(stamp)
         status, reason, estimate = self._last
+        silent = 0.0 if stamp is None or newest is None else stamp - newest.stamp
+        if silent > JUMP and status is Status.OK:
+            status = Status.AMBIGUOUS
+            reason = f"Odometry has been silent for {silent:.0f} s: nobody knows how far the camera went."
+        if self.anchor is not None and now is not None:
+            return predicted(self.anchor, now, self.noise, (status, reason, estimate))
+        when = now.stamp if now is not None else np.nan if stamp is None else stamp
         if self.anchor is not None:
             reason = f"Odometry is remembered for {KEPT:g} s, and tells nothing of {stamp}."
         status = Status.LOST if status is Status.OK else status

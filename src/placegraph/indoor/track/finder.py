@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.geometry import split_pose
+from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.scene import Scene
@@ -85,7 +86,7 @@ class Finder:
         OptionError
             Nothing that the frames show can be compared.
         InputError, MapError
-            An image is broken; a map of the library is gone.
+            An image is broken, or depth is not in metres; a map of the library is gone.
 
         """
         if isinstance(self.maps, Scene):
@@ -104,6 +105,7 @@ class Finder:
         if not shows_something(seen[-1]):
             raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
         shown = [s for s in seen if shows_something(s)]
+        check_unit(float(np.linalg.norm(np.ptp(query.scene.bounds, axis=0))), shown)
         window = Window(query, Scorer(query.scene, query.options.likelihood, query.device), shown)
         estimate, _ = look_up(window, rng)
         return name, placed(query.scene, estimate)

@@ -171,7 +171,7 @@ class Follower:
             if self._denied < PATIENCE:
                 return Said(last, found.reason, found.scene, found.estimate)
             self._placed, self._fresh = None, True
-        told = not lost and found.estimate.best is not None
+        told = not lost and len(found.estimate.modes) == 1  # of several places none is the pose
         return Said(last, found.reason, found.scene, found.estimate, told=told, over=True)
 
     def _clear(self) -> None:

@@ -161,7 +161,8 @@ class LiveTracker:
     def pose(self, stamp: float | None = None) -> LivePose:
         """The pose at a time [s]; that of the newest odometry if not given.
 
-        Beyond the newest odometry it goes on for a quarter of a second as it did, and stands then.
+        Beyond the newest odometry it goes on for a quarter of a second as it did, and stands then;
+        after a second it is not `OK` any more.
         """
         with self._changed:
             self._worker.check()

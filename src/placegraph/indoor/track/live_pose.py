@@ -30,7 +30,7 @@ class LivePose:
     reason: str
     """One sentence: why."""
     map_from_camera: Floats | None
-    """(4, 4) [m]; None where nobody knows."""
+    """(4, 4) [m]; None where nobody knows, or several places fit: `estimate.modes`."""
     map_from_odom: Floats | None
     """(4, 4) where odometry's frame stands in the map: what an image corrects."""
     covariance: Floats | None

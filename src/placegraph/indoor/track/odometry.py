@@ -22,7 +22,9 @@ MOST = 8192
 AHEAD = 0.25
 """A pose is foretold for so many seconds beyond the newest sample."""
 JUMP = 1.0
-"""Stamps that go back by less [s] are late; by more, the clock was set back."""
+"""Stamps that go back by less [s] are late; by more, the clock was set back.
+
+So long may odometry be silent, too."""
 FASTEST, TWITCH = 10.0, 0.5
 """No camera moves faster [m/s], beyond this [m]: odometry has begun anew."""
 _UNIT = np.eye(4)

@@ -90,6 +90,7 @@ class Worker:
         with self._changed:
             self._inbox = None
             self._failed = self._failed or OptionError("The tracker is closed; make another.")
+            self._changed.notify_all()
         if self._own:
             self._executor.shutdown(wait=True, cancel_futures=True)
 
