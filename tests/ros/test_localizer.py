@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from struct import pack, unpack_from
 
 import numpy as np
 import pytest
@@ -253,6 +254,35 @@ def test_a_stream_without_intrinsics_says_so_and_goes_on_when_they_come(room):
     }  # fmt: skip
     assert not localizer.summary.lacks
     localizer.close()
+
+
+def test_odometry_that_falls_silent_is_the_status(room):
+    """Images alone do not tell a robot with odometry where it is; nor do those of another clock."""
+    source = bag_source(room.bag)
+    packets = list(source.happenings)
+    localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
+    last = START + room.clip.stamps[4] + 0.01
+    said = statuses(taken(localizer, [p for p in packets if p.topic != "/odom" or p.time <= last]))
+    assert any(s.startswith("OK") for s in said)
+    assert said[-1].startswith("AMBIGUOUS: Odometry has been silent")
+    localizer.close()
+    localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
+    far = [p if p.topic != "/odom" else p._replace(data=shifted(p.data)) for p in packets]
+    said = statuses(taken(localizer, far))
+    assert said[-1].startswith("LOST: No image could be used yet: no transform from camera_optical")
+    localizer.close()
+
+
+def shifted(data):
+    """Bytes of a message whose stamp is an hour earlier."""
+    (seconds,) = unpack_from("<i", data, 4)
+    return data[:4] + pack("<i", seconds - 3600) + data[8:]
+
+
+def test_a_folder_lacks_nothing(room):
+    summary, _ = followed(open_source(room.walk, Patience(0.0)), room)
+    assert summary.frames == FRAMES
+    assert not summary.lacks
 
 
 def test_images_that_come_too_fast_are_dropped(room):

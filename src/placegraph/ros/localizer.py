@@ -21,9 +21,9 @@ from placegraph.formats.ros.packets import Fault, Packet
 from placegraph.formats.ros.wishes import Wishes
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.ros.image import image_messages
-from placegraph.ros.message import FrameIds, Message, nanoseconds
+from placegraph.ros.message import Message, nanoseconds
 from placegraph.ros.options import LiveOptions, Summary
-from placegraph.ros.telling import Telling
+from placegraph.ros.telling import Telling, frame_ids
 
 if TYPE_CHECKING:
     from placegraph.formats.ros.plan import Plan
@@ -77,6 +77,7 @@ class Localizer:
         self._assembly: Assembly | None = None
         self._left_out: Counter[str] = Counter()
         self._stamps: dict[int, float] = {}
+        self._reason = ""
         self._told: Counter[str] = Counter()
         self.frames = self._dropped = 0
         self._placed: tuple[Floats, Floats] | None = None
@@ -89,7 +90,7 @@ class Localizer:
         self.tracker = LiveTracker(
             maps, seed=options.seed, background=options.background, **self._known
         )
-        self._telling = Telling(maps, self._frame_ids(), options.tolerance, whole=options.whole)
+        self._telling = Telling(maps, frame_ids(self.options, self._assembly), options.tolerance, whole=options.whole)
         self._seen: object = None
         self._live: LivePose | None = None  # as it is after the last move
         self._wanted = True  # whether images are to be looked at
@@ -117,7 +118,11 @@ class Localizer:
     def finish(self) -> list[Message]:
         """What is known when the stream has ended."""
         messages: list[Message] = []
-        if self._assembly is None and (plan := self._discovery.found()) is not None:
+        if (
+            self._assembly is None
+            and not self.frames
+            and (plan := self._discovery.found()) is not None
+        ):
             messages += self._found(plan)
         if self._assembly is not None:
             for part in self._assembly.rest():
@@ -146,17 +151,8 @@ class Localizer:
 
     def _choose(self, plan: Plan) -> Assembly:
         self._assembly = Assembly(plan)
-        self._telling.begin(self._frame_ids())
+        self._telling.begin(frame_ids(self.options, self._assembly))
         return self._assembly
-
-    def _frame_ids(self) -> FrameIds:
-        options, parts = self.options, self._assembly
-        if parts is None:
-            return FrameIds(map=options.map_frame, base=options.base_frame or "base_link")
-        name = options.map_frame
-        if name == parts.odometry:  # poses of somebody else's map stand for odometry
-            name = f"placegraph_{name}"
-        return FrameIds(name, parts.odometry, options.base_frame or parts.base, parts.camera)
 
     def _assembled(self, assembly: Assembly, packet: Packet) -> list[Message]:
         messages: list[Message] = []
@@ -217,12 +213,17 @@ class Localizer:
     def _news(self) -> list[Message]:
         """What images have changed since it was told."""
         live, self._live = self._live or self.tracker.pose(), None
+        newest = -np.inf if self._assembly is None else self._assembly.newest
+        if newest > live.stamp:  # odometry may have fallen silent
+            live = self.tracker.pose(newest)
         if self.options.background and live.estimate is not self._seen:
             self._told[live.status.name] += 1
-        self._seen = live.estimate
+        self._seen, self._reason = live.estimate, live.reason
         if self.options.mode == "once" and live.status is Status.OK:
             self._wanted = False
-        return self._telling.news(live, self._stamp_of(live)) if self.frames else []
+        if self.frames:
+            return self._telling.news(live, self._stamp_of(live))
+        return self._telling.unusable(self.summary.left_out, newest)
 
     def _stamp_of(self, live: LivePose) -> float:
         """When the last image that told something was taken [s]."""
@@ -291,6 +292,8 @@ class Localizer:
                     f"The clock was set back {parts.jumps} times; the stream goes on from there."
                 )
         lacks = self._discovery.lacks if parts is None else ()
+        if self.frames and not self._told[Status.OK.name]:
+            notes.append(f"No pose was sure: {self._reason}")
         dropped = self._dropped + self.tracker.dropped
         return Summary(self.frames, self._told, dropped, left_out, lacks, tuple(notes))
 

@@ -15,13 +15,27 @@ from placegraph.ros.message import FrameIds, Message, transform
 from placegraph.ros.pose import UPRIGHT_BASE, pose_messages, rig_message, transforms_message
 
 if TYPE_CHECKING:
+    from collections import Counter
+
     from placegraph.estimate import PoseEstimate
+    from placegraph.formats.ros.assembly import Assembly
     from placegraph.geometry import Floats
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
+    from placegraph.ros.options import LiveOptions
 
 STATUS = "localization/status"
+
+
+def frame_ids(options: LiveOptions, parts: Assembly | None) -> FrameIds:
+    """Names of the frames by what the user says, and by what frames are made of."""
+    if parts is None:
+        return FrameIds(map=options.map_frame, base=options.base_frame or "base_link")
+    name = options.map_frame
+    if name == parts.odometry:  # poses of somebody else's map stand for odometry
+        name = f"placegraph_{name}"
+    return FrameIds(name, parts.odometry, options.base_frame or parts.base, parts.camera)
 
 
 class Telling:
@@ -76,7 +90,7 @@ class Telling:
     def news(self, live: LivePose, stamp: float) -> list[Message]:
         """What an image, taken at `stamp` [s], has changed; nothing where nothing is new."""
         if live.estimate is None or live.estimate is self._estimate:
-            changed = self._status is None or self._status[0] is not live.status
+            changed = self._status != (live.status, live.reason)
             return self.status(live.status, live.reason, live.stamp, live=live) if changed else []
         self._estimate = live.estimate
         told = estimate_messages(
@@ -107,6 +121,13 @@ class Telling:
         """That nothing is known, and why, if that was not said before."""
         said = Status.LOST, reason
         return [] if self._status == said else self.status(*said, stamp)
+
+    def unusable(self, left_out: Counter[str], stamp: float) -> list[Message]:
+        """That no image could be used yet, and why most could not."""
+        if not left_out or not np.isfinite(stamp):
+            return []
+        reason = left_out.most_common(1)[0][0].rstrip(".")
+        return self.lacking(f"No image could be used yet: {reason}.", stamp)
 
     def _scenery(self, stamp: float, scene: str) -> list[Message]:
         """The map that the camera is in, and where the camera sits, once."""

@@ -83,6 +83,11 @@ class Assembly:
         self._last, self._moved, self._count = -np.inf, -np.inf, 0
 
     @property
+    def newest(self) -> float:
+        """Stamp of the newest image [s]; minus infinity before the first."""
+        return self._last
+
+    @property
     def topics(self) -> frozenset[str]:
         """Names of the topics that frames are made of."""
         assert self.plan.placing is not None  # noqa: S101
