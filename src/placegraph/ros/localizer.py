@@ -90,7 +90,8 @@ class Localizer:
         self.tracker = LiveTracker(
             maps, seed=options.seed, background=options.background, **self._known
         )
-        self._telling = Telling(maps, frame_ids(self.options, self._assembly), options.tolerance, whole=options.whole)
+        names = frame_ids(options, self._assembly)
+        self._telling = Telling(maps, names, options.tolerance, whole=options.whole)
         self._seen: object = None
         self._live: LivePose | None = None  # as it is after the last move
         self._wanted = True  # whether images are to be looked at
@@ -186,9 +187,7 @@ class Localizer:
         """Look at a frame, or have it looked at."""
         self._live = None
         self.frames += 1
-        self._stamps[frame.index] = frame.stamp
-        if len(self._stamps) > _REMEMBERED:
-            del self._stamps[next(iter(self._stamps))]
+        self._stamps[frame.index % _REMEMBERED] = frame.stamp
         messages: list[Message] = []
         try:
             nanoseconds(frame.stamp)  # of a clock that is none, nothing can be told
@@ -229,7 +228,7 @@ class Localizer:
         """When the last image that told something was taken [s]."""
         if live.estimate is None or not len(live.estimate.frames):
             return live.stamp
-        return self._stamps.get(int(live.estimate.frames[-1]), live.stamp)
+        return self._stamps.get(int(live.estimate.frames[-1]) % _REMEMBERED, live.stamp)
 
     def _amiss(self, where: str, reason: str) -> list[Message]:
         said = f"{where or 'the stream'}: {reason}"
@@ -288,9 +287,7 @@ class Localizer:
             left_out += parts.left_out
             notes += parts.plan.notes
             if parts.jumps:
-                notes.append(
-                    f"The clock was set back {parts.jumps} times; the stream goes on from there."
-                )
+                notes.append(f"The clock was set back {parts.jumps} times, and went on from there.")
         lacks = self._discovery.lacks if parts is None else ()
         if self.frames and not self._told[Status.OK.name]:
             notes.append(f"No pose was sure: {self._reason}")
