@@ -3,6 +3,7 @@
 import inspect
 import subprocess
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from importlib.resources import files
 from pathlib import Path
 
@@ -104,6 +105,18 @@ def test_a_kernel_not_found_has_all_of_its_command_compiled(monkeypatch):
     assert asked == []
     listener(_name(build[0]), done=False)
     assert asked == [build]
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), BrokenProcessPool()])
+def test_where_no_process_can_be_started_kernels_are_compiled_where_they_are_called(
+    monkeypatch, error
+):
+    def refused(_calls, _told):
+        raise error
+
+    monkeypatch.setattr(warm, "warm", refused)
+    build = warm.commands()["scene build"]
+    Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
 
 
 def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, capsys):

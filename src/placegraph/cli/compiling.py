@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -35,7 +37,8 @@ class Compiling:
         self._busy = True  # what is imported here may itself be compiled
         try:
             lacking = missing(calls_with(name, self._words))
-            compile_all(lacking, hidden="--quiet" in self._words)
+            with suppress(OSError, BrokenExecutor):  # no process can be started: one by one, here
+                compile_all(lacking, hidden="--quiet" in self._words)
         finally:
             self._busy = False
 

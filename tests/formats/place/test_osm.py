@@ -436,6 +436,12 @@ def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, signal):
         list(read_osm(tmp_path / "bad.osm", KEYS))
 
 
+def test_where_no_process_can_be_started_files_are_read_as_they_are(tmp_path, monkeypatch):
+    (tmp_path / "good.osm").write_text(WORLD)
+    monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
+    assert list(read_osm(tmp_path / "good.osm", KEYS))
+
+
 def test_the_file_that_was_found(shared):
     with pytest.raises(InputError, match=r"segv\.osm\.pbf is damaged"):
         list(read_osm(shared / "repro" / "segv.osm.pbf", KEYS))
