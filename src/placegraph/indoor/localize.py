@@ -19,6 +19,7 @@ from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.suspect import COVERED, blank, divided_all, spoiled, suspected
+from placegraph.indoor.pose.trust import SURE, log_odds
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
 from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
@@ -76,15 +77,18 @@ def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     """An answer that no mended camera makes `OK`, with the fault of the input that explains it, if any."""
     query = window.query
     own = query.encoder is None and query.shares is None and estimate.status is not Status.OK
-    semantic = estimate.stats.get("trust", {}).get("semantic")
-    if own and (other := foreign(query.scene, query.frames[-WINDOW:], semantic)):
+    trust = estimate.stats.get("trust", {})
+    if own and (other := foreign(query.scene, query.frames[-WINDOW:], trust.get("semantic"))):
         return replace(estimate, reason=f"{estimate.reason} {other}")
-    wrong = estimate.status is not Status.OK and not estimate.stats.get("undecided", False)
+    odds = trust.get("odds")
+    doubted = odds is not None and odds < log_odds(SURE, 0.0)
+    settled = estimate.stats.get("undecided", False) and not doubted  # but for a rival
+    wrong = estimate.status is not Status.OK and not settled
     here = query.shares is None  # else other scenes of a library may be where it was taken
     searched = query.options.tracked and len(query.frames) <= WINDOW
     if not (wrong and here and searched and estimate.modes):
         return estimate
-    ratio = estimate.stats["trust"]["ratio"]
+    ratio = trust["ratio"]
     with timed(window.seconds, "faults"):
         fault = suspected(window, ratio, np.random.default_rng(query.seed))
     seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}

@@ -187,11 +187,13 @@ def test_a_rendered_walk_agrees_with_its_truth(walked, room):
     assert right.semantic > 0.8
     assert right.depth > 0.85
     assert right.colour > 0.2
+    assert right.tone > 0.5
     for off in ((1.0, 0, 0, 0), (0, 0, 0, 0.8), (0, 0, 0, np.pi)):
         wrong = agreement(scorer, compose(pose, np.array(off)), seen, steps)
         assert wrong.semantic < right.semantic - 0.05
         assert wrong.depth < right.depth - 0.1
         assert wrong.colour < right.colour / 1.5
+        assert wrong.tone < right.tone / 1.5
     evidence = explain(room, right)
     assert [e.verdict for e in evidence[:3]] == ["for"] * 3
     assert {"depth", "colour"} <= {e.statement for e in evidence}
@@ -204,9 +206,12 @@ def test_colours_are_told_per_sample_of_the_image(walked):
     got = agreement(scorer, pose, seen[-1:], np.zeros((1, 4)))
     inside = (seen[-1].patch >= 0).mean()
     assert inside < 0.8  # 16 x 9 samples in tiles of 4 x 4
-    score = float(scorer.terms(pose[None], seen[-1])[0, 2])
+    colour, tone = scorer.terms(pose[None], seen[-1])[0, 2:].tolist()
     assert got.covered == 1.0
-    assert got.colour == pytest.approx(score / OPTIONS.likelihood.colour_weight, rel=1e-4)
+    assert got.colour == pytest.approx(colour / OPTIONS.likelihood.colour_weight, rel=1e-4)
+    assert got.tone == pytest.approx(tone / OPTIONS.likelihood.tone_weight, rel=1e-4)
+    bare = seen[-1]._replace(terms=seen[-1].terms & [True, False, True])
+    assert math.isnan(agreement(scorer, pose, [bare], np.zeros((1, 4))).tone)
     assert len(steps) == len(seen)
 
 

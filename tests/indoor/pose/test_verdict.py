@@ -110,10 +110,12 @@ maybe = st.one_of(st.just(math.nan), shares)
 
 @given(
     st.builds(
-        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8))
+        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8)), tone=maybe
     ),
     st.floats(0.01, 1), st.floats(0, 100), st.floats(0.01, 1),
-    st.sampled_from(["covered", "semantic", "depth", "colour", "probability", "told", "spread"]),
+    st.sampled_from(
+        ["covered", "semantic", "depth", "colour", "tone", "probability", "told", "spread"]
+    ),
     shares,
 )  # fmt: skip
 def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread, what, more):
@@ -165,6 +167,18 @@ def test_a_bare_wall_has_no_cliff(weights):
     assert steps.min() > 0
     assert steps.max() < 1.0
     assert TRUST.of(replace(bare, colour=0.0), 1.0) < SURE
+
+
+def test_tones_tell_a_place_whose_depth_has_changed():
+    """The office's other half: chairs moved, steps of colour blurred, and the right pose was `LOST`."""
+    moved = replace(GOOD, semantic=math.nan, depth=0.7, colour=0.015, held=0.19)
+    assert judge(replace(moved, tone=0.05), modes(1.0), TOLD)[0] is not Status.OK
+    assert judge(replace(moved, tone=0.35), modes(1.0), TOLD)[0] is Status.OK
+    # a wall and a floor of a wrong room, seen from low above the ground
+    floor = replace(moved, depth=0.72, colour=0.009, tone=0.33, held=0.06)
+    assert judge(floor, modes(1.0), TOLD)[0] is not Status.OK
+    denied = replace(GOOD, semantic=math.nan, depth=0.3, tone=1.0)
+    assert judge(denied, modes(1.0), TOLD)[0] is Status.LOST
 
 
 def test_the_likeliest_pose_is_not_where_frames_do_not_fit():

@@ -25,7 +25,7 @@ from placegraph.indoor.localize import localized
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.indoor.pose.trust import SURE as RIGHT
-from placegraph.indoor.pose.trust import log_odds
+from placegraph.indoor.pose.trust import TRUST, log_odds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -175,9 +175,13 @@ def scene_of(estimate: PoseEstimate) -> str:
 def odds(estimate: PoseEstimate) -> float:
     """Log odds that frames fit where an estimate has them, by which scenes are told apart.
 
-    Labels alone are judged by rules; what passes them is as good as what just passes by odds.
+    Labels alone are judged by rules; what passes them is as good as what just passes by odds. What
+    tones add at most is taken away: rooms of one kind have the same, and do not count as surer by them.
     """
-    return log_odds(RIGHT, 0.0) if _named(estimate) else float(estimate.stats["trust"]["odds"])
+    if _named(estimate):
+        return log_odds(RIGHT, 0.0)
+    trust = estimate.stats["trust"]
+    return float(trust["odds"] - (0.0 if trust.get("tone") is None else TRUST.toned))
 
 
 def _named(estimate: PoseEstimate) -> bool:

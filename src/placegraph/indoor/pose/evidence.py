@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.estimate import Evidence
 from placegraph.geometry import compose
 from placegraph.indoor.likelihood.calibrated import reading_ratio
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, look
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
 from placegraph.indoor.map.refs import ref
 from placegraph.indoor.pose.trust import SPEAK, TELLING, TRUST
 
@@ -49,12 +49,15 @@ class Agreement:
     held: float = 0.0
     """How firmly surfaces hold the position, 0 to 1/3: of the readings that lie on them, the share
     whose surface faces the direction that fewest do. A blank wall and the floor: 0."""
+    tone: float = np.nan
+    """Mean log-likelihood of the colours themselves, beside depth, per independent sample [nat]; NaN:
+    no colours, or no depth."""
     frames: Floats = field(default_factory=lambda: np.full((0, 3), np.nan))
-    """(T, 3) the three agreements of each frame by itself."""
+    """(T, 3) how far each frame by itself agrees: semantic, depth, colour."""
 
     def numbers(self) -> dict[str, float | None]:
         """What a verdict is made of, ready for `json.dumps`; None: there is no such sense."""
-        names = ("covered", "semantic", "depth", "colour", "ratio", "held")
+        names = ("covered", "semantic", "depth", "colour", "tone", "ratio", "held")
         values = {name: float(getattr(self, name)) for name in names}
         values["witnesses"] = float((self.weights > TELLING).sum())
         values["odds"] = TRUST.odds(self)
@@ -67,7 +70,7 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
     count = len(scene)
     weights, told = np.zeros(count), np.zeros(count)
     samples = hits = 0
-    fits = np.zeros((len(views), 3, 2))
+    fits = np.zeros((len(views), 4, 2))
     total, faced = 0.0, np.zeros((3, 3))
     for fit, view, step in zip(fits, views, steps, strict=True):
         at = compose(pose, step)
@@ -102,20 +105,23 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
         scores = scorer.terms(at[None], view)[0].astype(np.float64)
         total += float(scores.sum())
         if view.terms[COLOUR]:
-            worth = noise.colour_weight * float(hit.sum()) / used.sum()
-            fit[COLOUR] = scores[COLOUR], max(1e-9, worth)
+            share = float(hit.sum()) / used.sum()
+            fit[COLOUR] = scores[COLOUR], max(1e-9, noise.colour_weight * share)
+            if view.terms[DEPTH]:
+                fit[TONE] = scores[TONE], max(1e-9, noise.tone_weight * share)
     with np.errstate(invalid="ignore"):
-        semantic, depth, colour = np.divide(*fits.sum(axis=0).T).tolist()
+        semantic, depth, colour, tone = np.divide(*fits.sum(axis=0).T).tolist()
         return Agreement(
             covered=hits / max(1, samples),
             semantic=semantic,
             depth=depth,
             colour=colour,
+            tone=tone,
             weights=weights,
             told=told,
             ratio=total / max(1, len(views)),
             held=float(np.linalg.eigvalsh(faced)[0] / max(1.0, np.trace(faced))),
-            frames=fits[..., 0] / fits[..., 1],
+            frames=fits[:, :TONE, 0] / fits[:, :TONE, 1],
         )
 
 

@@ -24,6 +24,8 @@ CLEAR = 0.035
 """... from which on they speak clearly enough to be believed alone ..."""
 _MOST = 0.12
 """... and what counts at most."""
+_MOST_TONE = 0.2
+"""The same of tones: a wall and a floor have those of any room."""
 TELLING = 1.0
 """Log-likelihood ratio below which an object says nothing [nat]."""
 WITNESSES = 4
@@ -36,8 +38,9 @@ _SLIM = 0.01
 class Trust:
     """Coefficients of the log odds that frames fit, of a pose without a rival.
 
-    By `placegraph-lab table indoor_robustness --fit`: logistic regression over windows of house and
-    office, asked in their own maps and in those of other places; even windows are fitted.
+    By `placegraph-lab table indoor_robustness --fit`: logistic regression over even windows of house and
+    office, asked in their own maps and in those of other places. Those of tones are fitted to windows
+    with depth and colours, the others being as they are; wrong rivals are samples there, too.
     """
 
     level: float
@@ -45,13 +48,25 @@ class Trust:
     """That depth is there; log odds of its share that agrees; the log of how firmly surfaces hold the
     pose, as far as depth speaks alone."""
     colour: tuple[float, float]
-    """That colours are there; what they tell [1 / nat]."""
+    """That colours are there; what their steps tell [1 / nat]."""
+    tone: tuple[float, float]
+    """That they stand beside depth; what they tell themselves [1 / nat]."""
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """(8,) what stands before `features`."""
+        return (self.level, *self.depth, *self.colour, *self.tone)
+
+    @property
+    def toned(self) -> float:
+        """Log odds that tones add at most."""
+        return self.tone[0] + self.tone[1] * _MOST_TONE
 
     def odds(self, agreed: Agreement) -> float:
         """Log odds; minus infinity where there is neither depth nor colour."""
         if np.isnan(agreed.depth) and np.isnan(agreed.colour):
             return -np.inf
-        return float(np.dot((self.level, *self.depth, *self.colour), features(agreed)))
+        return float(np.dot(self.coefficients, features(agreed)))
 
     def of(self, agreed: Agreement, probability: float) -> float:
         """Probability that a pose is right which is the best with a probability."""
@@ -59,7 +74,7 @@ class Trust:
 
 
 def features(agreed: Agreement) -> list[float]:
-    """(6,) what the coefficients of `Trust` stand before."""
+    """(8,) what the coefficients of `Trust` stand before."""
     depth = [0.0, 0.0, 0.0]
     if not np.isnan(agreed.depth):
         bare = _alone(agreed) * float(np.log(agreed.held + _SLIM))
@@ -67,7 +82,10 @@ def features(agreed: Agreement) -> list[float]:
     colour = [0.0, 0.0]
     if not np.isnan(agreed.colour):
         colour = [1.0, float(np.clip(agreed.colour, 0.0, _MOST))]
-    return [1.0, *depth, *colour]
+    tone = [0.0, 0.0]
+    if not np.isnan(agreed.tone):
+        tone = [1.0, float(np.clip(agreed.tone, 0.0, _MOST_TONE))]
+    return [1.0, *depth, *colour, *tone]
 
 
 def _alone(agreed: Agreement) -> float:
@@ -84,4 +102,4 @@ def log_odds(share: float, least: float) -> float:
     return float(np.log(share / (1.0 - share)))
 
 
-TRUST = Trust(level=6.44, depth=(-3.0, 1.77, 2.26), colour=(-5.54, 31.36))
+TRUST = Trust(level=6.44, depth=(-3.0, 1.77, 2.26), colour=(-5.54, 31.36), tone=(2.12, 21.28))

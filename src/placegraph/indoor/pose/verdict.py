@@ -44,7 +44,8 @@ _PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
 _DEPTH_AGREES = 0.85
 """Share of the depth readings from which on they are not what is doubted."""
 _HALF, _LENIENT = 0.55, 0.15
-"""Share of the newest frame's readings that has to agree, and how much less where other senses do."""
+"""Share of the newest frame's readings that has to agree, and how much less where other senses do, or
+of all frames together."""
 
 
 def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
@@ -82,6 +83,7 @@ def verdict(window: Window, fits: list[Fit]) -> PoseEstimate:
             frames=np.array([s.frame.index for s in window.sightings]),
             stats={
                 "trust": agreed[0].numbers() | {"probability": modes[0].probability},
+                "rival": agreed[1].numbers() if len(agreed) > 1 else {},
                 "undecided": undecided,
                 "fits": status is Status.OK or _fits(judging, fits[0].poses, agreed[0]),
             },
@@ -269,7 +271,8 @@ def disagreement(agreed: Agreement, told: float) -> str:
         poor = told < _PATCHES_TELL
         return "the labels seen fit many places as badly" if poor else ""
     mute = np.isnan(agreed.depth) and not agreed.colour > SPEAK / 2.0
-    if mute or TRUST.odds(agreed) < LOST:
+    denied = agreed.depth < _HALF - _LENIENT
+    if mute or denied or TRUST.odds(agreed) < LOST:
         return _weakest(agreed)
     return ""
 

@@ -28,6 +28,7 @@ from placegraph_lab.worlds.flat.walks import drifted
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from placegraph.geometry import Floats
     from placegraph_lab.tables.indoor.cases import Case
 
 THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 2.0), (0.25, 10.0))
@@ -66,6 +67,8 @@ class Told:
     """CPU time a frame; NaN of an error."""
     trust: dict[str, float | None] = field(default_factory=dict)
     """What the verdict was made of (`PoseEstimate.stats`); None: that sense was not there."""
+    rival: dict[str, float | None] = field(default_factory=dict)
+    """The same of the second best pose, where that is wrong."""
 
     @property
     def right(self) -> bool:
@@ -215,6 +218,7 @@ def ask(scene: SceneMap, asked: Asked, shot: Shot, case: Case, *, seed: int, dev
     took = time.process_time() - start
     best, truth = estimate.best, shot.truth[-1]
     known = best is not None and not case.map
+    misses = [_off(mode.map_from_camera, truth) for mode in estimate.modes[1:2]]
     return Told(
         window=shot.name,
         number=asked.number,
@@ -224,7 +228,13 @@ def ask(scene: SceneMap, asked: Asked, shot: Shot, case: Case, *, seed: int, dev
         reason=estimate.reason,
         milliseconds=1000.0 * took / len(shot.frames),
         trust=dict(estimate.stats.get("trust", {})),
+        rival=dict(estimate.stats.get("rival", {})) if case.map or all(misses) else {},
     )
+
+
+def _off(pose: Floats, truth: Floats) -> bool:
+    near = position_error(pose, truth) <= NEAR[0] and rotation_error(pose, truth) <= NEAR[1]
+    return not near
 
 
 _TERMS = {"labels": "semantic", "depth": "depth", "colour": "colour"}
