@@ -174,7 +174,7 @@ def test_frames_too_bare_to_tell_a_place_do_not_deny_one(room, film, truth):
     carried = [e.status for e in estimates if "too bare" in e.reason]
     assert carried[0] is Status.OK
     spread = [np.trace(e.best.covariance[:2, :2]) for e in estimates]
-    assert max(spread) > 2 * spread[0]  # nothing holds it but odometry, until a corner comes into view
+    assert max(spread) > 2 * spread[0]  # odometry alone holds it, until a corner comes into view
     near = [off(e, pose)[0] for e, pose in zip(estimates, truth(film)[8:], strict=True)]
     sure = [d for d, e in zip(near, estimates, strict=True) if e.status is Status.OK]
     assert max(sure) < 0.5
