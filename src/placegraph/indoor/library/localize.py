@@ -176,12 +176,13 @@ def odds(estimate: PoseEstimate) -> float:
     """Log odds that frames fit where an estimate has them, by which scenes are told apart.
 
     Labels alone are judged by rules; what passes them is as good as what just passes by odds. What
-    tones add at most is taken away: rooms of one kind have the same, and do not count as surer by them.
+    tones add is taken away: rooms of one kind have the same.
     """
     if _named(estimate):
         return log_odds(RIGHT, 0.0)
     trust = estimate.stats["trust"]
-    return float(trust["odds"] - (0.0 if trust.get("tone") is None else TRUST.toned))
+    tone = trust.get("tone")
+    return float(trust["odds"] - (0.0 if tone is None else TRUST.toned(tone)))
 
 
 def _named(estimate: PoseEstimate) -> bool:

@@ -57,10 +57,9 @@ class Trust:
         """(8,) what stands before `features`."""
         return (self.level, *self.depth, *self.colour, *self.tone)
 
-    @property
-    def toned(self) -> float:
-        """Log odds that tones add at most."""
-        return self.tone[0] + self.tone[1] * _MOST_TONE
+    def toned(self, tone: float) -> float:
+        """Log odds that tones add which tell so much [nat]."""
+        return self.tone[0] + self.tone[1] * min(max(tone, 0.0), _MOST_TONE)
 
     def odds(self, agreed: Agreement) -> float:
         """Log odds; minus infinity where there is neither depth nor colour."""
