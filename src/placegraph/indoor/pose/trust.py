@@ -38,9 +38,10 @@ _SLIM = 0.01
 class Trust:
     """Coefficients of the log odds that frames fit, of a pose without a rival.
 
-    By `placegraph-lab table indoor_robustness --fit`: logistic regression over even windows of house and
-    office, asked in their own maps and in those of other places. Those of tones are fitted to windows
-    with depth and colours, the others being as they are; wrong rivals are samples there, too.
+    By logistic regression over even windows of house and office, asked in their own maps and in those of
+    other places, as `placegraph-lab table indoor_robustness --fit` does it. Those of tones were fitted
+    later, to windows with depth and colours and their wrong rivals; the others stayed as they were, so
+    that what one sense alone says is what it was.
     """
 
     level: float
