@@ -10,7 +10,6 @@ from placegraph.ros.encode import cdr, definition
 from placegraph.ros.message import nanoseconds
 
 if TYPE_CHECKING:
-    from types import TracebackType
     from typing import Self
 
     from placegraph.ros.message import Message
@@ -84,12 +83,7 @@ class FoxgloveServer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.server.stop()
 
     def write(self, message: Message) -> None:

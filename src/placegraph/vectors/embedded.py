@@ -25,7 +25,6 @@ from placegraph.vectors.scan_kernels import search_all, search_lists
 
 if TYPE_CHECKING:
     from os import PathLike
-    from types import TracebackType
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -250,12 +249,7 @@ class EmbeddedStore:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

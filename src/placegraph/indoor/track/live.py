@@ -17,7 +17,6 @@ from placegraph.indoor.track.worker import Worker
 if TYPE_CHECKING:
     from concurrent.futures import Executor
     from os import PathLike
-    from types import TracebackType
 
     from numpy.typing import ArrayLike
 
@@ -267,10 +266,5 @@ class LiveTracker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
