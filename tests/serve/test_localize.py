@@ -190,13 +190,20 @@ def test_a_pose_of_before_helps(client, frame, truth, flat):
     assert helped["geopose"]["position"]["lat"] == pytest.approx(there["position"]["lat"], abs=5e-6)
 
 
-@pytest.mark.parametrize(("north", "says"), [(0.05, "5.6 km from map"), (1e-4, "")])
-def test_a_geolocation_far_from_the_map_is_left_out_and_told(client, frame, flat, north, says):
+@pytest.mark.parametrize(
+    ("north", "swap", "says"),
+    [(0.05, False, "5.6 km from map"), (1e-4, False, ""), (1e-4, True, "swapped, it lies there")],
+)
+def test_a_geolocation_far_from_the_map_is_left_out_and_told(
+    client, frame, flat, north, swap, says
+):
     here = pg.open_map(flat).anchors[0]
+    near = (here.latitude + north, here.longitude)
+    latitude, longitude = near[::-1] if swap else near
     request = oscp(frame, 2)
     request["sensorReadings"]["geolocationReadings"] = [
         {"sensorId": "2", "timestamp": 1608995990381, "accuracy": 10,
-         "latitude": here.latitude + north, "longitude": here.longitude}
+         "latitude": latitude, "longitude": longitude}
     ]  # fmt: skip
     told = client.post("/geopose", json=request).json()
     assert told["source"] == "images"

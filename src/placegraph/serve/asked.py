@@ -66,11 +66,18 @@ class Hints:
         """What of it could not be used in a map, and why."""
         if self.prior is not None or self.near is None or not anchors:
             return []
-        x, y, _ = anchors[0].to_map((*self.near, anchors[0].height)).tolist()
-        if not self.is_far(hypot(x, y)):
+        away, swapped = (
+            hypot(*anchors[0].to_map((*near, anchors[0].height))[:2])
+            for near in (self.near, self.near[::-1])
+        )
+        if not self.is_far(away):
             return []
-        away = f"The given position lies {hypot(x, y) / 1000.0:.1f} km from map {name!r}"
-        return [f"{away} and was left out; check it, or how the map was placed on Earth."]
+        said = (
+            f"The given position lies {away / 1000.0:.1f} km from map {name!r} and was left out; "
+        )
+        if not self.is_far(swapped):
+            return [said + "swapped, it lies there: longitude comes first."]
+        return [said + "check it, or how the map was placed on Earth."]
 
     def is_far(self, distance: float) -> bool:
         """Whether a fix is so far from a map [m] that it says nothing of where in it one is."""
