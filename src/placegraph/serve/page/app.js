@@ -27,10 +27,10 @@ class App {
     $("city").addEventListener("change", (event) => this.choose(event.target.value, { afresh: true }).catch((e) => this.trouble(e)));
     $("theme").addEventListener("click", () => this.theme());
     $("share").addEventListener("click", () => this.shared());
-    $("say").addEventListener("submit", (event) => { event.preventDefault(); this.tab?.tell?.(); });
+    $("say").addEventListener("submit", (event) => { event.preventDefault(); this.tell(); });
     $("text").addEventListener("input", () => this.tab?.typed?.());
     $("text").addEventListener("keydown", (event) => {
-      if (event.key === "Enter" && !event.shiftKey && !event.isComposing) { event.preventDefault(); this.tab?.tell?.(); }
+      if (event.key === "Enter" && !event.shiftKey && !event.isComposing) { event.preventDefault(); this.tell(); }
     });
     $("clear").addEventListener("click", () => { this.tab?.clear?.(); $("text").focus(); });
     addEventListener("hashchange", () => { if (location.hash.slice(1) !== this.written) this.read(); });
@@ -93,7 +93,14 @@ class App {
   /** A building was entered: images that are taken now are of it. */
   entered(plan) { this.tabs.inside.stand(plan.map); }
 
+  /** Take what was typed; what was told before the page was ready is taken then. */
+  tell() {
+    this.told = !this.tab;
+    this.tab?.tell?.();
+  }
+
   open(name) {
+    const early = this.tab ? "" : this.text;
     if (this.name !== name) this.tab?.leave?.();
     this.name = name;
     this.tab = this.tabs[name];
@@ -105,6 +112,11 @@ class App {
     }
     document.body.dataset.way = name;
     this.tab.enter();
+    if (early) {
+      this.text = early;
+      this.tab.typed?.();
+      if (this.told) this.tell();
+    }
     this.tab.render();
   }
 
