@@ -1,0 +1,94 @@
+"""What every part of the campaign hands in: rows of the table `reliability`.
+
+A part is a module of its name in `placegraph_lab.campaign` with `rows(effort) -> Iterator[Row]`. It
+yields each row as soon as it is done, so that a part which is cut short has told what it found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from pathlib import Path
+
+PARTS = ("fuzz", "faults", "soak", "properties", "platforms")
+"""Modules of this folder, in the order in which the table lists them."""
+OUTCOMES = ("accepted", "typed", "untyped", "crash", "hang", "memory")
+"""What may become of a trial; the last four are faults."""
+FAULTS = OUTCOMES[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How long a part may take, and where it works."""
+
+    seconds: float
+    """Wall time in which the part is to end: minutes by default, hours where they are asked for."""
+    seed: int
+    """Of all that is drawn; printed and written down."""
+    folder: Path
+    """Empty, the part's own; deleted when it has ended."""
+    data: Path
+    """Recordings, as of `Run.data`; may be missing, and then the part says what it left out."""
+    say: Callable[[str], None]
+    """Tells the person who waits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What became of all trials of one kind; they sum up to `tried`."""
+
+    part: str
+    """One of `PARTS`."""
+    what: str
+    """The reader, fault, load, property or platform, in a few words."""
+    tried: int
+    accepted: int = 0
+    """Ended as it should, with an answer."""
+    typed: int = 0
+    """Ended as it should, with a `PlacegraphError`."""
+    untyped: int = 0
+    """Ended with another error, or with a wrong answer."""
+    crash: int = 0
+    """The process died."""
+    hang: int = 0
+    """It did not end in its time."""
+    memory: int = 0
+    """It passed its bound of memory, or memory grew."""
+    seed: int = 0
+    seconds: float = 0.0
+    """Wall time of all trials."""
+
+    @property
+    def faults(self) -> int:
+        """Trials that ended as none should."""
+        return sum(getattr(self, name) for name in FAULTS)
+
+    @classmethod
+    def counted(
+        cls, part: str, what: str, found: Mapping[str, int], seed: int, seconds: float
+    ) -> Row:
+        """Row of how often each outcome was seen; `KeyError` where one is none of `OUTCOMES`."""
+        counts = {name: found.get(name, 0) for name in OUTCOMES}
+        if strange := sorted(set(found) - set(OUTCOMES)):
+            raise KeyError(strange[0])
+        return cls(part, what, sum(counts.values()), **counts, seed=seed, seconds=seconds)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Row:
+        """Row of what `to_dict` gave."""
+        return cls(**{f.name: record[f.name] for f in fields(cls)})
+
+
+def total(rows: Iterable[Row], what: str = "all") -> Row:
+    """Sum of rows; seed and part are those of the first."""
+    each = list(rows)
+    counts = {name: sum(getattr(r, name) for r in each) for name in ("tried", *OUTCOMES)}
+    first = each[0] if each else Row("", what, 0)
+    return Row(first.part, what, **counts, seed=first.seed, seconds=sum(r.seconds for r in each))
