@@ -90,7 +90,8 @@ def ready(asked, status=200):
 @contextmanager
 def serving(*paths, **options):
     """Client of an application whose processes have started."""
-    with TestClient(create_app(Places(paths), ServeOptions(**options))) as client:
+    options = ServeOptions(names=("testserver",), **options)  # as Starlette calls it
+    with TestClient(create_app(Places(paths), options)) as client:
         ready(lambda: client.get("/healthz"))
         yield client
 

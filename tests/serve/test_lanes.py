@@ -94,7 +94,8 @@ def test_all_bodies_together_are_bounded():
         await receive()
         await PlainTextResponse("read")(scope, receive, send)
 
-    client = TestClient(Guard(app, ServeOptions(held_bytes=50), Keys(()), Metrics()))
+    guard = Guard(app, ServeOptions(held_bytes=50), Keys(()), Metrics())
+    client = TestClient(guard, base_url="http://127.0.0.1")
     full = client.post("/v1/locate", json=SAID)
     assert (full.status_code, full.json()["code"]) == (503, "busy")
     for _ in range(2):  # what was answered is held no more

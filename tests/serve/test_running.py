@@ -62,7 +62,7 @@ def spoken(server, *parts, wait=b""):
 
 
 def head(length, path="/v1/locate", **more):
-    lines = [f"POST {path} HTTP/1.1", "Host: x", "Content-Type: application/json",
+    lines = [f"POST {path} HTTP/1.1", "Host: localhost", "Content-Type: application/json",
              "Authorization: Bearer secret", f"Content-Length: {length}",
              *(f"{k}: {v}" for k, v in more.items())]  # fmt: skip
     return ("\r\n".join(lines) + "\r\n\r\n").encode()

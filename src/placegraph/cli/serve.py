@@ -23,6 +23,10 @@ def serve(
     keys: Annotated[
         Path | None, Option(help="File of API keys, one a line; everybody may ask if not given.")
     ] = None,
+    name: Annotated[
+        list[str] | None,
+        Option(help="Host name that it is asked by, beside addresses and localhost; repeatable."),
+    ] = None,
     log_queries: Annotated[
         bool, Option("--log-queries", help="Log what is asked; nothing is kept of it otherwise.")
     ] = False,
@@ -35,7 +39,7 @@ def serve(
     from placegraph.serve.places import Places
     from placegraph.serve.run import serve as run
 
-    options = ServeOptions(keys=keys, log_queries=log_queries)
+    options = ServeOptions(keys=keys, names=tuple(name or ()), log_queries=log_queries)
     found = Places(places)
 
     def ready(url: str) -> None:

@@ -1,4 +1,4 @@
-"""What stands before the routes: keys, sizes, slow senders, strange origins, deep JSON."""
+"""What stands before the routes: keys, strange hosts and origins, sizes, slow senders, deep JSON."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import hmac
 import re
 from dataclasses import dataclass
+from ipaddress import ip_address
 from time import perf_counter
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
@@ -140,13 +141,13 @@ class Guard:
                 "The key is missing or unknown; send it as `Authorization: Bearer KEY`.",
                 status=401, code="key",
             )  # fmt: skip
-        if scope["type"] == "websocket":
-            if self.sockets >= self.options.sockets:
-                raise RequestError(
-                    "Too many WebSockets are open; come again later.",
-                    status=503, code="busy", retry_after=10,
-                )  # fmt: skip
-            check_origin(scope)
+        check_host(scope, self.options.names, keyed=bool(self.keys.known))
+        check_origin(scope, self.options.names)
+        if scope["type"] == "websocket" and self.sockets >= self.options.sockets:
+            raise RequestError(
+                "Too many WebSockets are open; come again later.",
+                status=503, code="busy", retry_after=10,
+            )  # fmt: skip
 
     async def _body(self, scope: Scope, receive: Receive, holds: _Held) -> Receive:
         """Check a small body whole, and count a large one while it is read."""
@@ -187,15 +188,50 @@ async def refuse(scope: Scope, receive: Receive, send: Send, error: RequestError
     return await send({"type": "http.response.body", "body": dumped(told)})
 
 
-def check_origin(scope: Scope) -> None:
-    """Refuse a page of another host, which a browser would let open a WebSocket here."""
-    headers = dict(scope["headers"])
-    origin, host = headers.get(b"origin", b"").decode("latin-1"), headers.get(b"host", b"")
-    if origin and urlsplit(origin).netloc != host.decode("latin-1"):
+def check_host(scope: Scope, names: tuple[str, ...], *, keyed: bool) -> None:
+    """Refuse to be asked under a strange name, unless a key is asked for anyway.
+
+    A page of a strange host may bend its own name to this machine's address (DNS rebinding), and
+    would be at home here. No page can do so with an address.
+    """
+    host = _header(scope, b"host")
+    name = _host_of(f"//{host}")
+    if not keyed and host and not (_is_plain(name) or name in names):
+        raise RequestError(
+            f"This server is not known as {name[:80]!r}; ask by its address, or start it with --name.",
+            status=421, code="host",
+        )  # fmt: skip
+
+
+def check_origin(scope: Scope, names: tuple[str, ...]) -> None:
+    """Refuse a page of another host, which a browser would let work here, though not read answers."""
+    origin, host = _header(scope, b"origin"), _header(scope, b"host")
+    ours = origin.partition("://")[2] == host or _host_of(origin) in names
+    if origin and not ours:
         raise RequestError(
             f"A page of {origin[:80]} may not ask here; ask from a page of this server.",
             status=403, code="origin",
         )  # fmt: skip
+
+
+def _header(scope: Scope, name: bytes) -> str:
+    return dict(scope["headers"]).get(name, b"").decode("latin-1")
+
+
+def _host_of(url: str) -> str:
+    """Name or address in a URL, in small letters; empty where it is none."""
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_plain(host: str) -> bool:
+    """Whether it is an address, or always this machine."""
+    try:
+        return bool(ip_address(host.partition("%")[0]))
+    except ValueError:
+        return host == "localhost" or host.endswith(".localhost")
 
 
 def check_depth(body: bytes | bytearray, most: int) -> None:

@@ -55,11 +55,13 @@ class ServeOptions:
     """WebSockets at one time."""
     keys: Path | None = None
     """File with one API key a line; None: everybody may ask."""
+    names: tuple[str, ...] = ()
+    """Host names that it is asked by, beside addresses and localhost; with `keys`, by any."""
     log_queries: bool = False
     """Whether what is asked is logged."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name not in {"keys", "log_queries"} and not value > 0:
+            if field.name not in {"keys", "names", "log_queries"} and not value > 0:
                 raise OptionError(f"{field.name} is {value}; give a number greater than 0.")
