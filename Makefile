@@ -13,7 +13,7 @@ CHROMIUM := command -v chromium || { command -v apt-get && $(AS_ROOT) apt-get up
   $(AS_ROOT) env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends chromium; }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-all lint docs bench clean
+.PHONY: help venv demo test test-all lint docs bench release clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -40,6 +40,17 @@ docs: $(TOOLS) ## build the documentation into site/
 
 bench: $(TOOLS) ## print the benchmark tables but KITTI360Pose (needs ../shared; long)
 	set -e; for table in $$($(BIN)/placegraph-lab table --list | cut -d" " -f1 | grep -v kitti360pose); do $(BIN)/placegraph-lab table $$table; done
+
+release: $(TOOLS) ## build wheel and sdist into dist/, check them, and write what they stand on (SBOM)
+	$(PIP) 'build>=1.2' 'cyclonedx-bom>=7' 'twine>=6'
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz
+	$(BIN)/python -m venv dist/empty
+	dist/empty/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
+	dist/empty/bin/placegraph --compiled dist/empty/compiled demo --out dist/empty/demo
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible -o dist/placegraph.cdx.json dist/empty/bin/python
+	rm -rf dist/empty
 
 clean: ## remove what the targets above left behind, .venv included
 	rm -rf $(VENV) demo-out dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmark-cache
