@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
+from placegraph.formats.place.overture import Overture
 from placegraph.notebook import Shown
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
@@ -149,7 +150,7 @@ class CityMap(Shown, City):
 
 
 def build_city(
-    osm_path: str | PathLike[str],
+    osm_path: str | PathLike[str] | Overture,
     out_path: str | PathLike[str],
     *,
     cell_size: float = 50.0,
@@ -158,12 +159,12 @@ def build_city(
     vocabulary: Vocabulary | None = None,
     progress: Progress | None = None,
 ) -> CityMap:
-    """Build a city map from an OpenStreetMap extract and write it to `out_path`.
+    """Build a city map from an OpenStreetMap extract, or from Overture, and write it to `out_path`.
 
     Parameters
     ----------
     osm_path
-        `.osm.pbf`, `.osm`, `.osm.gz` or `.osm.bz2`.
+        `.osm.pbf`, `.osm`, `.osm.gz` or `.osm.bz2`; or `Overture`: files and a box.
     out_path
         Map file to write (atomically; an old one is replaced only by a whole new one).
     cell_size
@@ -187,8 +188,10 @@ def build_city(
         Somebody else is writing the same map.
 
     """
-    if os.path.realpath(osm_path) == os.path.realpath(out_path):
-        raise OptionError(f"{osm_path} would be overwritten by its map; name another file.")
+    paths = osm_path.paths if isinstance(osm_path, Overture) else (osm_path,)
+    for path in paths:
+        if os.path.realpath(path) == os.path.realpath(out_path):
+            raise OptionError(f"{path} would be overwritten by its map; name another file.")
     stride = cell_size if stride is None else stride
     edge_distance = cell_size if edge_distance is None else edge_distance
     sizes = {"cell_size": cell_size, "stride": stride, "edge_distance": edge_distance}
@@ -200,7 +203,7 @@ def build_city(
     plane, objects, left_out = read_extract(osm_path, vocabulary, progress)
     city = CityMap.create(
         plane, objects, cell_size=cell_size, stride=stride, edge_distance=edge_distance,
-        source=Path(osm_path).name, left_out=left_out,
+        source=", ".join(Path(path).name for path in paths), left_out=left_out,
     )  # fmt: skip
     city.save(out_path)
     return city

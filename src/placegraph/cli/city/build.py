@@ -10,12 +10,21 @@ import click
 
 from placegraph.cli.city.facts import facts
 from placegraph.cli.command import Argument, Option
-from placegraph.cli.common import AsJson, Quiet, progress_of
+from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of
+from placegraph.errors import OptionError
+from placegraph.formats.place.overture import CONFIDENCE, Box, Overture, is_overture
+
+OVERTURE = "What of Overture is read"
+EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
 
 
 def build(
     file: Annotated[
-        Path, Argument(help="OpenStreetMap extract: .osm.pbf, .osm, .osm.gz or .osm.bz2.")
+        list[str],
+        Argument(
+            help="OpenStreetMap extract: .osm.pbf, .osm, .osm.gz or .osm.bz2; or files, folders or URLs "
+            "of Overture's GeoParquet."
+        ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as monaco.city.")],
     cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
@@ -26,11 +35,18 @@ def build(
         float | None,
         Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
     ] = None,
+    bbox: Annotated[
+        str | None, Option(help="W,S,E,N [deg]: only what touches this box.", panel=OVERTURE)
+    ] = None,
+    confidence: Annotated[
+        float,
+        Option(help="Least probability of a place to exist.", panel=OVERTURE),
+    ] = CONFIDENCE,
     vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Build a city map from an OpenStreetMap extract.
+    """Build a city map from an OpenStreetMap extract, or from Overture.
 
     Example: placegraph city build monaco.osm.pbf -o monaco.city
     """
@@ -40,11 +56,12 @@ def build(
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
     words = Vocabulary.load(vocabulary) if vocabulary else None
+    source = _source(file, bbox, confidence)
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
         tell("reading")
         city = build_city(
-            file, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
+            source, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
             progress=lambda step, n: tell(f"{step} {n:,} elements"),
         )  # fmt: skip
     seconds = perf_counter() - start
@@ -62,6 +79,21 @@ def build(
             click.echo(
                 "Left out: " + ", ".join(f"{n:,} {why}" for why, n in city.left_out.items()) + "."
             )
+
+
+def _source(given: list[str], bbox: str | None, confidence: float) -> Path | Overture:
+    """One extract, or all that is given of Overture."""
+    if all(map(is_overture, given)):
+        box = None if bbox is None else Box.of(numbers_of(bbox, "--bbox", (4,), EDGES))
+        return Overture(tuple(given), box, confidence)
+    if len(given) > 1:
+        raise OptionError(
+            f"{len(given)} files are given: a map is built from one OpenStreetMap extract, or from files "
+            "of Overture alone. Merge extracts with osmium."
+        )
+    if bbox is not None:
+        raise OptionError("--bbox is for Overture; cut an OpenStreetMap extract with osmium.")
+    return Path(given[0])
 
 
 def fetch(

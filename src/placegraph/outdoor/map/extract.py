@@ -12,6 +12,7 @@ import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.place.osm import LINE, POINT, LeftOut, OsmElement, read_osm
+from placegraph.formats.place.overture import Overture, read_overture
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.index import STRIDE
@@ -54,11 +55,11 @@ class _Columns:
 
 
 def read_extract(
-    path: str | PathLike[str],
+    path: str | PathLike[str] | Overture,
     vocabulary: Vocabulary | None = None,
     progress: Progress | None = None,
 ) -> tuple[LocalPlane, CityObjects, dict[str, int]]:
-    """Objects of an extract in a plane of their own, and what had to be left out, by reason.
+    """Objects of an extract, or of Overture, in a plane of their own, and what was left out, by reason.
 
     Raises
     ------
@@ -67,7 +68,10 @@ def read_extract(
 
     """
     vocabulary, left_out = vocabulary or Vocabulary.default(), LeftOut()
-    elements = read_osm(path, keys_read(vocabulary), left_out)
+    if isinstance(path, Overture):
+        elements = read_overture(path, left_out)
+    else:
+        elements = read_osm(path, keys_read(vocabulary), left_out)
     columns = _label(elements, vocabulary, progress or (lambda _step, _n: None))
     if columns.elements:
         columns = _without_largest(columns, left_out)
