@@ -22,6 +22,7 @@ from placegraph.outdoor.search.whereabouts import Way, Whereabouts, number, posi
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.search.ask import Answer
 
@@ -51,7 +52,10 @@ def locate(
         raise OptionError(f"top is {top!r}; ask for at least one mode.")
     hints = hints or Hints()
     description, asked = understand(city, text, hints, matching or Matching())
-    if reason := _why_nothing(asked, description) or _off_the_map(asked, hints):
+    told = bool(asked.known.ways)
+    if reason := why_nothing(asked.query, description, on_the_way=told) or _off_the_map(
+        asked, hints
+    ):
         return CityEstimate(Status.LOST, (), reason, description)
     found = search_cells(asked) if asked.matching.of_cells else search(asked)
     return estimate(asked, found, top, description)
@@ -103,13 +107,16 @@ def _split(
     return tuple(way), tuple(rest)
 
 
-def _why_nothing(asked: Request, description: Description) -> str:
-    """Why what was said does not do to find a place; an empty string where it does."""
-    if asked.positive or asked.known.ways:
+def why_nothing(query: Query, description: Description, *, on_the_way: bool = False) -> str:
+    """Why what was said does not do to find a place; an empty string where it does.
+
+    `on_the_way` tells whether the way to the place was told.
+    """
+    if on_the_way or any(not s.negated for s in query.used):
         return ""
-    if asked.query.used:
+    if query.used:
         return "Only what is absent was said; say what is there as well."
-    reasons = {reason for _, reason in asked.query.unused}
+    reasons = {reason for _, reason in query.unused}
     if reasons:
         return "Nothing that was said can be looked for: " + "; ".join(sorted(reasons)) + "."
     if description.ignored:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.likelihood.lexicon import Known, Lexicon
 
 KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""
@@ -79,7 +79,7 @@ class Query:
 
 
 def read(
-    city: City,
+    city: Known,
     text: str | Description,
     *,
     heading: float | None = None,
@@ -100,7 +100,7 @@ def read(
     )
 
 
-def compile_query(description: Description, city: City, *, on_a_way: bool = False) -> Query:
+def compile_query(description: Description, city: Lexicon, *, on_a_way: bool = False) -> Query:
     """Compile a description against a map (Eq. 3-4 meet Eq. 7-8).
 
     `on_a_way` says that it describes the way to a place for somebody elsewhere: then more things
@@ -108,8 +108,7 @@ def compile_query(description: Description, city: City, *, on_a_way: bool = Fals
     """
     mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
     by_kind = frozenset(m.id for m in description.mentions[2:] if m.name and not _named(m, city))
-    views = city.views
-    share = [views.frequency(tokens, weights) for tokens, weights in mentions]
+    share = [city.frequency(tokens, weights) for tokens, weights in mentions]
     for node in by_kind:  # that few of its kind are on the map says nothing of the one that is not
         share[node - 2] = max(
             share[node - 2], _common(description.mentions[node], mentions[node - 2][1])
@@ -145,7 +144,7 @@ def compile_query(description: Description, city: City, *, on_a_way: bool = Fals
 def _far(
     used: list[Statement],
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
-    city: City,
+    city: Lexicon,
     *,
     on_a_way: bool,
 ) -> Far | None:
@@ -192,7 +191,7 @@ def _far(
     )
 
 
-def _are_quarters(rows: NDArray[np.int64], city: City) -> bool:
+def _are_quarters(rows: NDArray[np.int64], city: Lexicon) -> bool:
     """Whether objects are names of quarters, which a map draws as points: one is "in" them."""
     o = city.objects
     return len(rows) > 0 and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
@@ -218,30 +217,29 @@ def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
     return frozenset(at | {SPEAKER})
 
 
-def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: City) -> int:
+def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: Lexicon) -> int:
     """Number of objects (with repetitions) that a mention stands for."""
-    starts, _ = city.token_objects
     tokens = tokens[weights > KIND_ONLY]
-    return int((starts[tokens + 1] - starts[tokens]).sum()) if len(tokens) else RARE + 1
+    return int(city.borne(tokens).sum()) if len(tokens) else RARE + 1
 
 
 def _members(
-    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: City, *, most: int
+    tokens: NDArray[np.int32], weights: NDArray[np.float32], city: Lexicon, *, most: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Objects of a mention and how well it fits them; none where there are more than `most`."""
-    starts, objects = city.token_objects
     tokens, weights = tokens[weights > KIND_ONLY], weights[weights > KIND_ONLY]
-    sizes = starts[tokens + 1] - starts[tokens]
+    sizes = city.borne(tokens)
     if not 0 < sizes.sum() <= most:
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
-    found = np.concatenate([objects[starts[t] : starts[t + 1]] for t in tokens])
-    fits = np.repeat(weights, sizes).astype(np.float32)
+    bearers = city.bearers(tokens)
+    found = np.concatenate(bearers)
+    fits = np.repeat(weights, [len(rows) for rows in bearers]).astype(np.float32)
     order = np.lexsort((-fits, found))
     first = np.diff(found[order], prepend=-1) > 0
     return found[order][first], fits[order][first]
 
 
-def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _tokens(mention: Mention, city: Lexicon) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Tokens that a mention may stand for on this map, and how well they fit."""
     weights: dict[int, float] = {}
     names = _named(mention, city)
@@ -260,7 +258,7 @@ def _tokens(mention: Mention, city: City) -> tuple[NDArray[np.int32], NDArray[np
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
 
 
-def _named(mention: Mention, city: City) -> dict[int, float]:
+def _named(mention: Mention, city: Lexicon) -> dict[int, float]:
     """Names that a mention with a name may mean: "New York" library, or "New York library"."""
     if not mention.name:
         return {}

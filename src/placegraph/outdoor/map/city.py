@@ -15,7 +15,14 @@ from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex, tokens_of
 from placegraph.outdoor.map.names import NameIndex
-from placegraph.outdoor.map.objects import GRAIN, CityColumns, CityObjects, centers, of_name
+from placegraph.outdoor.map.objects import (
+    GRAIN,
+    CityColumns,
+    CityObjects,
+    centers,
+    index_of,
+    of_name,
+)
 from placegraph.outdoor.map.raster import Grid
 from placegraph.portable import Portable
 from placegraph.store import pack_strings, read_map, sound, write_map
@@ -168,13 +175,7 @@ class City(Portable):
     @cached_property
     def label_index(self) -> dict[str, list[int]]:
         """Rows of `objects.labels` by label and by ``key=*``."""
-        index: dict[str, list[int]] = {}
-        for row, label in enumerate(self.objects.labels):
-            index.setdefault(label, []).append(row)
-            wildcard = label.partition("=")[0] + "=*"
-            if wildcard != label:
-                index.setdefault(wildcard, []).append(row)
-        return index
+        return index_of(self.objects.labels)
 
     @cached_property
     def tokens(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
@@ -200,6 +201,20 @@ class City(Portable):
         order = np.argsort(views.token_values, kind="stable")
         counts = np.bincount(views.token_values, minlength=len(views.posting_starts) - 1)
         return np.concatenate(([0], np.cumsum(counts))), owner[order]
+
+    def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
+        """Share of all things in sight, over all viewpoints, that tokens stand for."""
+        return self.views.frequency(tokens, weights)
+
+    def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
+        """How many objects (K,) bear each of these tokens."""
+        starts, _ = self.token_objects
+        return np.asarray(starts[tokens + 1] - starts[tokens])
+
+    def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
+        """Rows of the objects that bear each of these tokens, ascending."""
+        starts, rows = self.token_objects
+        return [rows[starts[t] : starts[t + 1]] for t in tokens]
 
     @cached_property
     def columns(self) -> CityColumns:

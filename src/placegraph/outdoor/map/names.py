@@ -7,14 +7,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import log
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from placegraph.outdoor.language.words import COMPASS, ROADS, SMALL, tokens
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    from placegraph.outdoor.map.objects import CityObjects
 
 LONGEST = 8
 """Names are found in running text up to this many words."""
@@ -32,6 +30,14 @@ MANY = 60
 """A part of more names than this means none of them."""
 
 
+class Named(Protocol):
+    """What has names: the objects of a city, or the words of a world."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """As written."""
+
+
 @dataclass(frozen=True, eq=False)
 class NameIndex:
     """Names by their words; a `language.NameFinder`."""
@@ -44,7 +50,7 @@ class NameIndex:
     meant: dict[str, dict[int, float]] = field(default_factory=dict)
 
     @classmethod
-    def build(cls, objects: CityObjects) -> NameIndex:
+    def build(cls, objects: Named) -> NameIndex:
         """Index the names of a city."""
         by_words: dict[str, list[int]] = {}
         first: dict[str, int] = {}

@@ -131,6 +131,17 @@ def of_name(name: str) -> str:
     return "~" + " ".join(name.split()).casefold()
 
 
+def index_of(labels: tuple[str, ...]) -> dict[str, list[int]]:
+    """Rows of labels by label and by ``key=*``."""
+    index: dict[str, list[int]] = {}
+    for row, label in enumerate(labels):
+        index.setdefault(label, []).append(row)
+        wildcard = label.partition("=")[0] + "=*"
+        if wildcard != label:
+            index.setdefault(wildcard, []).append(row)
+    return index
+
+
 def centers(
     kind: NDArray[np.uint8],
     part_starts: NDArray[np.int32],

@@ -107,12 +107,16 @@ def doubt_of(query: Query, city: City) -> Doubt:
     A name counts where something is said of it, but not on a map of points alone: that is a list of
     landmarks, and it is no wonder what it lacks.
     """
+    doubt = doubts(query)
+    return replace(doubt, names=()) if (city.objects.kind == POINT).all() else doubt
+
+
+def doubts(query: Query) -> Doubt:
+    """The same on a map that should know all names."""
     told = query.description
     unread = [i.text.strip() for i in told.ignored if i.reason in UNREAD]
     spoken = {node for s in told.statements for node in (*ends(s), s.target2)}
     missing = [told.mentions[node].name for node in sorted(query.by_kind & spoken)]
-    if (city.objects.kind == POINT).all():
-        missing = []
     return Doubt(tuple(dict.fromkeys(missing)), tuple(dict.fromkeys(filter(None, unread))))
 
 

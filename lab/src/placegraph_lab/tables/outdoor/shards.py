@@ -1,0 +1,119 @@
+"""A city cut into shards, so that the two can be compared: the same plane, grid and viewpoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.map.index import REACH, STRIDE
+from placegraph.outdoor.map.objects import POINT
+from placegraph.world.shards import core_of, finish, held, key_of, tiles
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.map.objects import CityObjects
+    from placegraph.world.shards import WorldFile
+
+SIDE = 8
+"""Viewpoints are kept in squares of so many."""
+
+
+def write_shards(city: CityMap, folder: Path, zoom: int, overlap: float = 150.0) -> WorldFile:
+    """Cut a city into the shards of a world, and finish it."""
+    (folder / "shards").mkdir(parents=True, exist_ok=True)
+    for key, shard in split_city(city, zoom, overlap):
+        shard.save(folder / "shards" / f"{key}.city")
+    return finish(folder, zoom, overlap)
+
+
+def split_city(city: CityMap, zoom: int, overlap: float) -> Iterator[tuple[str, CityMap]]:
+    """Shards of a city by their keys, each with what reaches within `overlap` [m] of its core.
+
+    Viewpoints of a city stand on a grid that begins at its south-western corner. A hut beyond the
+    overlap makes every shard's grid a part of the city's, so that both have the same viewpoints.
+    """
+    objects = city.objects
+    ends = objects.point_starts[objects.part_starts[:-1]]
+    low, high = (
+        cut.reduceat(objects.points, ends).astype(float) for cut in (np.minimum, np.maximum)
+    )
+    places = city.plane.to_lonlat(city.views.positions.astype(np.float64))
+    for tile in np.unique(tiles(places, zoom), axis=0):
+        key = key_of(tile, zoom)
+        core = core_of(key)
+        corners = city.plane.to_plane([[core.west, core.south], [core.east, core.north]])
+        box = np.add(corners, [[-overlap], [overlap]])
+        rows = np.flatnonzero((high >= box[0]).all(axis=1) & (low <= box[1]).all(axis=1))
+        part = part_of(objects, rows, hut(objects, low[rows], box[0]))
+        centers = city.plane.to_lonlat(city.cells.centers(np.arange(len(city.cells))))
+        cells = replace(city.cells, points=city.cells.points[held(centers, key)])
+        yield key, CityMap(city.plane, part, cells, f"{city.source} {key}", {})
+
+
+def hut(
+    objects: CityObjects, low: NDArray[np.float64], corner: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """A place (2,) [m] south-west of all, a whole number of squares from where the city's grid begins."""
+    first = objects.points.min(axis=0).astype(np.float64)
+    beyond = np.minimum(low.min(axis=0, initial=np.inf), corner - 4.0 * REACH)
+    steps = np.floor((beyond - first) / (STRIDE * SIDE))
+    return np.asarray(first + steps * STRIDE * SIDE)
+
+
+def part_of(
+    objects: CityObjects, rows: NDArray[np.int64], extra: NDArray[np.float64]
+) -> CityObjects:
+    """Some of the objects, and a point of the first label at `extra` (2,) [m]."""
+    labels, label_starts, label_values = _strings(
+        objects.labels, objects.label_starts, objects.label_values, rows
+    )
+    names, name_starts, name_values = _strings(
+        objects.names, objects.name_starts, objects.name_values, rows
+    )
+    parts, part_starts = _taken(objects.part_starts, rows)
+    points, point_starts = _taken(objects.point_starts, parts)
+    at = extra.astype(np.float32)[None]
+    return replace(
+        objects,
+        osm_type=np.append(objects.osm_type[rows], np.uint8(0)),
+        osm_id=np.append(objects.osm_id[rows], np.int64(0)),
+        kind=np.append(objects.kind[rows], np.uint8(POINT)),
+        label_starts=np.append(label_starts, label_starts[-1] + 1).astype(np.int32),
+        label_values=np.append(label_values, 0).astype(np.int32),
+        name_starts=np.append(name_starts, name_starts[-1]).astype(np.int32),
+        name_values=name_values.astype(np.int32),
+        part_starts=np.append(part_starts, part_starts[-1] + 1).astype(np.int32),
+        point_starts=np.append(point_starts, point_starts[-1] + 1).astype(np.int32),
+        points=np.concatenate([objects.points[points], at]),
+        center=np.concatenate([objects.center[rows], at]),
+        labels=labels,
+        names=names,
+    )
+
+
+def _strings(
+    table: tuple[str, ...],
+    starts: NDArray[np.int32],
+    values: NDArray[np.int32],
+    rows: NDArray[np.int64],
+) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.int64]]:
+    """Strings of some rows: those that occur, and which of them each row has."""
+    entries, kept = _taken(starts, rows)
+    used, where = np.unique(values[entries], return_inverse=True)
+    return tuple(table[i] for i in used.tolist()), kept, where.ravel()
+
+
+def _taken(
+    starts: NDArray[np.int32], rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Entries of some rows of a CSR, and their own starts."""
+    sizes = np.diff(starts)[rows].astype(np.int64)
+    kept = np.concatenate(([0], np.cumsum(sizes)))
+    return np.arange(kept[-1]) + np.repeat(starts[rows] - kept[:-1], sizes), kept

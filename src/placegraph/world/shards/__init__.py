@@ -1,0 +1,12 @@
+"""A world too large for one map: a folder of shards, which are cities, and a table of their words.
+
+`finish` ends the build of such a folder; `placegraph.open_world` opens it.
+"""
+
+from __future__ import annotations
+
+from placegraph.world.shards.finish import finish
+from placegraph.world.shards.folder import WorldFile, is_world
+from placegraph.world.shards.quadtree import core_of, held, key_of, tile_of, tiles
+
+__all__ = ["WorldFile", "core_of", "finish", "held", "is_world", "key_of", "tile_of", "tiles"]

@@ -1,0 +1,196 @@
+"""The table of words: in which shards each label and each name occurs, and how much of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
+
+import numpy as np
+
+from placegraph.store import pack_strings, read_map, sound, write_map
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from placegraph.outdoor.map.city import City
+
+KIND, VERSION = "words", 1
+Number = TypeVar("Number", np.int64, np.float64)
+CROWD = 30.0
+"""As of `Statements.crowd`: pairs in sight are counted with so many more."""
+
+
+class Counted(NamedTuple):
+    """What is counted of one shard, in its core; a row a word (labels, then names)."""
+
+    labels: tuple[str, ...]
+    names: tuple[str, ...]
+    objects: NDArray[np.int32]
+    """(T,) objects of a word; those count whose centre lies in the core."""
+    mass: NDArray[np.float32]
+    """(T,) sum over viewpoints of how much of a word is in sight."""
+    peak: NDArray[np.float32]
+    """(T,) largest share that a word has of all that one viewpoint has in sight."""
+    sight: float
+    """Sum over viewpoints of all that is in sight."""
+    spread: float
+    """Largest sum of the shares of all labels: things have more than one."""
+    pull: float
+    """Largest square of all in sight against its pairs, and `CROWD`."""
+    total: int
+    """Objects whose centre lies in the core."""
+    cells: int
+    viewpoints: int
+
+
+def counted(city: City, key: str) -> Counted:
+    """Count the words of a shard in its core."""
+    from placegraph.world.shards.quadtree import held
+
+    views, objects = city.views, city.objects
+    n, n_labels = len(objects.labels) + len(objects.names), len(objects.labels)
+    inside = held(city.plane.to_lonlat(views.positions.astype(np.float64)), key)
+    token = np.repeat(np.arange(n), np.diff(views.posting_starts))
+    here = inside[views.posting_views]
+    token, view, mass = token[here], views.posting_views[here], views.posting_mass[here]
+    share = mass / views.total[view]
+    peak = np.zeros(n, np.float32)
+    np.maximum.at(peak, token, share)
+    of_labels = np.bincount(view[token < n_labels], share[token < n_labels], len(views.total))
+    total, pairs = views.total[inside].astype(np.float64), views.pairs[inside]
+    own = held(city.plane.to_lonlat(objects.center.astype(np.float64)), key)
+    starts, values, _ = city.tokens
+    owner = np.repeat(np.arange(len(objects)), np.diff(starts))
+    middles = city.plane.to_lonlat(city.cells.centers(np.arange(len(city.cells))))
+    return Counted(
+        objects.labels, objects.names,
+        np.bincount(values[own[owner]], minlength=n).astype(np.int32),
+        np.bincount(token, mass, n).astype(np.float32), peak, float(total.sum()),
+        float(of_labels.max(initial=0.0)),
+        float((total**2 / (pairs + CROWD)).max(initial=0.0)),
+        int(own.sum()), int(held(middles, key).sum()), int(inside.sum()),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class WordTable:
+    """Words of all shards, with the shards (CSR) that hold each.
+
+    Words are labels, then names, as the tokens of a city; rows of shards are in order of their keys.
+    """
+
+    labels: tuple[str, ...]
+    """Sorted."""
+    names: tuple[str, ...]
+    """Sorted."""
+    starts: NDArray[np.int64]
+    """(T + 1,)"""
+    shards: NDArray[np.int32]
+    """(E,) row of a shard, ascending within a word."""
+    objects: NDArray[np.int32]
+    """(E,) as `Counted.objects` ..."""
+    mass: NDArray[np.float32]
+    """... `mass` ..."""
+    peak: NDArray[np.float32]
+    """... and `peak`."""
+    viewpoints: NDArray[np.int64]
+    """(N,) of each shard, and so are ..."""
+    sight: NDArray[np.float64]
+    spread: NDArray[np.float64]
+    pull: NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, found: Sequence[Counted]) -> Self:
+        """Table of shards in this order."""
+        labels = tuple(sorted({label for c in found for label in c.labels}))
+        names = tuple(sorted({name for c in found for name in c.names}))
+        label_rows = {label: row for row, label in enumerate(labels)}
+        name_rows = {name: row + len(labels) for row, name in enumerate(names)}
+        words, shards, columns = [], [], []
+        for i, c in enumerate(found):
+            rows = [*map(label_rows.__getitem__, c.labels), *map(name_rows.__getitem__, c.names)]
+            here = np.flatnonzero((c.objects > 0) | (c.mass > 0.0))
+            words.append(np.array(rows, np.int64)[here])
+            shards.append(np.full(len(here), i, np.int32))
+            columns.append((c.objects[here], c.mass[here], c.peak[here]))
+        word = np.concatenate(words)
+        order = np.argsort(word, kind="stable")
+        size = np.bincount(word, minlength=len(labels) + len(names))
+        objects, mass, peak = (np.concatenate(part)[order] for part in zip(*columns, strict=True))
+        return cls(
+            labels, names, np.concatenate(([0], np.cumsum(size))).astype(np.int64),
+            np.concatenate(shards)[order], objects, mass, peak,
+            np.array([c.viewpoints for c in found], np.int64),
+            *(np.array(part, np.float64)
+              for part in zip(*((c.sight, c.spread, c.pull) for c in found), strict=True)),
+        )  # fmt: skip
+
+    def write(self, path: Path) -> None:
+        """Write the table in one step; `MapError` where that fails."""
+        arrays = {
+            "labels": pack_strings(self.labels), "names": pack_strings(self.names),
+            "word_counts": np.diff(self.starts).astype(np.uint32),
+            **{name: getattr(self, name) for name in _COLUMNS},
+        }  # fmt: skip
+        write_map(path, KIND, VERSION, {}, arrays)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a table; `InputError` or `MapError` where it is missing, damaged or newer."""
+        file = read_map(path, KIND, VERSION)
+        with sound(path, "Finish the world again with `placegraph world build`."):
+            counts = file.array("word_counts", "<u4").astype(np.int64)
+            starts = np.concatenate(([0], np.cumsum(counts)))
+            columns = {name: file.array(name, dtype) for name, dtype in _COLUMNS.items()}
+            labels = file.strings("labels", most=len(counts))
+            names = file.strings("names", most=len(counts))
+            made = cls(labels, names, starts, **columns)
+            made.check()
+        return made
+
+    def check(self) -> None:
+        """Raise `ValueError` where columns contradict each other."""
+        n = len(self.viewpoints)
+        if len(self.starts) != len(self.labels) + len(self.names) + 1:
+            raise ValueError("words and their counts are of different lengths")
+        if any(len(getattr(self, k)) != self.starts[-1] for k in list(_COLUMNS)[:4]):
+            raise ValueError("entries of words are of different lengths")
+        if any(len(getattr(self, k)) != n for k in list(_COLUMNS)[4:]):
+            raise ValueError("columns of shards are of different lengths")
+        if len(self.shards) and not 0 <= self.shards.min() <= self.shards.max() < n:
+            raise ValueError("a word is of no shard")
+        for k in list(_COLUMNS)[2:]:
+            if not (np.isfinite(getattr(self, k)).all() and (getattr(self, k) >= 0).all()):
+                raise ValueError(f"{k} holds what is no amount")
+
+    def row(self, word: int) -> slice:
+        """Entries of a word."""
+        return slice(int(self.starts[word]), int(self.starts[word + 1]))
+
+    @cached_property
+    def counts(self) -> NDArray[np.int64]:
+        """Objects (T,) that bear each word."""
+        return _sums(self.objects.astype(np.int64), self.starts)
+
+    @cached_property
+    def shares(self) -> NDArray[np.float64]:
+        """Share (T,) of each word of all things in sight, over all viewpoints of the world."""
+        return _sums(self.mass.astype(np.float64), self.starts) / max(
+            float(self.sight.sum()), 1e-30
+        )
+
+
+_COLUMNS = {
+    "shards": "<i4", "objects": "<i4", "mass": "<f4", "peak": "<f4",
+    "viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8",
+}  # fmt: skip
+
+
+def _sums(values: NDArray[Number], starts: NDArray[np.int64]) -> NDArray[Number]:
+    """Sum of each stretch of values."""
+    found: NDArray[Number] = np.diff(np.concatenate(([0], np.cumsum(values)))[starts])
+    return found
