@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import zlib
 
 import numpy as np
@@ -59,6 +60,16 @@ def test_points_and_colours(unit, sure, turns, recorded, tmp_path):
     straight = [f.depth() for f in capture]
     for i in (3, 0, 2, 2, 1, 3):
         np.testing.assert_array_equal(capture[i].depth(), straight[i])
+
+
+def test_a_pipe_is_no_stream_of_depth(recorded, tmp_path):
+    """Reading it would wait for who writes: nobody."""
+    write(tmp_path, recorded(camera=LARGE, shrink=4))
+    depth = next(tmp_path.glob("*.depth.zlib"))
+    depth.unlink()
+    os.mkfifo(depth)
+    with pytest.raises(InputError, match="not a plain file"):
+        open_capture(tmp_path)[0].depth()
 
 
 def test_without_depth(recorded, tmp_path):

@@ -1,5 +1,6 @@
 """Bags that are cut, lack something, or hold nonsense: named, with the mend."""
 
+import os
 import pickle
 import sqlite3
 import struct
@@ -88,6 +89,13 @@ def test_files_that_are_no_bag(container, bag, tmp_path):
     if container == "rosbag1":
         (tmp_path / "half.bag").write_bytes(data[: len(data) // 2])
         fails(tmp_path / "half.bag", "rosbag reindex")
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
+def test_a_pipe_is_no_bag(ending, tmp_path):
+    """Reading it would wait for who writes: nobody."""
+    os.mkfifo(tmp_path / f"a{ending}")
+    fails(tmp_path / f"a{ending}", "not a plain file")
 
 
 def test_a_folder_that_is_not_whole(bag):

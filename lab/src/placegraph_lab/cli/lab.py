@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from placegraph.cli.terminal import bare, guarded, harmless
 from placegraph.errors import PlacegraphError
 from placegraph_lab.cli.table import app as tables
 
@@ -28,13 +29,14 @@ app.add_typer(tables, name="table")
 
 def main() -> None:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
-    try:
-        app()
-    except PlacegraphError as error:
-        Console(stderr=True, soft_wrap=True).print(
-            f"placegraph-lab: {error}", style="red", markup=False, highlight=False
-        )
-        sys.exit(error.exit_code)
+    with guarded():
+        try:
+            app()
+        except PlacegraphError as error:
+            Console(file=bare(sys.stderr), soft_wrap=True).print(
+                harmless(f"placegraph-lab: {error}"), style="red", markup=False, highlight=False
+            )
+            sys.exit(error.exit_code)
 
 
 @app.command("demo-world")

@@ -11,6 +11,7 @@ import json
 import os
 import pkgutil
 import subprocess
+import sys
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -21,6 +22,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, track
 
+from placegraph.cli.terminal import bare
 from placegraph_lab.tables import named
 from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.machine import machine
@@ -75,7 +77,7 @@ class Run:
     @cached_property
     def console(self) -> Console:
         """Of the person who waits: stderr."""
-        return Console(stderr=True)
+        return Console(file=bare(sys.stderr))
 
     def say(self, text: str) -> None:
         """Tell the person who waits."""

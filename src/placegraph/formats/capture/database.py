@@ -9,6 +9,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,11 +21,11 @@ MOST = 1 << 28
 class Database:
     """A database that is only read; opened again where it is sent to.
 
-    Raises `InputError` where the file cannot be opened.
+    Raises `InputError` where the file cannot be opened, or is none.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path = regular(path)
         self._lock = Lock()
         wal = path.with_name(path.name + "-wal")
         alone = not (wal.exists() and wal.stat().st_size)

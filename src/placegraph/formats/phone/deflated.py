@@ -7,6 +7,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,7 +44,7 @@ class Deflated:
             if not nearest <= self._number <= number:
                 self._at, self._number = self._marks[nearest], nearest
             try:
-                with self.path.open("rb") as file:
+                with regular(self.path).open("rb") as file:
                     return self._forward(file, number)
             except (OSError, zlib.error) as error:
                 raise InputError(f"{self.path} cannot be read ({error}); copy it again.") from error

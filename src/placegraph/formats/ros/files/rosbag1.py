@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.ros.files.storage import Chunk, File, Part
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ def read_rosbag1(path: Path) -> list[Part]:
     """Messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
     from rosbags.rosbag1 import Reader
 
+    regular(path)
     try:
         with Reader(path) as reader:
             parts = _parts(path, reader)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.formats.capture.database import Database
 from placegraph.formats.ros.files.packed import MOST, Packed
 
@@ -65,7 +66,7 @@ class File:
             with self._lock:
                 if self._handle is None:
                     try:
-                        handle = os.open(self.path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
+                        handle = os.open(regular(self.path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
                     except OSError as error:
                         raise InputError(
                             f"{self.path} cannot be read: {error.strerror}."

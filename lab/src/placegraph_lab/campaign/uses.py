@@ -1,0 +1,276 @@
+"""What is done with an input: opened, and what opens is used as a user would use it.
+
+Each function returns where the input was taken, and raises whatever is raised where it was not.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from placegraph.errors import GeoPoseError, OptionError, PlacegraphError
+from placegraph.formats.capture.capture import open_capture
+from placegraph.indoor.build import build_scene
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.maps import open_map
+from placegraph.outdoor.city import CityMap, build_city
+from placegraph_lab.campaign.seeds_maps import POSE, SMALL, Places
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.random import Generator
+
+    Use = Callable[["Bench", Path, Generator], object]
+
+SAID = (
+    "A bakery is north of me. The museum is east of me.", "I am on Lange Straße, a bench is left of me.",
+    "Das Café Mole ist 30 m westlich von mir.", "A tree, and a fountain behind it.",
+)  # fmt: skip
+INSIDE = (
+    "next to the desk",
+    "a room with a chair and a bookcase",
+    "two chairs in front of the wall",
+)
+
+
+class Bench(Places):
+    """Sound maps beside which an input is used, and a folder to write to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def kleinstadt(self) -> CityMap:
+        """The town's map."""
+        return self.city(self.folder)
+
+    def file(self, name: str) -> Path:
+        """Path where an output goes, taken away before."""
+        path = self.folder / name
+        path.unlink(missing_ok=True)
+        return path
+
+
+def chance(rng: Generator, share: float) -> bool:
+    """Whether something is done this time: what takes long is done to a share of the inputs."""
+    return bool(rng.random() < share)
+
+
+def use_city(bench: Bench, city: CityMap, rng: Generator) -> None:
+    """Locate, ask, draw, export and follow."""
+    found = city.locate(SAID[rng.integers(len(SAID))], top=3)
+    found.to_dict()
+    if chance(rng, 0.3):
+        city.to_geojson("cells" if chance(rng, 0.5) else "objects")
+        city.ask(found)
+        repr(city)
+    if chance(rng, 0.08):
+        from placegraph.view.city.picture import write_picture
+
+        write_picture(city, found, bench.file("city.png"), size=(320, 320))
+    if chance(rng, 0.08):
+        from placegraph.view.city.page import write_page
+
+        write_page(city, found, bench.file("city.html"))
+    if chance(rng, 0.1):
+        tracker = city.track()
+        tracker.tell(SAID[0])
+        tracker.walk(20.0, math.pi)
+    if chance(rng, 0.1):
+        city.save(bench.file("again.city"))
+
+
+def use_scene(bench: Bench, scene: SceneMap, rng: Generator) -> None:
+    """Check, describe, localize, draw and export."""
+    if chance(rng, 0.5):
+        scene.check()
+    if chance(rng, 0.4):
+        from placegraph.indoor.language import rank_scenes
+
+        rank_scenes(INSIDE[rng.integers(len(INSIDE))], [scene, bench.room])
+    with suppress(GeoPoseError):
+        scene.to_geojson()
+    if chance(rng, 0.3):
+        for ending in rng.choice([".glb", ".ply", ".json", ".osm"], 1):
+            with suppress(OptionError, GeoPoseError):  # it stands nowhere on Earth
+                scene.export(bench.file(f"room{ending}"), overwrite=True)
+    if chance(rng, 0.15):
+        scene.render(POSE, SMALL, samples=1)
+    if chance(rng, 0.1):
+        found = scene.localize(bench.frames, refine=False)
+        found.to_dict()
+        from placegraph.view.scene.scene_plan import write_plan
+
+        write_plan(scene, found, bench.file("plan.png"))
+    if chance(rng, 0.05):
+        scene.save(bench.file("again.scene"))
+
+
+def osm(bench: Bench, path: Path, rng: Generator) -> None:
+    """Build a city of an extract, and use it."""
+    use_city(bench, build_city(path, bench.file("built.city")), rng)
+
+
+def rooms(bench: Bench, path: Path, rng: Generator) -> None:
+    """Build a scene of rooms in an extract."""
+    use_scene(bench, build_scene(path, None), rng)
+
+
+def mesh(bench: Bench, path: Path, rng: Generator) -> None:
+    """Build a scene of a mesh or a scene graph, and use it."""
+    use_scene(bench, build_scene(path, bench.file("built.scene"), floor=0.0), rng)
+
+
+def folder_mesh(bench: Bench, path: Path, rng: Generator) -> None:
+    """Build a scene of the file or the folder of a scan that lies in a folder."""
+    for ending in (".gltf", ".obj"):
+        found = sorted(path.glob(f"*{ending}"))
+        if found:
+            mesh(bench, found[0], rng)
+            return
+    while below := [p for p in sorted(path.iterdir()) if p.is_dir() and p.name != "3DSSG"]:
+        path = below[0]
+    mesh(bench, path, rng)
+
+
+def capture(bench: Bench, path: Path, rng: Generator) -> None:
+    """Open a capture, read its frames, localize them, and make a map of them."""
+    found = open_capture(path)
+    for frame in (found[0], found[-1]):
+        frame.rgb()
+        frame.depth()
+        frame.labels()
+    if chance(rng, 0.1):
+        with suppress(PlacegraphError):  # there is none
+            open_capture(path, poses="trajectory")
+    if chance(rng, 0.05):
+        bench.room.localize(found, frames=slice(2), refine=False).to_dict()
+    if chance(rng, 0.02):
+        build_scene(path, None, floor=0.0)
+
+
+def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
+    """Take an MCAP as it comes through a pipe."""
+    from placegraph.formats.ros.files.mcap_stream import mcap_packets
+
+    file = next(iter(sorted(path.glob("*.mcap"))), path)
+    with file.open("rb") as data:
+        for _ in mcap_packets(data.read, "stdin"):
+            pass
+
+
+def anything(bench: Bench, path: Path, rng: Generator) -> None:
+    """Open a map of any kind, and use it."""
+    found = open_map(path)
+    if isinstance(found, CityMap):
+        use_city(bench, found, rng)
+    elif isinstance(found, SceneMap):
+        use_scene(bench, found, rng)
+    else:
+        _library(bench, found, rng)
+
+
+def library(bench: Bench, path: Path, rng: Generator) -> None:
+    """Open a library, or a folder of maps, and search it."""
+    anything(bench, path if chance(rng, 0.3) else path / "rooms.library", rng)
+
+
+def _library(bench: Bench, found: Any, rng: Generator) -> None:  # noqa: ANN401  # a library
+    found.search(INSIDE[rng.integers(len(INSIDE))])
+    if chance(rng, 0.2):
+        found.search(bench.frames)
+    if chance(rng, 0.05):
+        found.localize(bench.frames, refine=False)
+    if chance(rng, 0.1):
+        found.save(bench.file("again.library"))
+
+
+def world(bench: Bench, path: Path, rng: Generator) -> None:
+    """Open a folder of maps as a world, and ask it."""
+    from placegraph.world import open_world
+
+    found = open_world(path)
+    said = f"{SAID[rng.integers(len(SAID))]} I am {INSIDE[0]}."
+    frames = bench.frames if chance(rng, 0.1) else None
+    found.locate(said, frames, near=(8.0, 53.0) if chance(rng, 0.3) else None).to_dict()
+
+
+def vectors(bench: Bench, path: Path, _rng: Generator) -> None:
+    """Open a store of vectors, search it, and locate by it."""
+    from placegraph.vectors import open_store
+
+    with open_store(path) as store:
+        store.search(bench.kleinstadt.embeddings[:2], 5)
+        with suppress(PlacegraphError):  # of another map
+            bench.kleinstadt.locate(SAID[0], store=store)
+
+
+def weights(bench: Bench, path: Path, _rng: Generator) -> None:
+    """Open a network, embed the town by it, and locate."""
+    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.network.network import GraphTransformer
+
+    encoded = EncodedCity(bench.kleinstadt, GraphTransformer.open(path))
+    bench.kleinstadt.locate(SAID[0], encoded=encoded, matcher="fused")
+
+
+def run(bench: Bench, path: Path, rng: Generator) -> None:
+    """Open a recorded run, draw it and write it again."""
+    from placegraph.indoor.pose.record import read_run, write_run
+
+    found = read_run(path)
+    found.to_dict()
+    write_run(bench.file("again.run"), found)
+    if chance(rng, 0.3):
+        from placegraph.view.scene.scene_plan import write_plan
+
+        write_plan(bench.room, found, bench.file("plan.png"))
+
+
+def track(bench: Bench, path: Path, _rng: Generator) -> None:
+    """Load a tracker, and go on."""
+    from placegraph.indoor.track.live import LiveTracker
+
+    with LiveTracker.load(path, bench.room, background=False) as live:
+        live.move(10.0, POSE)
+        live.pose()
+
+
+def changes(bench: Bench, path: Path, rng: Generator) -> None:
+    """Read what changed, and take it over."""
+    from placegraph.indoor.mapping.change.changes import read_diff
+
+    found = read_diff(path)
+    found.to_dict()
+    use_scene(bench, bench.room.updated(found), rng)
+
+
+def nominatim(bench: Bench, path: Path, _rng: Generator) -> None:
+    """Find a place by what Nominatim answers."""
+    import osmnx as ox
+
+    from placegraph.formats.place.nominatim import find, rings
+    from placegraph_lab.campaign.answers import answering
+
+    with answering(path.read_bytes()) as url:
+        ox.settings.nominatim_url = url
+        _, outline = find(ox, "Mühlenend")
+    rings(outline)
+    bench.file("none")
+
+
+def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
+    """Download an answer of Overpass, and write it as PBF."""
+    import osmnx as ox
+
+    from placegraph.formats.place.overpass_answer import copied, download
+    from placegraph_lab.campaign.answers import answering
+
+    answer = bench.file("answer.osm")
+    with answering(path.read_bytes()) as url:
+        download(ox, f"{url}/interpreter", "", answer, lambda *_: None)
+    copied(answer, bench.file("answer.osm.pbf"), lambda *_: None)

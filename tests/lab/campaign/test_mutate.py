@@ -1,0 +1,91 @@
+"""Inputs are made wrong by their number alone, and in ways that reach behind the first check."""
+
+import bz2
+import io
+import json
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from placegraph.errors import PlacegraphError
+from placegraph.store import read_map, write_map
+from placegraph_lab.campaign.mutate import spoil, spoiled
+
+TIMES = 60
+XML = b"<osm>\n<node id='1' lat='50.0'/>\n<tag k='name' v='Kern'/>\n</osm>"
+
+
+def png():
+    out = io.BytesIO()
+    Image.new("RGB", (9, 9), (3, 4, 5)).save(out, "PNG")
+    return out.getvalue()
+
+
+def zipped():
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("a.txt", "1 2 3\n")
+        archive.writestr("b.json", "[1]")
+    return out.getvalue()
+
+
+SAMPLES = {
+    "a.png": png(), "a.zip": zipped(), "a.json": b'{"a": [1, 2.5, {"b": "c"}]}', "a.osm": XML,
+    "a.osm.bz2": bz2.compress(XML), "a.txt": b"1 2 3\n4 5 6\n", "a.bin": bytes(range(99)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_number_tells_an_input(name):
+    first = [spoiled(SAMPLES[name], name, np.random.default_rng(i)) for i in range(TIMES)]
+    again = [spoiled(SAMPLES[name], name, np.random.default_rng(i)) for i in range(TIMES)]
+    if name != "a.zip":  # it holds the time
+        assert first == again
+    assert len(set(first)) > TIMES // 3
+    assert sum(made == SAMPLES[name] for made in first) < TIMES // 4
+
+
+def test_images_are_wrong_behind_their_checksums():
+    """Some chunk says something else, and its sum fits."""
+    told = set()
+    for i in range(TIMES):
+        data = spoiled(SAMPLES["a.png"], "a.png", np.random.default_rng(i))
+        length = int.from_bytes(data[8:12], "big")
+        head = data[12 : 16 + length]
+        if head[:4] == b"IHDR" and int.from_bytes(
+            data[16 + length : 20 + length], "big"
+        ) == zlib.crc32(head):
+            told.add(head)
+    assert len(told) > 5
+
+
+def test_stores_are_wrong_behind_their_checksums(tmp_path):
+    """Most open as stores whose columns are others, or no columns of that kind."""
+    path, opened = tmp_path / "a.city", []
+    for i in range(TIMES):
+        write_map(path, "city", 1, {"a": [1, 2]}, {"ids": np.arange(30), "at": np.ones((5, 2))})
+        spoil(path, np.random.default_rng(i))
+        try:
+            held = read_map(path, "city", 1)
+        except PlacegraphError:
+            continue
+        opened.append(
+            json.dumps(held.meta) + "".join(a.tobytes().hex() for a in held.arrays.values())
+        )
+    assert len(set(opened)) > TIMES // 3
+
+
+def test_folders_lose_files_and_get_pipes(tmp_path):
+    kinds = set()
+    for i in range(400):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        (folder / "a.txt").write_text("1 2\n")
+        (folder / "b.json").write_text("{}")
+        spoil(folder, np.random.default_rng(i))
+        kinds.add(tuple(sorted((p.name, p.is_file(), p.is_dir()) for p in folder.iterdir())))
+    assert (("a.txt", False, False), ("b.json", True, False)) in kinds
+    assert any(len(kind) == 1 for kind in kinds)
