@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
+from placegraph_lab.campaign.mutate import spoil
 from placegraph_lab.campaign.mutate_bytes import WORDS, flipped
 from placegraph_lab.campaign.seeds import ROOT, save
 from placegraph_lab.campaign.seeds_maps import POSE, Places
@@ -75,6 +76,7 @@ def describe(bench: Bench, path: Path, rng: Generator) -> None:
     from placegraph.outdoor.language import describe as read
 
     text = path.read_bytes().decode("utf-8", "surrogateescape" if chance(rng, 0.1) else "replace")
+    text = text if chance(rng, 0.01) else text[:400]
     kind = int(rng.integers(6))
     if kind < 3:
         repr(read(text, heading=0.5 if kind else None))
@@ -131,6 +133,17 @@ def requests(folder: Path, places: Places) -> None:
         content = {"method": method, "path": path, "body": body, "accept": "*/*"}
         (folder / f"{name}.request").write_text(json.dumps(content), "utf-8")
     save(folder / "image.png", frame.rgb())
+
+
+def one(folder: Path, rng: Generator) -> None:
+    """One of the requests or messages changed, and the others taken away; at times its image changed."""
+    image = folder / "image.png"
+    asked = sorted(p for p in folder.iterdir() if p != image)
+    chosen = asked[rng.integers(len(asked))]
+    for path in asked:
+        if path != chosen:
+            path.unlink()
+    spoil(image if image.exists() and chance(rng, 0.15) else chosen, rng)
 
 
 def messages(folder: Path, _places: Places) -> None:
@@ -220,5 +233,9 @@ def command(_bench: Bench, folder: Path, _rng: Generator) -> None:
 
     words = (folder / "words").read_text("utf-8", "surrogateescape").split("\0")
     sys.argv = ["placegraph", *(SAID[0] if w == "TEXT" else w for w in words)]
-    with chdir(folder), suppress(BrokenPipeError):
-        cli.main()
+    before, sys.stdin = sys.stdin, io.StringIO("\n".join(SAID))
+    try:
+        with chdir(folder), suppress(BrokenPipeError):
+            cli.main()
+    finally:
+        sys.stdin = before

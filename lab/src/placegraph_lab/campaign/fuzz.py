@@ -18,7 +18,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from placegraph.errors import InputError
 from placegraph_lab.campaign.row import FAULTS, Row
 from placegraph_lab.campaign.targets import TARGETS
 
@@ -32,7 +31,7 @@ PATIENCE = 90.0
 STARTING = 300.0
 """The same of a worker that draws seeds and compiles [s]."""
 PROGRAM = ("-m", "placegraph_lab.campaign.worker")
-BATCH = 200
+BATCH = 20
 """Inputs that a worker is asked for at a time."""
 
 
@@ -71,16 +70,14 @@ class Keeper:
         self._heard = b""
 
     def run(self, name: str, seconds: float, most: int, tally: Tally) -> None:
-        """Try inputs of a target for so long, or so many.
-
-        Raises `InputError` where a worker dies of sound seeds.
-        """
+        """Try inputs of a target for so long, or so many."""
         start = perf_counter()
         while tally.tried < most and (perf_counter() - start < seconds or not tally.tried):
             self._ask(f"{name}\t{tally.tried}\t{min(BATCH, most - tally.tried)}\n")
             told = self._hear(STARTING)
             if told is None:
-                raise InputError(f"{name}: the worker died of its seeds, {self._died()}.")
+                tally.refused = [f"the worker died of them: {self._died()}"]
+                break
             tally.refused = told["refused"] or tally.refused
             if not told["seeds"]:
                 break

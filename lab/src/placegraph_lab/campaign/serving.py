@@ -16,7 +16,6 @@ from placegraph.serve.desk import Desk
 from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Places
 from placegraph.serve.problem import problem
-from placegraph.serve.sessions import Sessions
 from placegraph.serve.worker import VERBS, dumped
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class Served:
         lane: Any = Here(Desk(Places([folder]), options))
         server = self.app.state.server
         server.sentences = server.captures = server.steps = lane
-        server.sessions = Sessions(lane, options)
+        server.sessions._lane = lane  # noqa: SLF001  # the routes hold the sessions
         self.sessions: dict[str, str] = {}
 
     @cached_property

@@ -64,8 +64,8 @@ TARGETS = {
         *(Target(n, seeds, uses.capture, slow=n in SLOW) for n, seeds in CAPTURES.items()),
         Target("bags as streams", CAPTURES["bags MCAP"], uses.stream),
         Target("descriptions", {"all.words": asked.texts}, asked.describe, asked.reworded),
-        Target("requests", {"requests": asked.requests}, serving.request),
-        Target("HTTP messages", {"messages": asked.messages}, serving.message),
+        Target("requests", {"requests": asked.requests}, serving.request, asked.one),
+        Target("HTTP messages", {"messages": asked.messages}, serving.message, asked.one),
         Target("command lines", {"commands": asked.commands}, asked.command, asked.misspoken),
     )
 }

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import GeoPoseError, OptionError, PlacegraphError
+from placegraph.files import regular
 from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
@@ -64,7 +65,7 @@ def use_city(bench: Bench, city: CityMap, rng: Generator) -> None:
     """Locate, ask, draw, export and follow."""
     found = city.locate(SAID[rng.integers(len(SAID))], top=3)
     found.to_dict()
-    if chance(rng, 0.3):
+    if chance(rng, 0.15):
         city.to_geojson("cells" if chance(rng, 0.5) else "objects")
         city.ask(found)
         repr(city)
@@ -86,21 +87,21 @@ def use_city(bench: Bench, city: CityMap, rng: Generator) -> None:
 
 def use_scene(bench: Bench, scene: SceneMap, rng: Generator) -> None:
     """Check, describe, localize, draw and export."""
-    if chance(rng, 0.5):
+    if chance(rng, 0.2):
         scene.check()
-    if chance(rng, 0.4):
+    if chance(rng, 0.2):
         from placegraph.indoor.language import rank_scenes
 
         rank_scenes(INSIDE[rng.integers(len(INSIDE))], [scene, bench.room])
     with suppress(GeoPoseError):
         scene.to_geojson()
-    if chance(rng, 0.3):
+    if chance(rng, 0.15):
         for ending in rng.choice([".glb", ".ply", ".json", ".osm"], 1):
             with suppress(OptionError, GeoPoseError):  # it stands nowhere on Earth
                 scene.export(bench.file(f"room{ending}"), overwrite=True)
-    if chance(rng, 0.15):
-        scene.render(POSE, SMALL, samples=1)
     if chance(rng, 0.1):
+        scene.render(POSE, SMALL, samples=1)
+    if chance(rng, 0.05):
         found = scene.localize(bench.frames, refine=False)
         found.to_dict()
         from placegraph.view.scene.scene_plan import write_plan
@@ -158,7 +159,7 @@ def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
     from placegraph.formats.ros.files.mcap_stream import mcap_packets
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
-    with file.open("rb") as data:
+    with regular(file).open("rb") as data:
         for _ in mcap_packets(data.read, "stdin"):
             pass
 
