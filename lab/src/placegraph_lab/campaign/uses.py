@@ -106,7 +106,7 @@ def use_scene(bench: Bench, scene: SceneMap, rng: Generator) -> None:
         found.to_dict()
         from placegraph.view.scene.scene_plan import write_plan
 
-        write_plan(scene, found, bench.file("plan.png"))
+        write_plan(scene, found, bench.file("plan.png"), width=480)
     if chance(rng, 0.05):
         scene.save(bench.file("again.scene"))
 
@@ -229,7 +229,7 @@ def run(bench: Bench, path: Path, rng: Generator) -> None:
     if chance(rng, 0.3):
         from placegraph.view.scene.scene_plan import write_plan
 
-        write_plan(bench.room, found, bench.file("plan.png"))
+        write_plan(bench.room, found, bench.file("plan.png"), width=480)
 
 
 def track(bench: Bench, path: Path, _rng: Generator) -> None:
