@@ -108,6 +108,14 @@ def test_what_is_no_http(small):
     assert json.loads(told.partition(b"\r\n\r\n")[2])["code"] == "http"
 
 
+def test_a_websocket_s_key_that_is_no_ascii(small):
+    """websockets would answer with 500, and log where it failed."""
+    lines = ["GET /v1/live?key=secret HTTP/1.1", "Host: x", "Upgrade: websocket", "Connection: Upgrade",
+             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=\xe9", "Sec-WebSocket-Version: 13"]  # fmt: skip
+    told = spoken(small, ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1"))
+    assert told.startswith(b"HTTP/1.1 400")
+
+
 def test_chunks_without_end_are_counted(small):
     chunks = [b"%x\r\n%s\r\n" % (1000, b" " * 1000)] * 5
     start = head(0).replace(b"Content-Length: 0", b"Transfer-Encoding: chunked")

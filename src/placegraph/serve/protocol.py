@@ -52,6 +52,10 @@ class Patient(H11Protocol):
     def handle_websocket_upgrade(self, event: Request) -> None:
         """Hand the connection on; from now on it may be silent."""
         self._rest()
+        keys = [value for name, value in event.headers if name == b"sec-websocket-key"]
+        if not all(map(bytes.isascii, keys)):  # websockets would fail of it, and log where
+            self.send_400_response("")
+            return
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -150,19 +150,21 @@ def messages(folder: Path, _places: Places) -> None:
     """Requests as they go over the wire."""
     folder.mkdir()
     body = json.dumps({"text": SAID[0], "map": "town"}).encode()
-    head = b"Host: a\r\nContent-Type: application/json\r\n"
+    head = b"Host: 127.0.0.1\r\nContent-Type: application/json\r\n"
     form = b'--xx\r\nContent-Disposition: form-data; name="images"; filename="a.png"\r\n\r\nabc\r\n--xx--\r\n'
     kinds = {
         "post": b"POST /v1/locate HTTP/1.1\r\n" + head + b"Content-Length: %d\r\n\r\n" % len(body) + body,
         "chunks": b"POST /v1/locate HTTP/1.1\r\n" + head + b"Transfer-Encoding: chunked\r\n\r\n"
                   + b"%x\r\n" % len(body) + body + b"\r\n0\r\n\r\n",
-        "get": b"GET /api?q=bench HTTP/1.1\r\nHost: a\r\nAccept: */*\r\n\r\n",
-        "form": b"POST /v1/localize HTTP/1.1\r\nHost: a\r\nContent-Type: multipart/form-data; boundary=xx\r\n"
+        "get": b"GET /api?q=bench HTTP/1.1\r\nHost: 127.0.0.1\r\nAccept: */*\r\n\r\n",
+        "form": b"POST /v1/localize HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+                b"Content-Type: multipart/form-data; boundary=xx\r\n"
                 b"Content-Length: %d\r\n\r\n" % len(form) + form,
-        "socket": b"GET /v1/live HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "socket": b"GET /v1/live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
                   b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
                   b'\x81\x8a\0\0\0\0{"text":1}',
-        "geopose": b"POST /geopose HTTP/1.1\r\nHost: a\r\nAccept: application/vnd.oscp+json; version=2.0\r\n"
+        "geopose": b"POST /geopose HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+                   b"Accept: application/vnd.oscp+json; version=2.0\r\n"
                    b'Content-Length: 22\r\n\r\n{"sensorReadings": []}',
     }  # fmt: skip
     for name, data in kinds.items():

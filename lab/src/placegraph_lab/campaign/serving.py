@@ -6,9 +6,10 @@ import json
 import shutil
 import socket
 import threading
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.app import create_app
@@ -16,6 +17,7 @@ from placegraph.serve.desk import Desk
 from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Places
 from placegraph.serve.problem import problem
+from placegraph.serve.protocol import Patient
 from placegraph.serve.worker import VERBS, dumped
 
 if TYPE_CHECKING:
@@ -78,7 +80,7 @@ class Served:
         """Asks without a network."""
         from starlette.testclient import TestClient
 
-        client = TestClient(self.app)
+        client = TestClient(self.app, base_url="http://127.0.0.1")
         client.__enter__()
         return client
 
@@ -87,7 +89,10 @@ class Served:
         """Of the same on the network of this machine."""
         import uvicorn
 
-        config = uvicorn.Config(self.app, port=0, log_level="critical", ws="websockets-sansio")
+        http: Any = partial(Patient, seconds=20.0)
+        config = uvicorn.Config(
+            self.app, http=http, port=0, log_level="critical", ws="websockets-sansio"
+        )
         server = uvicorn.Server(config)
         threading.Thread(target=server.run, daemon=True).start()
         while not server.started:
@@ -114,7 +119,7 @@ def request(bench: Bench, folder: Path, rng: Generator) -> None:
         told = json.loads(text)
         method, path, body = str(told["method"]), str(told["path"]), told["body"]
         accept = str(told["accept"]).encode("latin-1")
-    except (ValueError, LookupError, TypeError):  # no request any more: it is a body
+    except (ValueError, LookupError, TypeError, RecursionError):  # it is a body now
         _judged(served.client.post("/v1/locate", content=text))
         return
     if method == "SOCKET":
@@ -129,7 +134,7 @@ def request(bench: Bench, folder: Path, rng: Generator) -> None:
     else:
         head = {b"accept": accept, b"content-type": b"application/json"}
         content = b"" if body is None else json.dumps(body).encode()
-        url = f"http://testserver/{path.encode('utf-8', 'replace').decode().lstrip('/')}"
+        url = f"http://127.0.0.1/{quote(path.encode('utf-8', 'replace').lstrip(b'/'), '/?&=%+,')}"
         kind = method if method.isalpha() and method.isascii() else "POST"
         _judged(served.client.request(kind, url, content=content, headers=head))
 
@@ -175,7 +180,7 @@ def message(bench: Bench, folder: Path, rng: Generator) -> None:
             said = b""
     status = said[9:12].decode("latin-1") if said.startswith(b"HTTP/1.1 ") else ""
     if status.isdigit() and int(status) >= 400:
-        _told({"status": int(status), "detail": said[-200:].decode("latin-1")})
+        _told({"status": int(status), "detail": said[:60].decode("latin-1")})
     if not status:
         raise RequestError("hung up")
 

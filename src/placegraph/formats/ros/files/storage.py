@@ -66,7 +66,9 @@ class File:
             with self._lock:
                 if self._handle is None:
                     try:
-                        handle = os.open(regular(self.path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
+                        handle = os.open(
+                            regular(self.path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)
+                        )
                     except OSError as error:
                         raise InputError(
                             f"{self.path} cannot be read: {error.strerror}."
