@@ -3,10 +3,12 @@
 import importlib.util
 import os
 import resource
+import signal
 import subprocess
 import sys
 import warnings
 from collections import namedtuple
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from numba import typeof
 from numba.core import config
 
 from placegraph import kept
+from placegraph.compiled import uninterrupted
 from placegraph.fingerprint import fingerprint
 
 CALLEE = """
@@ -254,3 +257,56 @@ def test_two_processes_compile_nothing_twice(total, tmp_path):
     compiled_by = [process.communicate()[0].split() for process in processes]
     assert [process.returncode for process in processes] == [0, 0]
     assert sorted(compiled_by[0] + compiled_by[1]) == sorted(BOTH)
+
+
+PRESSED = """
+import signal, sys; sys.path.insert(0, sys.argv[1])
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import numpy as np; from placegraph import kept; from compiled_caller import total
+from numba.core.registry import cpu_target
+kept.use_folder(sys.argv[2])
+llvm = cpu_target.target_context.codegen()._engine._ee
+asked = llvm._object_cache_getbuffer
+def pressed(module):
+    signal.raise_signal(signal.SIGINT)
+    return asked(module)
+llvm._object_cache_getbuffer = pressed
+try:
+    total(np.arange(3.0))
+except KeyboardInterrupt:
+    llvm._object_cache_getbuffer = asked
+    print("interrupted, then", total(np.arange(3.0)))
+"""
+
+
+@pytest.mark.parametrize("kept_before", [True, False])
+def test_ctrl_c_where_llvm_asks_for_code_waits_until_it_has_it(total, tmp_path, kept_before):
+    total(np.arange(3.0))  # writes both files
+    folder = tmp_path / ("kept" if kept_before else "new")
+    command = [sys.executable, "-c", PRESSED, tmp_path, folder]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+    assert (done.returncode, done.stdout) == (0, "interrupted, then 9.0\n"), done.stderr
+
+
+def test_signals_wait_and_none_is_lost(monkeypatch):
+    told = []
+    before = signal.signal(signal.SIGUSR1, lambda number, _: told.append(number))
+    monkeypatch.setattr("placegraph.compiled._HELD", ("SIGUSR1", "SIGUSR2", "SIGNONE"))
+    try:
+        with uninterrupted():
+            with uninterrupted():
+                signal.raise_signal(signal.SIGUSR1)
+            signal.raise_signal(signal.SIGUSR1)
+            assert told == []
+        assert told == 2 * [signal.SIGUSR1]
+        signal.raise_signal(signal.SIGUSR1)
+        assert len(told) == 3
+        with ThreadPoolExecutor(1) as pool, uninterrupted():
+            assert pool.submit(_uninterrupted_elsewhere).result() == "done"
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
+def _uninterrupted_elsewhere():
+    with uninterrupted():
+        return "done"

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph import files, locks
 from placegraph.errors import InputError, MapError, MapLockedError
-from placegraph.files import regular, write_file
+from placegraph.files import put, regular, write_file
 
 
 def test_a_file_takes_the_place_of_the_old_one(tmp_path):
@@ -74,3 +74,47 @@ def test_what_may_never_end_is_not_read(tmp_path):
             regular(tmp_path / name)
     assert regular(tmp_path) == tmp_path
     assert regular(tmp_path / "none") == tmp_path / "none"
+
+
+def test_what_is_put_is_whole_or_not_there(tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    assert put(path, b"old") == path
+    monkeypatch.setattr(os, "fsync", lambda _: Path("/does/not/exist").stat())
+    with pytest.raises(InputError, match=r"a\.png cannot be written: No such file"):
+        put(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+    for wrong in (tmp_path / "no" / "a.png", tmp_path, "a\0b"):
+        with pytest.raises(InputError, match="cannot be written"):
+            put(wrong, b"new")
+
+
+def test_what_is_no_file_is_written_straight(tmp_path):
+    read, write = os.pipe()
+    put(f"/dev/fd/{write}", b"through a pipe")
+    assert os.read(read, 100) == b"through a pipe"
+    os.close(read)
+    os.close(write)
+    with (tmp_path / "open").open("w") as file:
+        put(f"/proc/self/fd/{file.fileno()}", b"into an open file")
+    assert (tmp_path / "open").read_bytes() == b"into an open file"
+
+
+def test_a_folder_that_is_lost_meanwhile_leaves_the_first_error(tmp_path, monkeypatch):
+    path, removed = tmp_path / "a.bin", Path.unlink
+
+    def refused(self, *given, **named):
+        if self.name.startswith(".a.bin"):
+            raise PermissionError(13, "Permission denied", str(self))
+        removed(self, *given, **named)
+
+    def chunks():
+        monkeypatch.setattr(Path, "unlink", refused)
+        yield b"half"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(MapError, match="No space left"):
+        write_file(path, chunks())
+    monkeypatch.undo()
+    write_file(path, [b"new"])
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]

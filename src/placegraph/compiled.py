@@ -10,6 +10,9 @@
   compiles nothing.
 - No kernel is compiled by two processes at once: the second waits, and takes what the first made.
 - Code that is found needs numba's runtime and none of its declarations, which take long to import.
+- No signal cuts LLVM short. It asks Python for code that was kept, and Python ignores an exception
+  there, such as a `KeyboardInterrupt`: the kernel would then be one that does nothing, and its call
+  end in memory that is nobody's.
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ import fcntl
 import gc
 import os
 import pickle
+import signal
 import sys
+import threading
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -26,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 import llvmlite
 import numba
 from numba.core import caching, config, sigutils
-from numba.core.compiler import CompileResult
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
@@ -40,6 +45,9 @@ from placegraph.kept import folders, tell
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+_HELD = ("SIGINT", "SIGALRM", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2")
+"""Signals whose handlers in Python may raise."""
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:  # noqa: ANN401
@@ -60,8 +68,48 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     return made
 
 
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let handlers of signals wait until the end of it; on the main thread, where alone they run."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] | None = []
+    before: dict[int, Callable[..., Any]] = {}
+
+    def note(number: int, frame: Any) -> None:  # noqa: ANN401
+        if came is None:
+            before[number](number, frame)
+        else:
+            came.append(number)
+
+    for number in (getattr(signal, name) for name in _HELD if hasattr(signal, name)):
+        if callable(handler := signal.getsignal(number)):
+            before[number] = handler
+            signal.signal(number, note)
+    try:
+        yield
+    finally:
+        late, came = came, None  # from here on a handler may raise; `note` then stays, and hands on
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in late or ():
+            before[number](number, None)
+
+
+class _Whole(Compiler):
+    """Numba's compiler, with nothing of LLVM's left half owned by an exception out of the blue."""
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401  # numba's
+        with uninterrupted():
+            return super().compile_extra(func)
+
+
 class _Part(CPUDispatcher):
     """Numba's dispatcher, with our cache; of the function as other kernels have it within."""
+
+    def __init__(self, py_func: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
+        super().__init__(py_func, pipeline_class=_Whole, **options)
 
     def enable_caching(self) -> None:
         """Look for code in our folders, and keep it there."""
@@ -154,7 +202,8 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
         """Code that was kept; None where there is none, and then others wait until it is made."""
         if not self._enabled:
             return None
-        rtsys.initialize(target_context)
+        with uninterrupted():
+            rtsys.initialize(target_context)
         found = self._load(sig, target_context)
         if found is None and kept.FOLDERS.fell_back():
             found = self._load(sig, target_context)
@@ -184,7 +233,8 @@ class _Cache(caching._Cache):  # noqa: SLF001  # numba's interface of caches
             with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
                 # numba's own form of compiled code, which is run: no more is trusted than that
                 code = pickle.loads(file.read_bytes())  # noqa: S301
-                return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
+                with uninterrupted():
+                    return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None
 
     def _take_lock(self) -> None:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
     Chunks = Iterable[bytes | memoryview]
 
+_STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
+"""Where names stand for what is open: a new file in the place of one would be read by nobody."""
+
 
 def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
     """Write a file that takes the place of the old one in one step; a link stays a link.
@@ -38,6 +41,25 @@ def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
     return Path(path)
 
 
+def put(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write a picture or a text as `write_file` does; what is no file, as /dev/stdout, straight.
+
+    Raises `MapLockedError` as `write_file` does, and `InputError` where it cannot be written.
+    """
+    given = Path(path)
+    try:
+        if str(given.absolute()).startswith(_STREAMS) or (given.exists() and not given.is_file()):
+            given.write_bytes(content)
+        else:
+            target = Path(os.path.realpath(given))
+            with locks.exclusive(target):
+                replace_file(target, [content])
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{given} cannot be written: {why}. Choose another place.") from error
+    return given
+
+
 def replace_file(target: Path, chunks: Chunks) -> None:
     """Bring chunks to disk and put them in the place of `target`, whose lock the caller holds.
 
@@ -56,7 +78,8 @@ def replace_file(target: Path, chunks: Chunks) -> None:
         temporary.replace(target)
         _sync_folder(target.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # in a folder that is no longer ours: the first error counts
+            temporary.unlink()
 
 
 def regular(path: Path) -> Path:

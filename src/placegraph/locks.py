@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from placegraph.errors import MapLockedError
@@ -28,7 +28,8 @@ def exclusive(target: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):  # what stays is free for the next
+            path.unlink()
         os.close(descriptor)
 
 

@@ -65,6 +65,8 @@ def test_update_from_a_later_map_in_place(run, place, tmp_path):
     path = tmp_path / "room.scene"
     path.write_bytes((place / "room.scene").read_bytes())
     before = path.read_bytes()
+    (tmp_path / "precious").write_bytes(b"precious")
+    (tmp_path / ".room.scene.bak.tmp").symlink_to(tmp_path / "precious")
     refused = run("scene", "update", path, "--from", place / "later.scene", "-o", path)
     assert refused.code == 7
     assert path.read_bytes() == before
@@ -79,6 +81,7 @@ def test_update_from_a_later_map_in_place(run, place, tmp_path):
         == len(SceneMap.open(place / "room.scene")) - 1
     )
     assert (tmp_path / "room.scene.bak").read_bytes() == before
+    assert (tmp_path / "precious").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(

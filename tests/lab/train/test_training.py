@@ -1,6 +1,23 @@
 """The file of a training's figures."""
 
-from placegraph_lab.train.training import add_row, rows_of
+import os
+
+import pytest
+
+from placegraph.errors import InputError
+from placegraph_lab.train.training import PLAN, add_row, planned, rows_of
+
+
+def test_a_plan_that_cannot_be_written_is_not_there_by_half(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(InputError, match="No space left"):
+            planned(tmp_path, {"steps": 3})
+    assert not (tmp_path / PLAN).exists()
+    assert planned(tmp_path, {"steps": 3}) == {"steps": 3}
 
 
 def test_rows_come_back_and_one_cut_short_is_passed_over(tmp_path):

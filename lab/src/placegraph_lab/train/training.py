@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.files import put
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,9 +54,11 @@ def planned(folder: str | PathLike[str], plan: Mapping[str, Any]) -> dict[str, A
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not (path / PLAN).exists():
-            (path / PLAN).write_text(json.dumps(plan, indent=1), encoding="utf-8")
+            put(
+                path / PLAN, json.dumps(plan, indent=1).encode()
+            )  # half of it would end all trainings here
         known: dict[str, Any] = json.loads((path / PLAN).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, InputError) as error:
         raise InputError(f"{path}: no folder to train in ({error}); name another.") from error
     if known != json.loads(json.dumps(plan)):
         raise OptionError(

@@ -14,6 +14,7 @@ from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
 from placegraph.cli.scene.pose import map_from_camera_of, pose_of_estimate, read_estimate
 from placegraph.errors import InputError, OptionError
+from placegraph.files import put
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
@@ -193,6 +194,7 @@ def _write(
     """Write all pictures; returns their files."""
     from PIL import Image
 
+    from placegraph.view.draw.sheet import write_image
     from placegraph.view.scene.overlay import colours_of, overlay
 
     if len(scene) >= _MOST:
@@ -219,13 +221,11 @@ def _write(
     files = []
     for name, picture in pictures.items():
         files.append(out / f"{name}.png")
-        picture.save(files[-1])
+        write_image(picture, files[-1], "PNG")
         if name == "objects":
             files.append(out / "objects.json")
             named = {str(o["value"]): o for o in _objects(scene, drawn)}
-            files[-1].write_text(
-                json.dumps(named, ensure_ascii=False, indent=1) + "\n", encoding="utf-8"
-            )
+            put(files[-1], (json.dumps(named, ensure_ascii=False, indent=1) + "\n").encode())
     return files
 
 

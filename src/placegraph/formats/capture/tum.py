@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.files import regular
+from placegraph.files import put, regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.geometry import quaternion_from_rotation, rotation_from_quaternion
 
@@ -119,7 +119,7 @@ def write_tum(
     """Write poses (T, 4, 4) with stamps (T,) as TUM text, to a nanometre; `comment` heads the file.
 
     Raises `OptionError` where the arrays do not fit or hold what `read_tum` would refuse, and
-    `OSError` where the file cannot be written.
+    `InputError` where the file cannot be written.
     """
     times = np.asarray(stamps, np.float64)
     matrices = np.asarray(poses, np.float64)
@@ -136,7 +136,7 @@ def write_tum(
     rows = [f"# {line}" for line in comment.splitlines()]
     for stamp, row in zip(times.tolist(), columns.tolist(), strict=True):
         rows.append(" ".join([repr(stamp).removesuffix(".0"), *(f"{v:.9f}" for v in row)]))
-    Path(path).write_text("\n".join(rows) + "\n", encoding="utf-8")
+    put(path, ("\n".join(rows) + "\n").encode())
 
 
 def read_table(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import put
 from placegraph.formats.capture.camera import read_json
 from placegraph.indoor.encode.words import spelled
 
@@ -110,10 +111,7 @@ class Confusion:
             writer.writerow(["", *self.names])
             writer.writerows([name, *row] for name, row in zip(self.names, rows, strict=True))
             text = lines.getvalue()
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{path} cannot be written: {error.strerror}.") from error
+        put(path, text.encode())
 
     @classmethod
     def estimate(

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import re
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.files import put
 from placegraph.view.city.estimate_items import place_of, rivals
 from placegraph.view.city.tiles import CityTiles
 from placegraph.view.draw.style import clean, style_sheet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
@@ -58,7 +59,6 @@ def write_page(
         The question that would tell the modes apart, as of `CityEstimate.next_question`.
 
     """
-    path = Path(path)
     heading = f"Where am I? {city.source.partition('.')[0].replace('_', ' ')}"
     tiles = CityTiles(city)
     data = {
@@ -78,8 +78,7 @@ def write_page(
     page = pieces[0] + "".join(
         slots[slot] + rest for slot, rest in (piece.split("}}", 1) for piece in pieces[1:])
     )
-    path.write_text(page, encoding="utf-8")
-    return path
+    return put(path, page.encode())
 
 
 def told(estimate: CityEstimate) -> dict[str, Any]:

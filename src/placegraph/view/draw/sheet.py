@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
+from placegraph.files import put
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.painter import SUPERSAMPLE, heat, likely
 from placegraph.view.draw.style import PALETTE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from placegraph.geometry import Floats
 
@@ -194,15 +195,10 @@ class Sheet:
 
 
 def write_image(image: Image.Image, path: str | Path, form: str, **options: Any) -> Path:  # noqa: ANN401  # Pillow's
-    """Write a picture; the `OSError` of a full disk names the file too."""
-    path, written = Path(path), BytesIO()
+    """Write a picture, whole or not at all; `InputError` where it cannot be written."""
+    written = BytesIO()
     image.save(written, form, **options)
-    try:
-        path.write_bytes(written.getbuffer())
-    except OSError as error:
-        error.filename = error.filename or str(path)
-        raise
-    return path
+    return put(path, written.getvalue())
 
 
 def _up(at: XY) -> XY:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import put
 from placegraph.formats.capture.camera import read_json
 from placegraph.geometry import vector_from_rotation
 
@@ -214,7 +215,7 @@ class SceneDiff:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the diff as JSON, for `read_diff` and `placegraph scene update`."""
         text = json.dumps(self.to_dict(), ensure_ascii=False)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        put(path, f"{text}\n".encode())
 
 
 def read_diff(path: str | PathLike[str]) -> SceneDiff:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from placegraph.errors import MapError, OptionError
+from placegraph.errors import InputError, OptionError
+from placegraph.files import write_file
 from placegraph.indoor.map.scene import S, Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
 from placegraph.indoor.mapping.change.changes import KINDS
@@ -110,15 +110,10 @@ def update_file(
 def _keep(path: Path) -> None:
     """Copy a file to `NAME.bak`, whole or not at all."""
     copy = path.with_name(f"{path.name}.bak")
-    part = copy.with_name(f".{copy.name}.tmp")
     try:
-        shutil.copyfile(path, part)
-        part.replace(copy)
+        write_file(copy, [path.read_bytes()])
     except OSError as error:
-        part.unlink(missing_ok=True)
-        raise MapError(
-            f"{copy} cannot be written: {error.strerror}. The map is as it was."
-        ) from error
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
 
 
 def _chosen(diff: SceneDiff, take: Collection[str], least: float) -> list[Change]:
