@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 def locate(
     world: Annotated[
-        Path, Argument(help="Folder with .city, .scene and .library files; or one of these files.")
+        Path,
+        Argument(
+            help="Folder with .city, .scene and .library files; one of these files; or a world in shards."
+        ),
     ],
     text: Annotated[
         str | None,
@@ -42,6 +45,14 @@ def locate(
     ] = True,
     seed: Seed = 0,
     device: Device = "auto",
+    budget: Annotated[
+        float | None,
+        Option(help="Of a world in shards: seconds after which the best so far is the answer."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        Option(help="Dask scheduler whose workers search a world in shards, as tcp://host:8786."),
+    ] = None,
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
@@ -61,11 +72,11 @@ def locate(
         raise OptionError("--frames belongs to a capture; name one by --capture.")
     with progress_of(hidden=quiet or as_json) as tell:
         shown = None if capture is None else chosen_frames(open_capture(capture), frames)
-        opened = open_world(world)
+        opened = open_world(world, scheduler=scheduler)
         estimate = opened.locate(
             text, shown, near=lonlat(near, "--near"), radius=radius, seed=seed, top=top,
             heading=None if heading_deg is None else radians(heading_deg), refine=refine,
-            device=device, progress=tell,
+            device=device, progress=tell, budget=budget,
         )  # fmt: skip
     question = estimate.next_question(opened)
     if as_json:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from placegraph.errors import OptionError
 from placegraph.outdoor.search.request import is_count
 from placegraph.outdoor.search.whereabouts import number
@@ -36,6 +38,8 @@ class Known:
     answers: Sequence[Answer] = ()
     language: str | None = None
     progress: Progress | None = None
+    budget: float | None = None
+    """Of worlds in shards [s]."""
 
     def __post_init__(self) -> None:
         if self.text is None and self.capture is None and self.near is None:
@@ -47,6 +51,8 @@ class Known:
         for name in ("top", "most"):
             if not is_count(getattr(self, name)):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it is a number from 1 on.")
+        if self.budget is not None and not 0.0 < number(self.budget) < np.inf:
+            raise OptionError(f"budget is {self.budget!r} s; give a time greater than 0.")
         if self.heading is not None and not abs(number(self.heading)) < 1e6:
             raise OptionError(f"heading is {self.heading!r}; give a finite angle.")
         if not 1.0 <= number(self.radius) <= 1e7:

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from placegraph.errors import InputError
+from placegraph.errors import InputError, OptionError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.scenes import digest_of
 from placegraph.maps import checked, open_map
@@ -128,6 +128,8 @@ class World:
         from placegraph.world.locate import locate
 
         known = Known(text, capture, frames, near, radius, heading, seed, **options)
+        if known.budget is not None:
+            raise OptionError("budget: it is of worlds in shards; leave it out.")
         return locate(self, known)
 
     def __repr__(self) -> str:
@@ -138,8 +140,9 @@ def open_world(
     places: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     opener: Callable[[Path], Any] = open_map,
+    scheduler: str | None = None,
 ) -> World:
-    """Open the maps of a folder, or of several folders and files.
+    """Open the maps of a folder, or of several folders and files; or one world in shards.
 
     Maps are only listed now, and opened when they are needed. Other files are left alone, and named in
     `World.ignored`. A scene's place on Earth stands in its own file.
@@ -150,6 +153,8 @@ def open_world(
         A folder with ``.city``, ``.scene`` and ``.library`` files, or a list of such folders and files.
     opener
         Opens one of them, where that is to be done once for several worlds.
+    scheduler
+        Address of a Dask scheduler whose workers search a world in shards; this process if not given.
 
     Raises
     ------
@@ -157,9 +162,19 @@ def open_world(
         A place is missing, or holds no map.
     MapError
         Map files are damaged or have one name: the message names all, each with its mend.
+    MissingExtraError, ServiceError
+        The scheduler takes Dask, which is not installed; or it does not answer.
 
     """
+    from placegraph.world.shards.folder import is_world
+
     given = [places] if isinstance(places, str | os.PathLike) else list(places)
+    if len(given) == 1 and is_world(given[0]):
+        from placegraph.world.shards.planet import Planet
+
+        return Planet.open(given[0], scheduler)
+    if scheduler is not None:
+        raise OptionError("scheduler: it is of worlds in shards; leave it out.")
     if not given:
         raise InputError("There is no place to look for maps; name a folder, or map files.")
     found = checked([Path(place) for place in given])

@@ -1,12 +1,13 @@
 """A small town cut into shards."""
 
+import numpy as np
 import pytest
 from tests.cities import _write_world
 
 from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.outdoor.shards import write_shards
 
-ZOOM = 14
+ZOOM = 15
 KINDS = (
     {"amenity": "bench"}, {"natural": "tree"}, {"amenity": "cafe"}, {"shop": "bakery"},
     {"amenity": "post_box"}, {"highway": "street_lamp"}, {"leisure": "playground"},
@@ -14,19 +15,17 @@ KINDS = (
 
 
 def town():
-    """Things every 60 m over 3.6 km, streets, and a few that are unique."""
-    nodes = [
-        (60.0 * x, 60.0 * y, KINDS[(3 * x + 5 * y + x * y) % 7])
-        for x in range(61)
-        for y in range(31)
-    ]
+    """Things every 24 m over 2.4 km, streets, and a few that are unique."""
+    rng = np.random.default_rng(3)
+    kinds = rng.choice(7, size=(101, 76), p=(0.3, 0.3, 0.1, 0.1, 0.05, 0.1, 0.05))
+    nodes = [(24.0 * x, 24.0 * y, KINDS[kinds[x, y]]) for x in range(101) for y in range(76)]
     nodes += [
-        (310.0, 330.0, {"amenity": "theatre", "name": "Rex"}),
-        (3310.0, 1330.0, {"tourism": "museum", "name": "Museum of Salt"}),
-        (1800.0, 900.0, {"man_made": "lighthouse", "name": "Old Light"}),
+        (310.0, 333.0, {"amenity": "theatre", "name": "Rex"}),
+        (2110.0, 1330.0, {"tourism": "museum", "name": "Museum of Salt"}),
+        (1210.0, 909.0, {"man_made": "lighthouse", "name": "Old Light"}),
     ]
     n = len(nodes)
-    nodes += [(x, 20.0, {}) for x in (0.0, 3600.0)] + [(25.0, y, {}) for y in (0.0, 1800.0)]
+    nodes += [(x, 20.0, {}) for x in (0.0, 2400.0)] + [(25.0, y, {}) for y in (0.0, 1800.0)]
     ways = [((n, n + 1), {"highway": "residential", "name": "Long Street"}),
             ((n + 2, n + 3), {"highway": "footway"})]  # fmt: skip
     return nodes, ways

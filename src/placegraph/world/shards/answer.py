@@ -1,0 +1,173 @@
+"""From scored candidates of many shards to a world's estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.estimate import CityEstimate, Place, Status
+from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted
+from placegraph.outdoor.search.confidence import believed, claim_of, doubts, status_of
+from placegraph.outdoor.search.posterior import Posterior, modes, posterior
+from placegraph.outdoor.search.viewpoints import CLOSER, FINE, SPACING
+from placegraph.world.estimate import WorldEstimate, WorldMode
+from placegraph.world.shards.frames import Frames
+from placegraph.world.split import Understood
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.evidence import Evidence
+    from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.search.posterior import Mode
+    from placegraph.world.shards.merged import Merged
+    from placegraph.world.shards.search import Search
+
+    Explain = Callable[[int, tuple[float, float]], tuple[Evidence, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A posterior over viewpoints of many shards."""
+
+    posterior: Posterior
+    """In `frames`."""
+    shards: NDArray[np.int64]
+    """(K,) row of the shard of each position."""
+    frames: Frames
+
+
+def weigh(search: Search, found: Merged, beyond: float, searched: float) -> Weighed:
+    """Look more closely at the best, and apply Bayes to all; as `viewpoints.closer`.
+
+    `beyond` is the log of what shards weigh that were not looked into; `searched` the share of the
+    world that probabilities can speak of.
+    """
+    ranked, scores = found.ranked, found.values()
+    reached = np.flatnonzero(np.isfinite(scores))
+    order = reached[np.argsort(-(scores + ranked.log_prior)[reached], kind="stable")]
+    best, shard = order[:CLOSER], ranked.shard
+    told = []
+    for row in dict.fromkeys(shard[best].tolist()):
+        at = ranked.at[best[shard[best] == row]]
+        told.append((row, (found.asked, found.proposals[row].part(at))))
+    looks = dict(search.each("look", told))
+    frames = Frames()
+    coarse = np.setdiff1d(reached, [k for k in best.tolist() if shard[k] in looks])
+    positions, scored, priors, rows = (
+        [np.zeros((0, 2))],
+        [np.zeros(0)],
+        [np.zeros(0)],
+        [np.zeros(0, int)],
+    )
+    heaviest = dict.fromkeys([*shard[order].tolist(), *looks])
+    placed = {row: found.proposals[row].origin for row in heaviest}
+    for origin in placed.values():  # the heaviest shard's plane is the first
+        frames.placed(origin, np.zeros((0, 2)))
+    for row in np.unique(shard[coarse]).tolist():
+        mine = coarse[shard[coarse] == row]
+        positions.append(frames.placed(placed[row], found.positions[row][ranked.at[mine]]))
+        scored.append(scores[mine])
+        priors.append(ranked.log_prior[mine])
+        rows.append(np.full(len(mine), row))
+    for row, (fine, ratios) in looks.items():
+        mine = best[shard[best] == row]
+        positions.append(frames.placed(placed[row], fine.reshape(-1, 2)))
+        scored.append(ratios.ravel().astype(np.float64))
+        priors.append(np.repeat(ranked.log_prior[mine] - np.log(len(FINE)), len(FINE)))
+        rows.append(np.full(ratios.size, row))
+    rest = float(np.logaddexp(found.rest(), beyond))
+    made = posterior(
+        np.concatenate(positions), np.concatenate(scored), np.concatenate(priors), rest
+    )
+    if searched < 1.0:
+        shares = made.probabilities * searched
+        lost = float(made.probabilities.sum() - shares.sum())
+        made = replace(made, probabilities=shares, elsewhere=made.elsewhere + lost)
+    return Weighed(made, np.concatenate(rows), frames)
+
+
+def estimate(
+    search: Search, found: Merged, weighed: Weighed, description: Description, top: int,
+    explain: Explain, whole: str,
+) -> WorldEstimate:  # fmt: skip
+    """Modes over all shards; `whole` says what was not searched, so that nothing is sure."""
+    peaks = modes(weighed.posterior, top, SPACING)
+    query = found.asked.query
+    claim, doubt = claim_of(description), doubts(query)
+    status, reason = status_of(weighed.posterior, peaks, claim, doubt)
+    post, peaks = believed(weighed.posterior, peaks, claim, doubt)
+    places = _places(search, weighed, peaks, explain)
+    if places and description.conflicts and contradicted(places[0][1], query):
+        status, reason = Status.LOST, CONTRADICTS.format(description.conflicts[0])
+    if whole and status is Status.OK:
+        status = Status.AMBIGUOUS
+    n = len(search.sources)
+    cost = f"Looked into {len(search.touched):,} of {n:,} shards."
+    return WorldEstimate(
+        status, tuple(_mode(place) for _, place in places), " ".join(filter(None, (reason, whole, cost))),
+        elsewhere=post.elsewhere,
+        understood=Understood(description.text, {"": description}, None, description.ignored),
+        cities=_cities(search, replace(weighed, posterior=post), places, description),
+        notes=tuple(search.lost[row] for row in sorted(search.lost)),
+    )  # fmt: skip
+
+
+def _places(
+    search: Search, weighed: Weighed, peaks: Sequence[Mode], explain: Explain
+) -> list[tuple[int, Place]]:
+    """Places of modes, each with the row of its shard."""
+    at = [weighed.frames.lonlat(peak.position) for peak in peaks]
+    shards = [
+        int(
+            weighed.shards[np.argmin(((weighed.posterior.positions - p.position) ** 2).sum(axis=1))]
+        )
+        for p in peaks
+    ]
+    cells: dict[int, str] = {}
+    for row in dict.fromkeys(shards):
+        mine = [k for k, shard in enumerate(shards) if shard == row]
+        for _, names in search.each("name", [(row, ([at[k] for k in mine],))]):
+            cells |= {
+                k: f"{search.sources[row].key}/{name}" for k, name in zip(mine, names, strict=True)
+            }
+    return [
+        (row, Place(*at[k], p.probability, cells.get(k, search.sources[row].key), p.covariance,
+                    explain=partial(explain, row, at[k])))
+        for k, (p, row) in enumerate(zip(peaks, shards, strict=True))
+    ]  # fmt: skip
+
+
+def _mode(place: Place) -> WorldMode:
+    return WorldMode(
+        place.longitude, place.latitude, place.probability, place.covariance, place=place,
+        explain=lambda: place.evidence,
+    )  # fmt: skip
+
+
+def _cities(
+    search: Search, weighed: Weighed, places: list[tuple[int, Place]], description: Description
+) -> dict[str, CityEstimate]:
+    """What the answer says of each shard that has a mode: questions are asked of these."""
+    found = {}
+    for row in dict.fromkeys(row for row, _ in places):
+        mine = np.flatnonzero(weighed.shards == row)
+        heaviest = mine[np.argsort(-weighed.posterior.probabilities[mine], kind="stable")]
+        points = [
+            (
+                *weighed.frames.lonlat(weighed.posterior.positions[k]),
+                weighed.posterior.probabilities[k],
+            )
+            for k in heaviest[:MOST_SUPPORT].tolist()
+        ]
+        found[search.sources[row].key] = CityEstimate(
+            Status.AMBIGUOUS, tuple(place for r, place in places if r == row),
+            "A part of the answer of a world in shards.", description,
+            np.array(points, np.float64).reshape(-1, 3),
+        )  # fmt: skip
+    return found

@@ -1,0 +1,163 @@
+"""From a query to a posterior over all viewpoints of a world, shard after shard.
+
+Shards come in the order of what they can hold. The search ends where all that were not looked into
+cannot together change the answer, or where the time is over. Candidates of all shards are ranked
+together, scored, looked at more closely and weighed, as those of one city are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.outdoor.map.index import REACH
+from placegraph.outdoor.search.candidates import FAR_REACH
+from placegraph.outdoor.search.posterior import ELSEWHERE
+from placegraph.world.shards.bounds import most
+from placegraph.world.shards.merged import Merged
+from placegraph.world.shards.things import distance
+from placegraph.world.shards.workers import Lost, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from placegraph.world.shards.asked import Asked, Fix
+    from placegraph.world.shards.table import WordTable
+    from placegraph.world.shards.workers import Crew, Source
+
+NEGLIGIBLE = 0.002
+"""Shards that together hold no more than this share of the posterior are not looked into."""
+FIRST = 2
+"""Shards of the first round; every other round is twice as large."""
+FAR_OFF = 6.0
+"""A fix says nothing of shards that lie so many standard deviations away."""
+
+
+@dataclass(eq=False)
+class Search:
+    """One query in the shards of a world."""
+
+    sources: tuple[Source, ...]
+    table: WordTable
+    crew: Crew
+    deadline: float | None = None
+    lost: dict[int, str] = field(default_factory=dict)
+    """Shards (rows) that did not answer, and why."""
+    touched: set[int] = field(default_factory=set)
+    """Shards that were looked into."""
+    searched: set[int] = field(default_factory=set)
+    """Shards whose candidates are known."""
+
+    def each(
+        self, step: str, told: Iterable[tuple[int, tuple[Any, ...]]]
+    ) -> Iterator[tuple[int, Any]]:
+        """Results of a step by row of the shard, in order of the rows; of those that answer in time."""
+        given = list(told)
+        tasks = [Task(self.sources[row], args) for row, args in given]
+        answers = dict(self.crew.each(step, tasks, self.deadline))
+        for k, (row, _) in enumerate(given):
+            answer = answers.get(k)
+            if isinstance(answer, Lost):
+                self.lost[row] = answer.reason
+            elif answer is not None:
+                self.touched.add(row)
+                yield row, answer
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is over."""
+        return self.deadline is not None and monotonic() >= self.deadline
+
+    def run(
+        self, asked: Asked, log_mass: NDArray[np.float64], cores: NDArray[np.float64]
+    ) -> Merged:
+        """Candidates of all shards that matter, scored; `log_mass` (N,) is the shards' prior."""
+        self.reach = log_mass + most(asked.query, self.table)
+        self.reach[self._near(asked, cores) & (log_mass > -np.inf)] = np.inf
+        order = np.argsort(-self.reach, kind="stable")
+        order = order[self.reach[order] > -np.inf]
+        found, first, size = Merged(asked), 0, FIRST
+        while first < len(order) and not self.late and not self.settled(found):
+            rows = order[first : first + size].tolist()
+            for row, proposed in self.each("propose", ((r, (asked,)) for r in rows)):
+                found.add(row, proposed)
+                self.searched.add(row)
+            scoring = found.unscored()
+            for row, compared in self.each("compare", ((r, (asked, p)) for r, p in scoring)):
+                found.scored(row, compared)
+            found.dropped(r for r, _ in scoring if r in self.lost)
+            first, size = first + size, 2 * size
+        return found
+
+    def settled(self, found: Merged) -> bool:
+        """Whether what was not looked into is `NEGLIGIBLE`."""
+        return self.beyond(found) <= np.log(NEGLIGIBLE)
+
+    def beyond(self, found: Merged, rows: NDArray[np.int64] | None = None) -> float:
+        """Log of the largest share that shards not looked into can have of the posterior."""
+        rows = self.left() if rows is None else rows
+        total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
+        beyond = float(np.logaddexp.reduce(self.reach[rows], initial=-np.inf))
+        return beyond + float(np.log1p(-ELSEWHERE) - total)
+
+    def remaining(self) -> float:
+        """Log of the most that shards not looked into weigh together."""
+        return float(np.logaddexp.reduce(self.reach[self.left()], initial=-np.inf))
+
+    def left(self) -> NDArray[np.int64]:
+        """Shards that were not looked into, or did not answer."""
+        looked = np.zeros(len(self.sources), np.bool_)
+        looked[list(self.searched - self.lost.keys())] = True
+        return np.flatnonzero(~looked)
+
+    def missing(self, found: Merged, log_mass: NDArray[np.float64]) -> float:
+        """Prior probability of shards that might matter and were not searched."""
+        left = self.left()
+        left = left[np.argsort(self.reach[left], kind="stable")]
+        beyond = np.logaddexp.accumulate(self.reach[left]) if len(left) else np.zeros(0)
+        total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
+        matters = beyond + np.log1p(-ELSEWHERE) - total > np.log(NEGLIGIBLE)
+        return float(np.exp(log_mass[left[matters]]).sum())
+
+    def _near(self, asked: Asked, cores: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Shards (N,) from which a rare thing out of sight may be spoken of."""
+        near = np.zeros(len(cores), np.bool_)
+        far = asked.query.far
+        if far is None:
+            return near
+        reach = max(1.5 * FAR_REACH, 4.0 * float(far.scale.max(initial=0.0)))  # its corners count
+        for row in np.unique(far.objects).tolist():
+            thing = asked.things[row]
+            center = np.broadcast_to(thing.center, (len(cores), 2))
+            near |= distance(center, cores) <= reach + thing.extent
+        return near
+
+    def masses(
+        self, fix: Fix | None, cores: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], Fix | None]:
+        """Log prior mass (N,) of each shard, and the fix with its norm; None where it is off all."""
+        with np.errstate(divide="ignore"):
+            log_size = np.log(self.table.viewpoints.astype(np.float64))
+        if fix is None:
+            return log_size - np.logaddexp.reduce(log_size), None
+        sigma = float(np.hypot(fix.radius / 1.1774, 10.0))
+        place = np.broadcast_to([[fix.longitude, fix.latitude]], (len(cores), 2))
+        away = distance(place, cores)
+        near = np.flatnonzero(
+            (away <= max(FAR_OFF * sigma, 4.0 * fix.radius + 2.0 * REACH)) & (log_size >= 0)
+        )
+        mass, highest, reached = np.full(len(cores), -np.inf), -np.inf, False
+        for row, (most_, total, there) in self.each("weigh", ((r, (fix,)) for r in near.tolist())):
+            mass[row], highest, reached = total, max(highest, most_), reached or there
+        for row in self.lost:  # it would have held about so much
+            mass[row] = log_size[row] - 0.5 * (away[row] / sigma) ** 2
+            reached, highest = True, max(highest, -0.5 * (away[row] / sigma) ** 2)
+        if not reached:
+            return mass, None
+        norm = float(np.logaddexp.reduce(mass)) - highest
+        return mass - norm, fix._replace(norm=norm)

@@ -1,0 +1,204 @@
+"""What is done in one shard: the stages of a city's search, in the words and the prior of the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.outdoor.likelihood.statements import Far, MentionTokens
+from placegraph.outdoor.map.index import REACH, STRIDE
+from placegraph.outdoor.search.candidates import MOST_CANDIDATES, Candidates, candidates
+from placegraph.outdoor.search.evidence import evidence_at
+from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.viewpoints import look_around
+from placegraph.outdoor.search.viewpoints import score as score_of
+from placegraph.outdoor.search.whereabouts import Whereabouts
+from placegraph.world.shards.asked import Asked, Compared, Proposed
+from placegraph.world.shards.lexicon import Thing
+from placegraph.world.shards.quadtree import held
+from placegraph.world.shards.things import joined
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.evidence import Evidence
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.map.index import ViewIndex
+    from placegraph.world.shards.asked import Fix
+
+
+@dataclass(frozen=True, eq=False)
+class Shard:
+    """A shard that is open."""
+
+    key: str
+    city: CityMap
+
+    @cached_property
+    def lonlat(self) -> NDArray[np.float64]:
+        """Longitude and latitude (W, 2) [deg] of its viewpoints."""
+        return self.city.plane.to_lonlat(self.city.views.positions.astype(np.float64))
+
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which viewpoints (W,) lie in the core."""
+        return held(self.lonlat, self.key)
+
+    @cached_property
+    def tokens(self) -> dict[str, int]:
+        """Tokens by what they read, as of `Words.reads`."""
+        o = self.city.objects
+        return {word: i for i, word in enumerate([*o.labels, *(f"~{name}" for name in o.names)])}
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Of its plane [deg]."""
+        return self.city.plane.longitude, self.city.plane.latitude
+
+
+@dataclass(frozen=True, eq=False)
+class _Within(Whereabouts):
+    """A prior that is known of every viewpoint: the world's, and none outside the core."""
+
+    given: NDArray[np.float64] | None = None
+    """(W,)"""
+
+    @property
+    def informative(self) -> bool:
+        """It always is: viewpoints outside the core are not meant."""
+        return True
+
+    def log_of_views(self, views: ViewIndex) -> NDArray[np.float64]:
+        """Log prior (W,) of the shard's viewpoints among all of the world."""
+        del views
+        assert self.given is not None  # noqa: S101  # it is made with one
+        return self.given
+
+
+def gathered(shard: Shard, words: tuple[str, ...]) -> list[Thing]:
+    """Things that bear any of these words and have their centre in the core."""
+    city, tokens = shard.city, [shard.tokens[w] for w in words if w in shard.tokens]
+    rows = np.unique(np.concatenate([np.zeros(0, np.int64), *city.bearers(np.array(tokens, int))]))
+    centers = city.plane.to_lonlat(city.objects.center[rows].astype(np.float64))
+    starts, values, _ = city.tokens
+    known = [*city.objects.labels, *(f"~{name}" for name in city.objects.names)]
+    o = city.objects
+    return [
+        Thing(
+            int(o.osm_type[i]), int(o.osm_id[i]), int(o.kind[i]), o.label(i), o.name(i),
+            tuple(known[t] for t in values[starts[i] : starts[i + 1]]),
+            tuple(city.plane.to_lonlat(part.astype(np.float64)) for part in o.parts(i)), center,
+            min(1000.0, float(np.hypot(*(np.concatenate(o.parts(i)) - o.center[i]).T).max())),
+        )
+        for i, center in zip(rows.tolist(), centers, strict=True)
+        if held(center, shard.key)
+    ]  # fmt: skip
+
+
+def weighed(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
+    """Largest and total log weight of a fix over the core, and whether it reaches any viewpoint."""
+    off = _off(shard, fix)
+    if not len(off):
+        return -np.inf, -np.inf, False
+    east_north = shard.city.plane.to_plane((fix.longitude, fix.latitude))
+    delta = np.abs(shard.city.views.positions[shard.inside] - east_north).max(axis=1)
+    reached = bool((delta <= 4.0 * fix.radius + REACH).any())
+    return float(off.max()), float(np.logaddexp.reduce(off)), reached
+
+
+def _off(shard: Shard, fix: Fix) -> NDArray[np.float64]:
+    """Log weight (V,) of a fix at the viewpoints of the core, as `Whereabouts.log` has it."""
+    near = shard.city.plane.to_plane((fix.longitude, fix.latitude))
+    sigma = np.hypot(fix.radius / 1.1774, STRIDE / 2)
+    positions = shard.city.views.positions[shard.inside].astype(np.float64)
+    return np.asarray(-0.5 * (((positions - near) / sigma) ** 2).sum(axis=1))
+
+
+def requested(shard: Shard, asked: Asked) -> Request:
+    """The query in the tokens and rows of a shard, and the prior of its viewpoints."""
+    prior = np.full(len(shard.inside), -np.inf)
+    if asked.fix is None:
+        prior[shard.inside] = -np.log(asked.viewpoints)
+    else:
+        prior[shard.inside] = _off(shard, asked.fix) - asked.fix.norm
+    inside = partial(_holds, shard)
+    city, query = _translated(shard, asked)
+    return Request(city, query, _Within(inside=inside, given=prior))
+
+
+def _holds(shard: Shard, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return held(shard.city.plane.to_lonlat(positions), shard.key)
+
+
+def _translated(shard: Shard, asked: Asked) -> tuple[City, Query]:
+    """City and query with one another's tokens and objects."""
+    query = asked.query
+    rows = np.array([shard.tokens.get(word, -1) for word in asked.words], np.int32)
+    known = rows >= 0
+    before = np.concatenate(([0], np.cumsum(known))).astype(np.int64)
+    mentions = MentionTokens(
+        before[query.mentions.starts], rows[known], query.mentions.weights[known]
+    )
+    far = query.far
+    city: City = shard.city
+    if far is not None:
+        reach = 4.0 * float(far.scale.max(initial=0.0))
+        city, at = joined(city, asked.things, shard.key, reach)
+        there = at[far.objects] >= 0
+        before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
+        anchors = at[far.anchors]
+        far = Far(
+            before[far.starts], at[far.objects][there], far.fits[there], far.scale, far.share,
+            anchors[anchors >= 0],
+        )  # fmt: skip
+    return city, replace(query, mentions=mentions, far=far)
+
+
+def proposed(shard: Shard, asked: Asked) -> Proposed:
+    """The most promising viewpoints of the core."""
+    request = requested(shard, asked)
+    prior = request.log_prior
+    highest, n = float(prior.max(initial=-np.inf)), len(asked.query.used)
+    if highest == -np.inf:
+        none = np.zeros(0)
+        return Proposed(none.astype(np.int32), none, np.zeros((0, n), np.float32), none, 0.0,
+                        highest, shard.origin)  # fmt: skip
+    found = candidates(request)
+    best = slice(MOST_CANDIDATES)
+    return Proposed(
+        found.rows[best], found.bounds[best], found.far[best], prior[found.rows[best]],
+        found.left_out, highest, shard.origin,
+    )  # fmt: skip
+
+
+def compared(shard: Shard, asked: Asked, chosen: Proposed) -> Compared:
+    """Scores of candidates."""
+    request = requested(shard, asked)
+    found = score_of(request, Candidates(chosen.rows, chosen.bounds, chosen.far, 0.0))
+    scores = np.full(len(chosen.rows), -np.inf)
+    where = {row: k for k, row in enumerate(chosen.rows.tolist())}
+    scores[[where[row] for row in found.rows.tolist()]] = found.scores
+    return Compared(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
+
+
+def looked(
+    shard: Shard, asked: Asked, chosen: Proposed
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A closer look around candidates; as `look_around`."""
+    return look_around(requested(shard, asked), chosen.rows, chosen.far)
+
+
+def explained(shard: Shard, asked: Asked, lonlat: tuple[float, float]) -> tuple[Evidence, ...]:
+    """What speaks for and against a place [deg]."""
+    request = requested(shard, asked)
+    return evidence_at(shard.city.plane.to_plane(lonlat), request.city, request.query)
+
+
+def named(shard: Shard, lonlats: list[tuple[float, float]]) -> list[str]:
+    """Cells that places [deg] lie in."""
+    return [shard.city.cells.nearest(shard.city.plane.to_plane(at)) for at in lonlats]

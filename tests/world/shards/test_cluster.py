@@ -1,0 +1,81 @@
+import os
+import signal
+import socket
+import sys
+
+import pytest
+from tests.world.shards.test_planet import TEXTS
+
+import placegraph as pg
+from placegraph.errors import MissingExtraError, ServiceError
+from placegraph.world.shards import cluster
+
+distributed = pytest.importorskip("distributed")
+
+
+def local(**options):
+    return distributed.LocalCluster(
+        threads_per_worker=1, dashboard_address=":0", scheduler_port=0, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    with local(n_workers=2, processes=False, protocol="tcp") as found:
+        yield found.scheduler_address
+
+
+def test_workers_answer_as_one_process(scheduler, sharded):
+    alone, together = pg.open_world(sharded), pg.open_world(sharded, scheduler=scheduler)
+    for text in TEXTS[:3]:
+        assert together.locate(text).to_dict() == alone.locate(text).to_dict()
+    together.close()
+
+
+def test_a_lost_shard_is_named_by_workers_too(scheduler, world):
+    next((world / "shards").iterdir()).unlink()
+    planet = pg.open_world(world, scheduler=scheduler)
+    found = planet.locate("A bench is north of me. A tree is east of me.")
+    assert len(found.notes) == 1
+    planet.close()
+
+
+def test_a_scheduler_that_is_not_there_is_said():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(ServiceError, match="No scheduler answers"):
+        cluster.connected(address, 0.2)
+    with pytest.raises(ServiceError, match="No scheduler answers"):
+        cluster.connected("nonsense://x", 0.2)
+
+
+def test_another_version_and_no_workers_are_said(scheduler, monkeypatch):
+    monkeypatch.setattr(cluster, "version", lambda _: "1999.1")
+    with pytest.raises(ServiceError, match="1999"):
+        cluster.connected(scheduler)
+    monkeypatch.undo()
+    with (
+        local(n_workers=0, processes=False, protocol="tcp") as empty,
+        pytest.raises(ServiceError, match="has no worker"),
+    ):
+        cluster.connected(empty.scheduler_address)
+
+
+def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
+        pg.open_world(sharded, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.all
+def test_a_worker_killed_in_between_loses_nothing(sharded):
+    with local(n_workers=2, processes=True) as found:
+        alone = pg.open_world(sharded)
+        planet = pg.open_world(sharded, scheduler=found.scheduler_address)
+        planet.locate(TEXTS[0])
+        victim = next(iter(planet.crew.client.run(os.getpid).values()))
+        os.kill(victim, signal.SIGKILL)
+        for text in TEXTS[:4]:
+            assert planet.locate(text).to_dict() == alone.locate(text).to_dict()
+        planet.close()

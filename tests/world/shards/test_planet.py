@@ -1,0 +1,186 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import placegraph as pg
+from placegraph.errors import DescriptionError, InputError, MapError, OptionError
+from placegraph.estimate import Status
+
+THREE = "The bakery is on the north of the cafe. The cafe is on the east of the bench. "
+TEXTS = (
+    THREE + "The post box is on the south of the bench.",
+    "Rex is north of me. A bench is east of me.",
+    "The Museum of Salt is on the west of a tree. A cafe is south of the tree.",
+    "I am on Long Street. A playground is north of me.",
+    "A bench is north of me. A tree is east of me. There is no cafe.",
+    "The Old Light is 300 m west of me. A bakery is north of me.",
+)
+
+
+@pytest.fixture(scope="module")
+def planet(sharded):
+    return pg.open_world(sharded)
+
+
+@pytest.mark.parametrize("text", [TEXTS[i] for i in (0, 2, 3, 4)])
+def test_shards_answer_as_one_map(text, whole, planet):
+    one, many = whole.locate(text), planet.locate(text)
+    assert many.status is one.status
+    assert len(many.modes) == len(one.modes)
+    assert many.best.longitude == pytest.approx(one.best.longitude, abs=1e-5)
+    assert many.best.latitude == pytest.approx(one.best.latitude, abs=1e-5)
+    for a, b in zip(one.modes, many.modes, strict=True):
+        assert b.probability == pytest.approx(a.probability, abs=0.01)
+    assert [e.verdict for e in many.evidence] == [e.verdict for e in one.evidence]
+    assert [e.objects for e in many.evidence] == [e.objects for e in one.evidence]
+
+
+@pytest.mark.parametrize("text", [TEXTS[i] for i in (1, 5)])
+def test_what_is_seen_from_afar_is_found_across_borders(text, whole, planet):
+    # one map gives viewpoints around such a thing a lower bound than a shard, which lists them all
+    one, many = whole.locate(text), planet.locate(text)
+    assert many.status is one.status
+    assert many.best.longitude == pytest.approx(one.best.longitude, abs=1e-4)
+    assert many.best.latitude == pytest.approx(one.best.latitude, abs=1e-4)
+    assert [e.objects for e in many.evidence] == [e.objects for e in one.evidence]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.004])
+def test_a_fix_is_a_prior_over_all_shards(shift, whole, planet):
+    near = (10.012 + shift, 50.006)
+    text = "A bakery is north of me. A cafe is east of me."
+    one, many = (
+        whole.locate(text, near=near, radius=200),
+        planet.locate(text, near=near, radius=200),
+    )
+    assert many.best.longitude == pytest.approx(one.best.longitude, abs=1e-5)
+    assert many.best.probability == pytest.approx(one.best.probability, abs=0.01)
+    assert touched(many) < len(planet.sources)
+
+
+def touched(estimate):
+    return int(estimate.reason.split("Looked into ")[1].split()[0])
+
+
+def test_a_rare_name_takes_few_shards_and_common_things_many(planet):
+    name = planet.locate(
+        "The Museum of Salt is on the north of a bench. A tree is on the east of it."
+    )
+    common = planet.locate("A bench is north of me. A tree is east of me.")
+    assert touched(name) < touched(common)
+
+
+def test_the_same_question_has_the_same_answer(planet, sharded):
+    again = pg.open_world(sharded)
+    one, other = (w.locate(TEXTS[0]).to_dict() for w in (planet, again))
+    assert one == other
+    assert json.dumps(one)
+
+
+def test_it_asks_back_within_the_best_shard(planet):
+    found = planet.locate("A bench is north of me. A tree is east of me. A bakery is south of me.")
+    assert found.status is Status.AMBIGUOUS
+    question = found.next_question(planet)
+    if question is not None:
+        told = planet.locate(TEXTS[0], answers=[question.answer(question.options[0])])
+        assert told.understood is not None
+
+
+def test_what_is_not_there_is_lost(planet):
+    assert planet.locate("Somebody sings.").status is Status.LOST
+    off = planet.locate("A bench is north of me.", near=(-30.0, 10.0))
+    assert off.status is Status.LOST
+    assert "No shard reaches" in off.reason
+    swapped = planet.locate("A bench is north of me.", near=(50.006, 10.012))
+    assert "10.012,50.006" in swapped.reason
+
+
+def test_bad_questions_are_refused(planet, whole, tmp_path):
+    with pytest.raises(OptionError, match="text"):
+        planet.locate()
+    with pytest.raises(OptionError, match="budget"):
+        planet.locate("A bench.", budget=0.0)
+    with pytest.raises(DescriptionError):
+        planet.locate("  ")
+    with pytest.raises(OptionError, match="answers"):
+        planet.locate("A bench is north of me.", answers=["yes"])
+    whole.save(tmp_path / "a.city")
+    with pytest.raises(OptionError, match="scheduler"):
+        pg.open_world(tmp_path, scheduler="tcp://127.0.0.1:1")
+    with pytest.raises(OptionError, match="budget"):
+        pg.open_world(tmp_path).locate("A bench is north of me.", budget=1.0)
+
+
+def holder_of(world, text):
+    """Path of the shard with the best place."""
+    cell = pg.open_world(world).locate(text).best.place.cell
+    return world / "shards" / f"{cell.partition('/')[0]}.city"
+
+
+@pytest.mark.parametrize("harm", ["missing", "damaged", "another"])
+def test_a_shard_that_does_not_answer_is_named_and_the_rest_answers(world, harm):
+    text = TEXTS[0]
+    whole = pg.open_world(world).locate(text)
+    path = holder_of(world, text)
+    if harm == "missing":
+        path.unlink()
+    elif harm == "damaged":
+        blob = bytearray(path.read_bytes())
+        blob[len(blob) // 2] ^= 255
+        path.write_bytes(blob)
+    else:
+        shutil.copy(next(p for p in path.parent.iterdir() if p != path), path)
+    found = pg.open_world(world).locate(text)
+    assert found.status is not Status.OK
+    assert any(path.name in note for note in found.notes)
+    assert "did not answer" in found.reason
+    assert found.modes
+    assert found.best.probability < whole.best.probability
+
+
+def test_a_shard_that_cannot_matter_may_be_missing(world):
+    text = "The Old Light is on the north of a bench. The Old Light is on the west of a tree."
+    before = pg.open_world(world).locate(text)
+    held = holder_of(world, text)
+    for path in list(held.parent.iterdir()):
+        if path != held:
+            path.unlink()
+            break
+    after = pg.open_world(world).locate(text)
+    assert after.best.probability == pytest.approx(before.best.probability, abs=0.01)
+
+
+def test_a_budget_gives_the_best_so_far(planet):
+    text = "A bench is north of me. A tree is east of me."
+    late = planet.locate(text, budget=1e-6)
+    assert late.status is not Status.OK
+    assert "of the world was searched" in late.reason
+    assert planet.locate(text, budget=1e6).reason == planet.locate(text).reason
+
+
+def test_a_table_of_another_world_is_refused(world):
+    path = world / "words.table"
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(MapError, match=r"words\.table"):
+        pg.open_world(world)
+    path.unlink()
+    with pytest.raises(InputError, match=r"words\.table"):
+        pg.open_world(world)
+
+
+def test_localizing_never_writes(world):
+    before = {p: p.stat().st_mtime_ns for p in world.rglob("*")}
+    pg.open_world(world).locate(TEXTS[0])
+    assert {p: p.stat().st_mtime_ns for p in world.rglob("*")} == before
+
+
+def test_shards_are_closed_again(sharded):
+    planet = pg.open_world(sharded)
+    planet.crew.holder.most = 2
+    found = planet.locate(TEXTS[4])
+    assert np.isfinite(found.best.probability)
+    assert len(planet.crew.holder._open) <= 2
+    planet.close()
+    assert not planet.crew.holder._open
