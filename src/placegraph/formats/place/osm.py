@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -62,7 +63,10 @@ class LeftOut:
 
 
 def read_osm(
-    path: str | PathLike[str], keys: Iterable[str], left_out: LeftOut | None = None
+    path: str | PathLike[str],
+    keys: Iterable[str],
+    left_out: LeftOut | None = None,
+    index: Path | None = None,
 ) -> Iterator[OsmElement]:
     """Yield the elements of an OpenStreetMap file that carry one of `keys`.
 
@@ -74,22 +78,31 @@ def read_osm(
         Keys worth reading; everything else is skipped in C++.
     left_out
         Is told what was left out, and why: clipped extracts lack members of ways and relations.
+    index
+        File for the positions of nodes, 16 bytes each, made and left for the caller to remove;
+        they are held in memory where none is named.
 
     Raises
     ------
     InputError
-        The file is missing, empty, truncated, not OpenStreetMap data, or damaged such that its
-        reader crashes: another process has read it through before.
+        The file is missing, empty, truncated, not OpenStreetMap data, holds history, has its nodes
+        behind the ways that need them, or is damaged such that its reader crashes: another
+        process has read it through before.
 
     """
     import osmium
 
     path, keys = checked_osm(Path(path)), sorted(keys)
-    _survived(path, keys)
+    storage = f"sparse_file_array,{index}" if index else "flex_mem"
+    with _emptied(index):
+        _survived(path, keys, storage)
     wanted = osmium.filter.KeyFilter(*keys)
     reader = _Reader(LeftOut() if left_out is None else left_out)
     try:
-        for item in osmium.FileProcessor(osm_file(path)).with_areas(wanted).with_filter(wanted):
+        file = osmium.FileProcessor(osm_file(path)).with_locations(storage)
+        if file.header.has_multiple_object_versions:
+            raise _of_several_times(path)
+        for item in file.with_areas(wanted).with_filter(wanted):
             element = reader.read(item)
             if element is not None:
                 yield element
@@ -98,7 +111,29 @@ def read_osm(
             f"{path} cannot be read as OpenStreetMap data: {one_line(error)}. "
             "It may be truncated or of another format; download or export it again."
         ) from error
+    if reader.late and reader.counts["ways without positions"]:
+        raise InputError(
+            f"{path} lists nodes behind the ways that need them; bring it into order by "
+            "`osmium sort`."
+        )
     reader.finish()
+
+
+@contextmanager
+def _emptied(index: Path | None) -> Iterator[None]:
+    """Without an index of an earlier pass, before and after: osmium would add to it."""
+    if index is not None:
+        index.unlink(missing_ok=True)
+    yield
+    if index is not None:
+        index.unlink(missing_ok=True)
+
+
+def _of_several_times(path: Path) -> InputError:
+    return InputError(
+        f"{path} holds history, several versions of one thing; make an extract of one time of it, "
+        "as by `osmium time-filter`."
+    )
 
 
 class _Reader:
@@ -113,13 +148,14 @@ class _Reader:
         self.counts = left_out.counts
         self.relations: set[int] = set()
         self.built: set[int] = set()  # an area may come before or after its relation
+        self.ways = self.late = False  # whether there was a way, and a node behind one
 
     def read(self, item: object) -> OsmElement | None:
         """Element of one object, None where it has no geometry of its own or none that is known."""
-        if isinstance(item, self.osm.Node):
-            return self.point(item)
         if isinstance(item, self.osm.Way):
             return self.way(item)
+        if isinstance(item, self.osm.Node):
+            return self.point(item)
         if isinstance(item, self.osm.Area) and not item.from_way():
             return self.area(item)
         if isinstance(item, self.osm.Relation) and item.tags.get("type") == "multipolygon":
@@ -132,15 +168,18 @@ class _Reader:
             self.counts["multipolygons with missing or crossing members"] += missing
 
     def point(self, node: Node) -> OsmElement | None:
+        self.late |= self.ways
         if not node.location.valid():
             self.counts["nodes without a position"] += 1
             return None
         return OsmElement(NODE, node.id, POINT, dict(node.tags), [np.array([[node.lon, node.lat]])])
 
     def way(self, way: Way) -> OsmElement | None:
+        self.ways = True
         try:
-            wkb = bytes.fromhex(self.factory.create_linestring(way))
-            line = np.frombuffer(wkb, "<f8", offset=9).reshape(-1, 2)
+            wkb = self.factory.create_linestring(way)  # in hexadecimal, behind 9 bytes of head
+            line = np.frombuffer(bytes.fromhex(wkb), "<f8", offset=9).reshape(-1, 2)
+            closed = wkb[18:50] == wkb[-32:]
         except self.invalid:  # a member is missing, or all nodes are one point
             known = [(n.location.lon, n.location.lat) for n in way.nodes if n.location.valid()]
             line = np.array(known).reshape(-1, 2)
@@ -148,9 +187,10 @@ class _Reader:
                 self.counts["ways without positions"] += 1
                 return None
             self.counts["ways cut where members are missing"] += 1
+            closed = known[0] == known[-1]
         tags = dict(way.tags)
-        closed = len(line) >= 4 and bool((line[0] == line[-1]).all())  # a triangle, closed
-        return OsmElement(WAY, way.id, AREA if closed and is_area(tags) else LINE, tags, [line])
+        ring = closed and len(line) >= 4  # a triangle, closed
+        return OsmElement(WAY, way.id, AREA if ring and is_area(tags) else LINE, tags, [line])
 
     def area(self, area: Area) -> OsmElement | None:
         try:
@@ -173,10 +213,10 @@ def _ending(path: Path) -> str:
     return ending.removeprefix(".").replace("osmag", "osm")
 
 
-def _survived(path: Path, keys: list[str]) -> None:
+def _survived(path: Path, keys: list[str], storage: str) -> None:
     """Raise `InputError` where a process dies of reading the file; costs a twelfth of reading it."""
     program, file = str(osm_pass.__file__), str(path.absolute())
-    command = [sys.executable, "-P", program, file, _ending(path), *keys]
+    command = [sys.executable, "-P", program, file, _ending(path), storage, *keys]
     try:
         died = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)  # noqa: S603
     except OSError:  # no process can be started, as in a sandbox: read as it is

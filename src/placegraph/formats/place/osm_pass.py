@@ -10,17 +10,16 @@ import sys
 from contextlib import suppress
 
 
-def read_through(path: str, ending: str, keys: list[str]) -> None:
+def read_through(path: str, ending: str, storage: str, keys: list[str]) -> None:
     """Assemble all areas; what osmium itself finds wrong is for the reader to say."""
     import osmium
 
     with suppress(RuntimeError, OSError, ValueError):
-        areas = osmium.FileProcessor(osmium.io.File(path, ending)).with_areas(
-            osmium.filter.KeyFilter(*keys)
-        )
+        file = osmium.FileProcessor(osmium.io.File(path, ending)).with_locations(storage)
+        areas = file.with_areas(osmium.filter.KeyFilter(*keys))
         for _ in areas.with_filter(osmium.filter.IdFilter([])):
             pass
 
 
 if __name__ == "__main__":
-    read_through(sys.argv[1], sys.argv[2], sys.argv[3:])
+    read_through(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4:])

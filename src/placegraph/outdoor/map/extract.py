@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import compress
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +17,10 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
 from placegraph.outdoor.map.raster import EACH, MOST
+from placegraph.outdoor.map.things import Thing, Things, spans, starts, text_of, words_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from os import PathLike
 
     from numpy.typing import NDArray
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int], None]
 """Called with the step's name and how many elements are done."""
 
+BATCH = 32_768
+"""Things that become columns at once: as Python's objects they take twenty times the memory."""
 TOLERANCE = 0.75
 """Outlines and lines are simplified to this error [m]: directions between things do not feel it."""
 LONGEST = 50_000.0
@@ -42,16 +44,6 @@ NAME_KEY = re.compile(
 )
 RUN = frozenset({"amenity", "shop", "office", "craft", "healthcare", "leisure", "tourism"})
 """What carries such a key and no name is called by who runs it: a letter box of the post."""
-
-
-@dataclass
-class _Columns:
-    """Growing columns, one entry an element."""
-
-    elements: list[tuple[int, int, int]]
-    labels: list[tuple[str, ...]]
-    names: list[tuple[str, ...]]
-    parts: list[list[NDArray[np.float64]]]
 
 
 def read_extract(
@@ -72,15 +64,20 @@ def read_extract(
         elements = read_overture(path, left_out)
     else:
         elements = read_osm(path, keys_read(vocabulary), left_out)
-    columns = _label(elements, vocabulary, progress or (lambda _step, _n: None))
-    if columns.elements:
-        columns = _without_largest(columns, left_out)
-    if not columns.elements:
-        raise InputError(
-            f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
-            f"{left_out}. Choose a larger extract, or extend the vocabulary."
-        )
-    return *_objects(columns), dict(sorted(left_out.counts.items()))
+    tables = list(labelled(elements, vocabulary, progress or (lambda _step, _n: None)))
+    things = without_largest(Things.joined(tables), left_out) if tables else ()
+    if not things:
+        raise nothing_in(path, left_out)
+    plane = _plane(things.lonlat)
+    return plane, objects_of(things, plane), dict(sorted(left_out.counts.items()))
+
+
+def nothing_in(path: str | PathLike[str] | Overture, left_out: LeftOut) -> InputError:
+    """What is raised of an extract in which there is nothing that people speak of."""
+    return InputError(
+        f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
+        f"{left_out}. Choose a larger extract, or extend the vocabulary."
+    )
 
 
 def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
@@ -88,34 +85,39 @@ def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
     return frozenset((*(vocabulary or Vocabulary.default()).keys, "name"))
 
 
-def _label(elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Progress) -> _Columns:
-    columns = _Columns([], [], [], [])
+def labelled(
+    elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Progress
+) -> Iterator[Things]:
+    """Elements that the vocabulary has a word for, or that have a name; many at a time."""
+    things = _things(elements, vocabulary, progress)
+    while batch := list(islice(things, BATCH)):
+        yield Things.of(batch)
+
+
+def _things(
+    elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Progress
+) -> Iterator[Thing]:
     for n, element in enumerate(elements):
         if n % 1000 == 0:
             progress("reading", n)
-        labels = vocabulary.labels_of(element.tags) or named_labels(element, vocabulary)
+        osm_type, osm_id, kind, tags, parts = element
+        labels = vocabulary.labels_of(tags) or named_labels(element, vocabulary)
         if labels:
-            columns.elements.append((element.osm_type, element.osm_id, element.kind))
-            columns.labels.append(labels)
-            columns.names.append(names_of(element.tags))
-            columns.parts.append(element.parts)
-    return columns
+            yield Thing(osm_type, osm_id, kind, text_of(labels, names_of(tags)), parts)
 
 
 def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
     """Names of an element, the name proper first, the address last, without repetitions."""
     found = [tags["name"]] if "name" in tags else []
-    found += [
-        value
-        for key, value in sorted(tags.items())
-        if "name" in key or "brand" in key
-        if NAME_KEY.match(key)
-    ]
+    keys = [key for key in tags if "name" in key or "brand" in key]
+    found += [tags[key] for key in sorted(keys) if NAME_KEY.match(key)]
     if not found and "operator" in tags and not RUN.isdisjoint(tags):
         found.append(tags["operator"])
     if "addr:housenumber" in tags and "addr:street" in tags:
         number = tags["addr:housenumber"].partition(",")[0]
         found.append(f"{number} {tags['addr:street']}")
+    if not found:
+        return ()
     split = (part.strip() for value in found for part in value.split(";"))
     return tuple(dict.fromkeys(part for part in split if part))
 
@@ -135,27 +137,21 @@ def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]
     return tuple(best[:3]) or (UNKNOWN,)
 
 
-def _without_largest(columns: _Columns, left_out: LeftOut) -> _Columns:
+def without_largest(things: Things, left_out: LeftOut, plane: LocalPlane | None = None) -> Things:
     """Leave out what would stretch the map far beyond a city, or fill it with grid points."""
-    lonlat = np.concatenate([part for parts in columns.parts for part in parts])
-    at = _plane(lonlat).to_plane(lonlat)
-    counts = [sum(map(len, parts)) for parts in columns.parts]
-    first = _starts(counts)[:-1]
-    span = np.maximum.reduceat(at, first) - np.minimum.reduceat(at, first)
+    lonlat = things.lonlat
+    at = (plane or _plane(lonlat)).to_plane(lonlat)
+    first = things.first
+    span = np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
     keep = span.max(axis=1) <= LONGEST
     points = span / STRIDE + 5.0  # of the grid of viewpoints
-    cost = keep * (points.prod(axis=1) + points[:, 1] * counts)
+    cost = keep * (points.prod(axis=1) + points[:, 1] * np.diff(first))
     order = np.argsort(cost, kind="stable")
     keep[order] &= 2.0 * np.cumsum(cost[order]) <= MOST + EACH * len(keep)
     if keep.all():
-        return columns
+        return things
     left_out.counts["things larger than a city"] += int((~keep).sum())
-    return _Columns(
-        list(compress(columns.elements, keep)),
-        list(compress(columns.labels, keep)),
-        list(compress(columns.names, keep)),
-        list(compress(columns.parts, keep)),
-    )
+    return things.take(np.flatnonzero(keep))
 
 
 def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
@@ -164,39 +160,27 @@ def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
     return LocalPlane(*(round(float(x), 4) for x in median))
 
 
-def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
-    n_parts = np.array([len(parts) for parts in columns.parts])
-    flat = [part for parts in columns.parts for part in parts]
-    lonlat = np.concatenate(flat)
-    plane = _plane(lonlat)
-    points, point_starts = simplify(
-        plane.to_plane(lonlat), _starts([len(p) for p in flat]), TOLERANCE
-    )
-    steps = np.round(points / GRAIN).astype(np.int64)
-    osm_type, osm_id, kind = np.array(columns.elements, np.int64).T
-    part_starts = _starts(n_parts)
-    first = steps[point_starts[part_starts[:-1]]]
-    order = np.lexsort((osm_id, osm_type, _hilbert(first)))
-
-    part_order = np.concatenate([np.arange(part_starts[i], part_starts[i + 1]) for i in order])
-    point_order = np.concatenate(
-        [np.arange(point_starts[p], point_starts[p + 1]) for p in part_order]
-    )
-    parts = _starts(n_parts[order]).astype(np.int32)
-    ends = _starts(np.diff(point_starts)[part_order]).astype(np.int32)
-    points = (steps[point_order] * GRAIN).astype(np.float32)
-    kind = kind[order].astype(np.uint8)
-    labels = [columns.labels[i] for i in order]
-    names = [columns.names[i] for i in order]
-    label_table, label_values = _table(labels)
-    name_table, name_values = _table(names)
-    return plane, CityObjects(
-        osm_type=osm_type[order].astype(np.uint8),
-        osm_id=osm_id[order],
+def objects_of(things: Things, plane: LocalPlane) -> CityObjects:
+    """Columns of things on a plane: simplified, and sorted along a curve, whatever order they came in."""
+    simple, point_starts = simplify(plane.to_plane(things.lonlat), things.point_starts, TOLERANCE)
+    steps = np.round(simple / GRAIN).astype(np.int64)
+    first = steps[point_starts[things.part_starts[:-1]]]
+    order = np.lexsort((things.osm_id, things.osm_type, _hilbert(first)))
+    part_ends, part_rows = spans(things.part_starts, order)
+    point_ends, point_rows = spans(point_starts, part_rows)
+    parts, ends = part_ends.astype(np.int32), point_ends.astype(np.int32)
+    points = (steps[point_rows] * GRAIN).astype(np.float32)
+    kind = things.kind[order]
+    said = [words_of(things.texts[i]) for i in order.tolist()]
+    label_starts, label_table, label_values = _table([labels for labels, _ in said])
+    name_starts, name_table, name_values = _table([names for _, names in said])
+    return CityObjects(
+        osm_type=things.osm_type[order],
+        osm_id=things.osm_id[order],
         kind=kind,
-        label_starts=_starts([len(x) for x in labels]).astype(np.int32),
+        label_starts=label_starts,
         label_values=label_values,
-        name_starts=_starts([len(x) for x in names]).astype(np.int32),
+        name_starts=name_starts,
         name_values=name_values,
         part_starts=parts,
         point_starts=ends,
@@ -207,14 +191,15 @@ def _objects(columns: _Columns) -> tuple[LocalPlane, CityObjects]:
     )
 
 
-def _starts(lengths: Iterable[int] | NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.concatenate(([0], np.cumsum(np.asarray(list(lengths), np.int64))))
-
-
-def _table(rows: list[tuple[str, ...]]) -> tuple[tuple[str, ...], NDArray[np.int32]]:
-    table = tuple(sorted({word for row in rows for word in row}))
+def _table(
+    rows: list[tuple[str, ...]],
+) -> tuple[NDArray[np.int32], tuple[str, ...], NDArray[np.int32]]:
+    """Bounds of the words of each row, all words that there are, sorted, and which each is."""
+    flat = [word for row in rows for word in row]
+    table = tuple(sorted(set(flat)))
     index = {word: i for i, word in enumerate(table)}
-    return table, np.array([index[word] for row in rows for word in row], np.int32)
+    values = np.fromiter(map(index.__getitem__, flat), np.int32, len(flat))
+    return starts(list(map(len, rows))).astype(np.int32), table, values
 
 
 def _hilbert(steps: NDArray[np.int64], bits: int = 18) -> NDArray[np.int64]:

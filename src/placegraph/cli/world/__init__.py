@@ -1,0 +1,1 @@
+"""Commands about worlds in shards."""

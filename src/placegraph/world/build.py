@@ -1,0 +1,287 @@
+"""From extracts to a folder of shards: split, build tile after tile, and say what is in them.
+
+All that is half done lies in ``WORLD/.build`` and is taken up again where it was left: a split is whole
+when its `split.json` is there, a shard when the journal says so. Only whole shards stand in
+``WORLD/shards``; `world.json` comes last.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph import locks
+from placegraph.errors import InputError, MapError, OptionError
+from placegraph.files import cannot_write, write_file
+from placegraph.formats.place.osm import checked_osm
+from placegraph.outdoor.map.cells import LARGEST, SMALLEST
+from placegraph.outdoor.map.split import Split, split, spread_large
+from placegraph.outdoor.map.tile import TileDone, TileJob, build_tile
+from placegraph.threads import processors
+from placegraph.tiles import check_zoom
+from placegraph.world.journal import Journal
+from placegraph.world.shards import WorldFile, finish
+from placegraph.world.workers import done
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from os import PathLike
+
+    Progress = Callable[[str, int, int | None], None]
+
+WORK, PLAN = ".build", "plan.json"
+OVERLAP = 500.0
+"""Viewpoints near a rare thing are looked at up to 400 m from it, and things are in sight up to 38 m
+from a viewpoint: with this margin [m] a border changes neither."""
+ZOOM = 12
+"""Tiles of 10 km at the equator and 6 km at 50 degrees: 200,000 things in the densest cities."""
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How a world is cut up, and by whom it is built."""
+
+    zoom: int = ZOOM
+    """Level of the quadtree: its tiles are the cores of shards."""
+    overlap: float = OVERLAP
+    """How far shards reach beyond their cores [m]."""
+    cell_size: float = 50.0
+    """Edge of a cell [m]."""
+    stride: float | None = None
+    """Distance of neighbouring cells' centres [m]; the cell size where not given."""
+    edge_distance: float | None = None
+    """Objects of a cell nearer than this are joined [m]; the cell size where not given."""
+    vocabulary: Path | None = None
+    """Folder with edited vocabulary tables."""
+    workers: int | None = None
+    """Processes of this machine; one a processor where not given."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, whose workers see the same folders."""
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """Cells, their distance, and how far edges reach [m]."""
+        stride = self.cell_size if self.stride is None else self.stride
+        edges = self.cell_size if self.edge_distance is None else self.edge_distance
+        return self.cell_size, stride, edges
+
+    def check(self) -> None:
+        """Raise `OptionError` where something is out of its range."""
+        check_zoom(self.zoom)
+        if not 0.0 <= self.overlap <= LARGEST:
+            raise OptionError(f"overlap is {self.overlap} m; choose between 0 and 10,000 m.")
+        if not all(SMALLEST <= size <= LARGEST for size in self.sizes):
+            raise OptionError(f"sizes of cells are {self.sizes} m; choose between 1 and 10,000 m.")
+        if self.workers is not None and self.workers < 1:
+            raise OptionError(f"workers is {self.workers}; give at least 1.")
+
+
+def build_world(
+    extracts: Sequence[str | PathLike[str]],
+    folder: str | PathLike[str],
+    options: BuildOptions | None = None,
+    progress: Progress | None = None,
+) -> WorldFile:
+    """Build a folder of shards from OpenStreetMap extracts of any size.
+
+    Begun, killed and called again with the same arguments, it goes on where it stopped; the bytes of
+    the shards depend neither on that nor on how many workers there are.
+
+    Parameters
+    ----------
+    extracts
+        Files in the formats of `build_city`; where they overlap, things are taken once.
+    folder
+        Is made where it is missing.
+    options
+        See `BuildOptions`.
+    progress
+        Is told the step, how much of it is done, and of how much.
+
+    Raises
+    ------
+    InputError
+        An extract cannot be read, changed meanwhile, or there is nothing worth naming in any.
+    MapError
+        The folder cannot be written, as on a full disk; what is half done in it is damaged; or a
+        worker was killed again and again.
+    MapLockedError
+        Somebody else is building there.
+    MissingExtraError, ServiceError
+        Dask is not installed; its scheduler does not answer, or is of another version.
+    OptionError
+        An option is out of its range, or another build was begun in this folder.
+
+    """
+    options = options or BuildOptions()
+    options.check()
+    tell = progress or (lambda _step, _done, _total: None)
+    target = Path(folder)
+    work = target / WORK
+    try:
+        (target / "shards").mkdir(parents=True, exist_ok=True)
+        work.mkdir(exist_ok=True)
+        with locks.exclusive(work / PLAN):
+            build = _Build(target, options, tell)
+            build.begin([checked_osm(Path(path)).resolve() for path in extracts])
+            build.split()
+            build.tiles()
+            tell("counting words", 0, None)
+            made = finish(target, options.zoom, options.overlap, build.each)
+            build.clear()
+    except OSError as error:
+        raise cannot_write(Path(error.filename or work), error) from error
+    return made
+
+
+@dataclass(frozen=True)
+class _SplitJob:
+    """An extract to be split, in a folder of its own."""
+
+    path: str
+    folder: str
+    options: BuildOptions
+
+
+def _split(job: _SplitJob, tell: Progress | None = None) -> None:
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+
+    folder, options = Path(job.folder), job.options
+    shutil.rmtree(folder, ignore_errors=True)  # what was killed
+    folder.mkdir()
+    words = Vocabulary.load(options.vocabulary) if options.vocabulary else None
+    said = None if tell is None else lambda step, n: tell(step, n, None)
+    split(Path(job.path), folder, options.zoom, options.overlap, words, said)
+
+
+class _Build:
+    """One build in its folder, step after step."""
+
+    def __init__(self, target: Path, options: BuildOptions, tell: Progress) -> None:
+        self.target, self.options, self.tell = target, options, tell
+        self.work, self.extracts = target / WORK, [Path()]
+        self.journal = Journal(self.work / "journal.jsonl")
+        self.workers = options.workers or processors()
+
+    def begin(self, extracts: list[Path]) -> None:
+        """Take up the build that was begun here, if it is the same."""
+        if not extracts:
+            raise OptionError("No extract is given; name at least one.")
+        self.extracts = sorted(extracts)
+        plan, path = _plan(self.extracts, self.options), self.work / PLAN
+        if path.exists():
+            known = json.loads(path.read_bytes())
+            for what in plan:
+                if known.get(what) != plan[what]:
+                    raise OptionError(
+                        f"{self.target} was begun with other {what}; build with the same, into another "
+                        f"folder, or remove {self.work} to begin anew."
+                    )
+        else:  # what was built by another plan is none of ours
+            for shard in (self.target / "shards").glob("*.city"):
+                shard.unlink()
+            path.write_bytes(json.dumps(plan, indent=1).encode())
+        self.journal.read()
+
+    def split(self) -> None:
+        """Split the extracts that are not, unless all tiles are built already."""
+        if (self.work / "tiles.json").exists() and not self._missing():
+            return
+        todo = [
+            _SplitJob(str(path), str(folder), self.options)
+            for path, folder in zip(self.extracts, self._folders("things"), strict=True)
+            if Split.read(folder) is None
+        ]
+        if len(todo) == 1 or self.workers == 1:
+            for job in todo:
+                _split(job, self.tell)
+        else:
+            for n, _ in enumerate(done(_split, todo, self.workers), 1):
+                self.tell("splitting extracts", n, len(todo))
+
+    def each(self, work: Callable[[Path], Any], paths: list[Path]) -> list[Any]:
+        """Results of a function for all paths, in their order."""
+        made = done(work, paths, self.workers, self.options.scheduler)
+        return [result for _, result in sorted(made, key=lambda pair: pair[0])]
+
+    def tiles(self) -> None:
+        """Build the shards that are missing, each as soon as a worker is free."""
+        jobs = self._missing() if (self.work / "tiles.json").exists() else self._spread()
+        total = len(jobs)
+        built = done(build_tile, jobs, self.workers, self.options.scheduler)
+        for n, (_, made) in enumerate(built, 1):
+            self.journal.add(made)
+            self.tell("building tiles", n, total)
+        if not any(made.digest for made in self.journal.done.values()):
+            raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
+
+    def clear(self) -> None:
+        """Remove what is of no more use: a journal and a plan are left, and take no room."""
+        for name in ("things", "large"):
+            for folder in self._folders(name):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _folders(self, name: str) -> list[Path]:
+        return [self.work / f"{name}-{n}" for n in range(len(self.extracts))]
+
+    def _spread(self) -> list[TileJob]:
+        """Jobs of all tiles, once what touches many of them is spread over those that hold more."""
+        self.tell("sharing out what is large", 0, None)
+        splits = [Split.read(folder) for folder in self._folders("things")]
+        populated = sorted({key for s in splits if s for key in s.populated})
+        files: dict[str, list[tuple[str, int]]] = {key: [] for key in populated}
+        for found, things, large in zip(
+            splits, self._folders("things"), self._folders("large"), strict=True
+        ):
+            if found is None:
+                raise MapError(f"{things} has gone; run the same command again.")
+            shutil.rmtree(large, ignore_errors=True)
+            large.mkdir()
+            sizes = spread_large(things, large, found.sizes, populated, self.options.overlap)
+            for folder, its in ((things, found.sizes), (large, sizes)):
+                for key in its.keys() & files.keys():
+                    files[key].append((str(folder / f"{key}.things"), its[key]))
+        write_file(self.work / "tiles.json", [json.dumps(files, sort_keys=True).encode()])
+        return self._missing()
+
+    def _missing(self) -> list[TileJob]:
+        """Jobs of the tiles whose shard is not there as the journal has it, by key."""
+        files: dict[str, list[tuple[str, int]]] = json.loads(
+            (self.work / "tiles.json").read_bytes()
+        )
+        source = ", ".join(path.name for path in self.extracts)
+        jobs = []
+        for key, things in sorted(files.items()):
+            out = self.target / "shards" / f"{key}.city"
+            built: TileDone | None = self.journal.done.get(key)
+            if built is None or not built.stands(out):
+                named = tuple((path, size) for path, size in things)
+                margin, sizes = self.options.overlap, self.options.sizes
+                jobs.append(TileJob(key, named, str(out), margin, sizes, source))
+        return jobs
+
+
+def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
+    """What a build depends on; if any of it changes, it is another build."""
+    told = asdict(options)
+    del told["workers"], told["scheduler"], told["vocabulary"]
+    words = hashlib.sha256()
+    if options.vocabulary is not None:
+        for path in sorted(options.vocabulary.iterdir()):
+            words.update(path.name.encode() + path.read_bytes())
+    return {
+        "extracts": [[path.name, path.stat().st_size, _digest(path)] for path in extracts],
+        "options": told,
+        "vocabulary": words.hexdigest(),
+    }
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,50 @@
+"""What a build has finished: a line a tile, on disk before the next one counts."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from placegraph.outdoor.map.spill import no_room
+from placegraph.outdoor.map.tile import TileDone
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class Journal:
+    """Tiles that are finished, and the file that says so."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done: dict[str, TileDone] = {}
+        """By key."""
+
+    def read(self) -> None:
+        """Read what is there; a last line that was cut off is taken away."""
+        if not self.path.exists():
+            return
+        whole = 0
+        with self.path.open("rb+") as file:
+            for line in file:
+                try:
+                    made = TileDone(**json.loads(line))
+                except (ValueError, TypeError):
+                    break
+                self.done[made.key] = made
+                whole += len(line)
+            file.truncate(whole)
+
+    def add(self, made: TileDone) -> None:
+        """Write down that a tile is finished; raises `MapError` where the disk is full."""
+        line = json.dumps(asdict(made)).encode() + b"\n"
+        try:
+            with self.path.open("ab") as file:
+                file.write(line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise no_room(self.path, error) from error
+        self.done[made.key] = made

@@ -1,0 +1,20 @@
+"""Tasks that end their worker, for tests of builds."""
+
+import os
+import signal
+from pathlib import Path
+
+from placegraph.outdoor.map.tile import build_tile
+
+
+def once(job):
+    """Build a tile; the first of all kills its worker."""
+    try:
+        Path(os.environ["KILLED_ONCE"]).touch(exist_ok=False)
+    except FileExistsError:
+        return build_tile(job)
+    return always(job)
+
+
+def always(_job):
+    os.kill(os.getpid(), signal.SIGKILL)

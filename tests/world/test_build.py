@@ -1,0 +1,153 @@
+"""A world of shards: the same bytes however often it was killed, and by however many it was built."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.outdoor.city import CityMap
+from placegraph.world import build as module
+from placegraph.world.build import BuildOptions, build_world
+
+BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
+SMALL = BuildOptions(zoom=15, overlap=100.0, workers=1)
+
+
+@pytest.fixture
+def extract(write_world):
+    """Benches and trees along two kilometres: five tiles of 780 m."""
+    things = [(40.0 * i, 10.0 * (i % 3), BENCH if i % 2 else TREE) for i in range(60)]
+    return write_world(things, [(list(range(0, 60, 4)), {"highway": "path", "name": "Weg"})])
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in sorted((folder / "shards").iterdir())}
+
+
+def test_shards_hold_their_core_and_what_is_around(extract, tmp_path):
+    told = []
+    made = build_world([extract], tmp_path / "w", SMALL, lambda *step: told.append(step))
+    assert [shard.key for shard in made.shards] == sorted(p[:-5] for p in contents(tmp_path / "w"))
+    assert len(made.shards) >= 3
+    ids = set()
+    for shard in made.shards:
+        city = CityMap.open(made.path(shard))
+        ids |= {city.objects.osm(i) for i in range(len(city.objects))}
+    assert len(ids) == 61
+    assert sum(shard.objects for shard in made.shards) >= 60
+    assert ("building tiles", len(made.shards), len(made.shards)) in told
+    assert not list((tmp_path / "w" / ".build").glob("*-0"))
+
+
+def test_workers_do_not_matter(extract, tmp_path):
+    build_world([extract], tmp_path / "one", SMALL)
+    build_world([extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, workers=2))
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_two_extracts_that_overlap_are_one_world(extract, write_world, tmp_path):
+    whole = build_world([extract], tmp_path / "one", SMALL)
+    again = write_world([(0, 0, TREE)], name="again.osm")
+    both = build_world([again, extract], tmp_path / "two", SMALL)
+    assert [s.objects for s in both.shards] == [s.objects for s in whole.shards]
+
+
+@pytest.mark.parametrize("after", ["a split", "a tile", "a torn line"])
+def test_killed_and_taken_up_again(after, extract, tmp_path, monkeypatch):
+    build_world([extract], tmp_path / "whole", SMALL)
+    code = (
+        "import os, signal, sys\n"
+        "from placegraph.world import build, journal\n"
+        "def die(*_): os.kill(os.getpid(), signal.SIGKILL)\n"
+        "def torn(self, made):\n"
+        "    with self.path.open('ab') as file: file.write(b'{\"key\": \"01')\n"
+        "    die()\n"
+        "add = journal.Journal.add\n"
+        "def second(self, made): die() if self.done else add(self, made)\n"
+        "if sys.argv[3] == 'a split': build._Build.tiles = die\n"
+        "if sys.argv[3] == 'a tile': build.Journal.add = second\n"
+        "if sys.argv[3] == 'a torn line': build.Journal.add = torn\n"
+        "options = build.BuildOptions(zoom=15, overlap=100.0, workers=1)\n"
+        "build.build_world([sys.argv[1]], sys.argv[2], options)\n"
+    )
+    target = tmp_path / "killed"
+    died = subprocess.run(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", code, extract, target, after], check=False, env=os.environ
+    )
+    assert died.returncode == -signal.SIGKILL
+    assert not (target / "world.json").exists()
+    splits, tiles = [], []
+    monkeypatch.setattr(module, "split", lambda *g: splits.append(g))
+    real = module.build_tile
+    monkeypatch.setattr(module, "build_tile", lambda job: tiles.append(job.key) or real(job))
+    build_world([extract], target, SMALL)
+    assert not splits
+    assert contents(target) == contents(tmp_path / "whole")
+    assert len(tiles) == len(contents(target)) - (after == "a tile")
+
+
+def test_a_shard_that_was_lost_is_built_again(extract, tmp_path):
+    made = build_world([extract], tmp_path / "w", SMALL)
+    before = contents(tmp_path / "w")
+    made.path(made.shards[1]).unlink()
+    build_world([extract], tmp_path / "w", SMALL)
+    assert contents(tmp_path / "w") == before
+
+
+def test_another_build_in_the_same_folder(extract, tmp_path):
+    build_world([extract], tmp_path / "w", SMALL)
+    with pytest.raises(OptionError, match="begun with other options"):
+        build_world([extract], tmp_path / "w", BuildOptions(zoom=14, overlap=100.0, workers=1))
+    extract.write_text(extract.read_text().replace("bench", "clock"))
+    with pytest.raises(OptionError, match="begun with other extracts"):
+        build_world([extract], tmp_path / "w", SMALL)
+
+
+def test_a_worker_that_is_killed_is_replaced(extract, tmp_path, monkeypatch):
+    from tests.world import killers
+
+    monkeypatch.setattr(module, "build_tile", killers.once)
+    options = BuildOptions(zoom=15, overlap=100.0, workers=2)
+    monkeypatch.setenv("KILLED_ONCE", str(tmp_path / "killed"))
+    build_world([extract], tmp_path / "w", options)
+    assert (tmp_path / "killed").exists()
+    monkeypatch.setattr(module, "build_tile", killers.always)
+    with pytest.raises(MapError, match="killed 3 times"):
+        build_world([extract], tmp_path / "again", options)
+
+
+def test_a_full_disk_says_so(extract, tmp_path, monkeypatch):
+    def full(_path):
+        raise MapError("x.city cannot be written: No space left on device. Choose another place.")
+
+    monkeypatch.setattr("placegraph.outdoor.map.city.City.save", lambda *_: full(_))
+    with pytest.raises(MapError, match="No space left"):
+        build_world([extract], tmp_path / "w", SMALL)
+    monkeypatch.undo()
+    build_world([extract], tmp_path / "w", SMALL)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [({"zoom": 0}, "zoom"), ({"overlap": -1.0}, "overlap"), ({"workers": 0}, "workers"),
+     ({"cell_size": 0.0}, "sizes")],
+)  # fmt: skip
+def test_options_out_of_range(wrong, name, extract, tmp_path):
+    with pytest.raises(OptionError, match=name):
+        build_world([extract], tmp_path / "w", BuildOptions(**wrong))
+    assert not (tmp_path / "w").exists()
+
+
+def test_an_extract_that_is_missing(tmp_path):
+    with pytest.raises(InputError, match=r"no\.osm\.pbf does not exist"):
+        build_world([tmp_path / "no.osm.pbf"], tmp_path / "w", SMALL)
+
+
+def test_without_dask(extract, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    options = BuildOptions(zoom=15, scheduler="tcp://127.0.0.1:1")
+    with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
+        build_world([extract], tmp_path / "w", options)
