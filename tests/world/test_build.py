@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
-from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
 from placegraph.outdoor.city import CityMap
 from placegraph.world import build as module
+from placegraph.world import workers
 from placegraph.world.build import BuildOptions, build_world
 
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
@@ -151,3 +152,45 @@ def test_without_dask(extract, tmp_path, monkeypatch):
     options = BuildOptions(zoom=15, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
         build_world([extract], tmp_path / "w", options)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A scheduler and a worker of Dask, in this process."""
+    distributed = pytest.importorskip("distributed", reason="needs Dask (extra scale)")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
+        protocol="tcp", host="127.0.0.1",
+    ) as made:  # fmt: skip
+        yield made.scheduler_address
+
+
+def test_a_cluster_builds_the_same(cluster, extract, tmp_path):
+    build_world([extract], tmp_path / "one", SMALL)
+    build_world(
+        [extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, scheduler=cluster)
+    )
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_a_scheduler_of_another_version(cluster, monkeypatch):
+    monkeypatch.setattr("distributed.__version__", "1900.1")
+    with pytest.raises(ServiceError, match=r"runs Dask .* here is 1900\.1"):
+        list(workers.done(len, ["a"], 1, cluster))
+
+
+def test_a_scheduler_that_is_not_there(monkeypatch):
+    pytest.importorskip("distributed", reason="needs Dask (extra scale)")
+    monkeypatch.setattr(workers, "PATIENCE", 0.2)
+    with pytest.raises(ServiceError, match=r"answers at tcp://127\.0\.0\.1:1"):
+        list(workers.done(len, ["a"], 1, "tcp://127.0.0.1:1"))
+
+
+def test_the_command(run, extract, tmp_path):
+    options = ("--zoom", "15", "--overlap", "100", "--workers", "1")
+    done = run("world", "build", extract, "-o", tmp_path / "w", *options, "--json")
+    assert done.code == 0
+    assert done.json["shards"] == len(contents(tmp_path / "w"))
+    again = run("world", "build", extract, "-o", tmp_path / "w", *options)
+    assert f"in {done.json['shards']} shards" in again.out
+    assert run("world", "build", extract, "-o", tmp_path / "w", "--zoom", "99").code == 7

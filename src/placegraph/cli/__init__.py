@@ -72,6 +72,11 @@ LIBRARY = Group(
         "localize": f"{_HERE}.library.search:localize",
     },
 )
+WORLD = Group(
+    "world",
+    "Countries and planets: a folder of shards, built of extracts of any size.",
+    {"build": f"{_HERE}.world.build:build"},
+)
 BAG = Group(
     "bag",
     "Bags of ROS: what they hold, and what they can be used for. Every command that takes a capture "
@@ -163,6 +168,7 @@ APP = Group(
         "city": CITY,
         "scene": SCENE,
         "library": LIBRARY,
+        "world": WORLD,
         "bag": BAG,
         "live": f"{_HERE}.live:live",
         "serve": f"{_HERE}.serve:serve",

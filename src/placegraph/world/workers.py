@@ -108,7 +108,7 @@ def _on_cluster(
     client = _client(distributed, scheduler)
     try:
         rest = iter(enumerate(tasks))
-        running, numbers = distributed.as_completed(), {}
+        running, numbers = distributed.as_completed(loop=client.loop), {}
 
         def start(most: int) -> None:
             for n, task in islice(rest, most):

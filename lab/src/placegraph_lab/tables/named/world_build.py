@@ -1,0 +1,180 @@
+"""How fast and in how much memory a world is built, and whether it survives being killed.
+
+    placegraph-lab table world_build --copies 4,80 --workers 1,2
+
+Copies of the extracts side by side, their labels shuffled, are written as one extract and built. Peak
+memory is that of all processes of the build together: what they hold of their own (heaps), and with
+what they map of files. Every build is killed once, by ``kill -9`` of all its processes after some of
+its tiles, and taken up again; the shards are compared with those of the build before.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS
+from placegraph_lab.tables.outdoor.tiling import country
+from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
+from placegraph_lab.tables.tables import markdown, number
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+CITIES = ("liechtenstein", "vancouver", "andorra", "ankara")
+EVERY = 0.2
+"""Memory is looked at in steps of this time [s]."""
+
+
+class Watch(Thread):
+    """Peak memory [bytes] and processor time [s] of a process and of all that it starts."""
+
+    def __init__(self, process: int) -> None:
+        super().__init__(daemon=True)
+        self.process, self.done = process, Event()
+        self.heaps, self.all = 0, 0
+        self.cpu: dict[int, float] = {}
+
+    def run(self) -> None:
+        """Look at it again and again, until `done`."""
+        while not self.done.wait(EVERY):
+            heaps = total = 0
+            for pid in _family(self.process):
+                try:
+                    fields = _status(pid)
+                    heaps += fields["RssAnon"]
+                    total += fields["VmRSS"]
+                    self.cpu[pid] = _seconds(pid)
+                except (OSError, KeyError, ValueError, IndexError):  # it has ended meanwhile
+                    continue
+            self.heaps, self.all = max(self.heaps, heaps), max(self.all, total)
+
+
+def _family(process: int) -> Iterator[int]:
+    yield process
+    for thread in Path(f"/proc/{process}/task").glob("*/children"):
+        try:
+            children = thread.read_text().split()
+        except OSError:
+            continue
+        for child in children:
+            yield from _family(int(child))
+
+
+def _status(pid: int) -> dict[str, int]:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    found = (line.partition(":") for line in lines if line.endswith(" kB"))
+    return {name: 1024 * int(value.split()[0]) for name, _, value in found}
+
+
+def _seconds(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
+
+
+def build(osm: Path, world: Path, workers: int, kill_after: int = 0) -> dict[str, float]:
+    """Build in processes of their own; end them all once so many tiles are in the journal."""
+    command = [sys.executable, "-m", "placegraph.cli", "world", "build", str(osm), "-o", str(world)]
+    start = time.perf_counter()
+    process = subprocess.Popen(  # noqa: S603  # our own command
+        [*command, "--workers", str(workers), "--quiet"], start_new_session=True
+    )
+    watch = Watch(process.pid)
+    watch.start()
+    journal = world / ".build" / "journal.jsonl"
+    while process.poll() is None:
+        time.sleep(EVERY)
+        if kill_after and journal.exists() and journal.read_bytes().count(b"\n") >= kill_after:
+            os.killpg(process.pid, signal.SIGKILL)
+    watch.done.set()
+    watch.join()
+    if process.returncode and not kill_after:
+        raise RuntimeError(f"{osm} could not be built ({process.returncode})")
+    return {
+        "seconds": time.perf_counter() - start,
+        "cpu_s": sum(watch.cpu.values()),
+        "heaps_bytes": watch.heaps,
+        "resident_bytes": watch.all,
+    }
+
+
+def shards(world: Path) -> dict[str, bytes]:
+    """Last bytes of each shard: the digest of all before."""
+    return {path.name: path.read_bytes()[-32:] for path in sorted((world / "shards").glob("*"))}
+
+
+@table()
+def world_build(
+    run: Run,
+    copies: Annotated[str, option("Numbers of copies with commas; one is 2.2 MB.")] = "4,80",
+    workers: Annotated[str, option("Numbers of processes with commas.")] = "1,2",
+    seed: Seed = 0,
+    *,
+    quick: Quick = False,
+) -> None:
+    """How fast and in how much memory a world is built, and whether it survives being killed."""
+    copies = "1" if quick else copies
+    run.cache.mkdir(parents=True, exist_ok=True)
+    rows: list[dict[str, Any]] = []
+    for n in map(int, parts(copies)):
+        osm = run.cache / f"country_{n}.osm.pbf"
+        run.say(f"{n} x: writing")
+        nodes = country([run.osm / EXTRACTS[city] for city in CITIES], osm, n, seed)
+        before = None
+        for many in map(int, parts(workers)):
+            run.say(f"{n} x: building with {many}")
+            world = run.cache / "world"
+            shutil.rmtree(world, ignore_errors=True)
+            row: dict[str, Any] = {
+                "copies": n,
+                "nodes": nodes,
+                "pbf_bytes": osm.stat().st_size,
+                "workers": many,
+            }
+            row |= build(osm, world, many)
+            made = shards(world)
+            row |= {"shards": len(made), "same": before in {None, tuple(made.items())}}
+            row["bytes"] = sum(path.stat().st_size for path in (world / "shards").glob("*"))
+            before = tuple(made.items())
+            rows.append(row)
+        run.say(f"{n} x: killed and taken up again")
+        shutil.rmtree(world)
+        build(osm, world, many, kill_after=max(1, len(made) // 3))
+        build(osm, world, many)
+        rows[-1]["same_after_kill"] = shards(world) == made
+        shutil.rmtree(world)
+        osm.unlink()
+    header = ["copies", "nodes", "PBF", "workers", "wall", "CPU", "PBF a core", "heaps", "resident"]
+    header += ["shards", "shards of PBF", "same bytes", "after kill -9"]
+    print(markdown(header, [line(row) for row in rows]))
+    run.save({"extracts": CITIES, "load": float(np.mean(os.getloadavg())), "rows": rows})
+
+
+def line(row: dict[str, Any]) -> list[str]:
+    """Row of the table."""
+    mega = 1e-6
+    again = row.get("same_after_kill")
+    return [
+        f"{row['copies']} x",
+        number(row["nodes"]),
+        number(row["pbf_bytes"] * mega, 1, "MB"),
+        number(row["workers"]),
+        number(row["seconds"], 0, "s"),
+        number(row["cpu_s"], 0, "s"),
+        number(row["pbf_bytes"] * mega / row["cpu_s"], 2, "MB/s"),
+        number(row["heaps_bytes"] * mega, 0, "MB"),
+        number(row["resident_bytes"] * mega, 0, "MB"),
+        number(row["shards"]),
+        number(row["bytes"] / row["pbf_bytes"], 2),
+        "yes" if row["same"] else "no",
+        "–" if again is None else "same" if again else "differs",
+    ]
