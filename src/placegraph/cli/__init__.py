@@ -68,6 +68,7 @@ LIBRARY = Group(
         "add": f"{_HERE}.library.keep:add",
         "remove": f"{_HERE}.library.keep:remove",
         "info": f"{_HERE}.library.keep:info",
+        "shard": f"{_HERE}.library.shard:shard",
         "search": f"{_HERE}.library.search:search",
         "localize": f"{_HERE}.library.search:localize",
     },

@@ -24,7 +24,11 @@ from placegraph.cli.scene.query import (
 from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from placegraph.estimate import SceneEstimate
+    from placegraph.indoor.library import SceneLibrary
+    from placegraph.indoor.library.shards import SceneShards
 
 _FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,9}$")
 
@@ -64,7 +68,7 @@ def search(
     with progress_of(hidden=quiet or as_json) as tell:
         # the capture first: a library of a folder takes its time
         capture = None if isinstance(asked, str) else chosen_frames(open_capture(asked), frames)
-        known = opened(library, encoder, weights, tell)
+        known = _known(library, encoder, weights, tell)
         tell("searching", 0, 1)
         estimate = known.search(str(asked) if capture is None else capture, most=most)
     if query is not None and capture is None and len(query.split()) == 1:
@@ -104,7 +108,7 @@ def localize(
 
     chosen = chosen_frames(open_capture(capture), frames)
     with progress_of(hidden=quiet or as_json) as tell:
-        estimate = opened(library, encoder, weights, tell).localize(
+        estimate = _known(library, encoder, weights, tell).localize(
             chosen, most=most, description=description, refine=refine, seed=seed, device=device,
             progress=tell,
         )  # fmt: skip
@@ -112,6 +116,21 @@ def localize(
         echo_json(estimate.to_dict())
     else:
         show(estimate)
+
+
+def _known(
+    path: Path,
+    names: list[str] | None,
+    weights: Path | None,
+    tell: Callable[[str, int, int], None],
+) -> SceneLibrary | SceneShards:
+    """Library of a file or a folder, or shards."""
+    from placegraph.cli.encoders import encoders_of
+    from placegraph.indoor.library.shards import SceneShards, is_shards
+
+    if is_shards(path):
+        return SceneShards.open(path, encoders=encoders_of(names or [], weights) or ())
+    return opened(path, names, weights, tell)
 
 
 def _asked(query: str | None, text: str | None) -> Path | str:

@@ -172,8 +172,8 @@ class Index:
 
     def subset(self, rows: NDArray[np.int64]) -> Index:
         """Index of some scenes, with the same notion of what is usual."""
-        objects = _runs(self.starts, rows)
-        places = _runs(self.place_starts, rows)
+        objects = runs(self.starts, rows)
+        places = runs(self.place_starts, rows)
         return Index(
             owner=np.unique(self.owner[rows], return_inverse=True)[1].ravel(),
             starts=starts_of(np.diff(self.starts)[rows]),
@@ -200,7 +200,7 @@ def starts_of(counts: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """All numbers from starts[r] to starts[r + 1], for each of some rows."""
     counts = np.diff(starts)[rows]
     first = np.repeat(starts[rows] - starts_of(counts)[:-1], counts)

@@ -60,24 +60,45 @@ def varied(
 ) -> dict[str, Signature]:
     """Further scenes by name: like those there are, but turned, and a share of their objects others."""
     known = list(signatures.values())
-    stock = {key: np.concatenate([s.vectors[key] for s in known]) for key in known[0].vectors}
-    labels = [label for s in known for label in s.graph.labels]
-    found = {}
-    for i in range(count):
-        base = turned(known[int(rng.integers(len(known)))], rng)
+    stock = Stock.of(known)
+    return {
+        f"variation {i + 1}": stock.variation(known[int(rng.integers(len(known)))], rng)
+        for i in range(count)
+    }
+
+
+@dataclass(frozen=True)
+class Stock:
+    """All objects of some scenes, to be exchanged for those of others."""
+
+    labels: tuple[str, ...]
+    """(M,)"""
+    vectors: Mapping[str, NDArray[np.float32]]
+    """(M, d) by the key of the encoder."""
+
+    @classmethod
+    def of(cls, signatures: Sequence[Signature]) -> Stock:
+        """Objects of these."""
+        keys = signatures[0].vectors
+        return cls(
+            tuple(label for s in signatures for label in s.graph.labels),
+            {key: np.concatenate([s.vectors[key] for s in signatures]) for key in keys},
+        )
+
+    def variation(self, signature: Signature, rng: np.random.Generator) -> Signature:
+        """A scene like this, but turned, and a share of its objects others."""
+        base = turned(signature, rng)
         named = list(base.graph.labels)
         rows = np.flatnonzero(rng.random(len(base)) < VARIED)
-        others = rng.integers(len(labels), size=len(rows))
+        others = rng.integers(len(self.labels), size=len(rows))
         vectors = {}
         for key, own in base.vectors.items():
-            own[rows] = stock[key][others]
+            own[rows] = self.vectors[key][others]
             vectors[key] = own if key.startswith("labels") else _astray(own, rng)
         for row, other in zip(rows.tolist(), others.tolist(), strict=True):
-            named[row] = labels[other]
-        found[f"variation {i + 1}"] = replace(
-            base, graph=replace(base.graph, labels=tuple(named)), vectors=vectors
-        )
-    return found
+            named[row] = self.labels[other]
+        graph = replace(base.graph, labels=tuple(named))
+        return replace(base, graph=graph, vectors=vectors)
 
 
 def _astray(vectors: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:

@@ -1,0 +1,213 @@
+"""Vectors by the million: the embedded store, a Milvus server, Milvus Lite, and words beside vectors.
+
+    placegraph-lab table vector_scale
+    placegraph-lab table vector_scale --files 200000 --server "" --lite "" --city monaco
+
+The server is that of the PyPI package `milvus`; where it, or `milvus-lite`, is not installed, its rows
+are left out. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from placegraph.vectors import EmbeddedStore, Origin, open_store
+from placegraph.vectors.content import Vectors
+from placegraph.vectors.stores import load_store
+from placegraph_lab.tables.named.outdoor_vectors import clustered
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
+from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.words_beside import AMONG, hybrid
+from placegraph_lab.tables.run import Run, Seed, option, parts, table
+from placegraph_lab.tables.tables import markdown, number
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float32]
+    Search = Callable[[Floats, int], Sequence[int]]
+    """One query (D,) and n to ids (n,)."""
+
+NEIGHBOURS = 10
+BATCH = 10_000
+ORIGIN = Origin("vector_scale", "clustered")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one store did with so many vectors."""
+
+    store: str
+    count: int
+    rows_a_second: float
+    """Sent, indexed and ready to be asked."""
+    p50_ms: float
+    p95_ms: float
+    recall: float
+    """Share of the exact ten that are found."""
+    bytes_a_row: float
+    """On disk."""
+
+
+def nearest(vectors: Floats, queries: Floats) -> NDArray[np.int64]:
+    """Exact nearest (Q, 10), by blocks of rows."""
+    best = np.full((len(queries), NEIGHBOURS), -np.inf, np.float32)
+    rows = np.zeros((len(queries), NEIGHBOURS), np.int64)
+    for start in range(0, len(vectors), 250_000):
+        cosines = queries @ vectors[start : start + 250_000].T
+        top = np.argpartition(-cosines, NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
+        both = np.concatenate([best, np.take_along_axis(cosines, top, 1)], axis=1)
+        numbers = np.concatenate([rows, start + top], axis=1)
+        order = np.argsort(-both, axis=1)[:, :NEIGHBOURS]
+        best, rows = np.take_along_axis(both, order, 1), np.take_along_axis(numbers, order, 1)
+    return rows
+
+
+def asked(search: Search, queries: Floats, wanted: NDArray[np.int64]) -> tuple[float, float, float]:
+    """Median and 95th percentile of a query [ms], and recall."""
+    for query in queries[:5]:
+        search(query, NEIGHBOURS)
+    times, hits = [], 0
+    for query, best in zip(queries, wanted, strict=True):
+        start = time.perf_counter()
+        found = search(query, NEIGHBOURS)
+        times.append(1e3 * (time.perf_counter() - start))
+        hits += len(np.intersect1d(found, best))
+    p50, p95 = np.percentile(times, (50, 95))
+    return float(p50), float(p95), hits / wanted.size
+
+
+def on_disk(folder: Path) -> int:
+    """Bytes of all files of a folder."""
+    return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
+
+
+def embedded(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
+    """Our own file, of 8 bits a number."""
+    start = time.perf_counter()
+    content = Vectors.of(np.arange(len(vectors)), vectors)
+    store = EmbeddedStore.of_rows(content, origin=ORIGIN, bits=8)
+    spent = time.perf_counter() - start
+    del content
+    told = asked(lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted)
+    store.save(folder / "some.vectors")
+    opened = time.perf_counter()
+    open_store(folder / "some.vectors", origin=ORIGIN).close()
+    name = f"file, 8 bits (opens in {time.perf_counter() - opened:.1f} s)"
+    return Row(name, len(vectors), len(vectors) / spent, *told, on_disk(folder) / len(vectors))
+
+
+def on_server(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
+    """A Milvus server of its own, by the way that placegraph loads and asks it."""
+    from milvus import MilvusServer
+
+    server = MilvusServer()
+    server.set_base_dir(str(folder))
+    server.start()
+    try:
+        uri = f"http://127.0.0.1:{server.listen_port}"
+        start = time.perf_counter()
+        content = Vectors.of(np.arange(len(vectors)), vectors)
+        store = load_store(uri, content, name="scale", origin=ORIGIN, timeout=60.0)
+        spent = time.perf_counter() - start
+        with store:
+            told = asked(lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted)
+        size = on_disk(folder) / len(vectors)
+        return Row("Milvus 2.3.5, HNSW", len(vectors), len(vectors) / spent, *told, size)
+    finally:
+        server.stop()
+
+
+def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
+    """Milvus Lite 3, in this process."""
+    from pymilvus import DataType, MilvusClient
+
+    client = MilvusClient(str(folder / "lite.db"))
+    schema = client.create_schema(auto_id=False)
+    schema.add_field("id", DataType.INT64, is_primary=True)
+    schema.add_field("vector", DataType.FLOAT_VECTOR, dim=vectors.shape[1])
+    index = client.prepare_index_params()
+    hnsw = {"M": 16, "efConstruction": 200}
+    index.add_index("vector", index_type="HNSW", metric_type="IP", params=hnsw)
+    start = time.perf_counter()
+    client.create_collection("scale", schema=schema, index_params=index)
+    for first in range(0, len(vectors), BATCH):
+        batch = enumerate(vectors[first : first + BATCH], first)
+        client.insert("scale", [{"id": i, "vector": row} for i, row in batch])
+    client.flush("scale")
+    client.load_collection("scale")
+    ready = False
+    parameters = {"metric_type": "IP", "params": {"ef": 128}}
+
+    def search(query: Floats, n: int) -> list[int]:
+        found = client.search("scale", [query.tolist()], limit=n, search_params=parameters)
+        return [hit["id"] for hit in found[0]]
+
+    while not ready:  # its first answer waits for the index
+        ready = bool(search(queries[0], 1))
+    spent = time.perf_counter() - start
+    told = asked(search, queries, wanted)
+    client.close()
+    size = on_disk(folder) / len(vectors)
+    return Row("Milvus Lite 3, HNSW", len(vectors), len(vectors) / spent, *told, size)
+
+
+def printed(rows: Sequence[Row]) -> str:
+    """Markdown of all stores."""
+    header = ["store", "vectors", "rows/s", "p50", "p95", "recall of ten", "bytes a row"]
+    lines = [
+        [r.store, number(r.count), number(r.rows_a_second, 0), number(r.p50_ms, 2, "ms"),
+         number(r.p95_ms, 2, "ms"), f"{r.recall:.3f}", number(r.bytes_a_row, 0)]
+        for r in rows
+    ]  # fmt: skip
+    return markdown(header, lines)
+
+
+@table()
+def vector_scale(
+    run: Run,
+    files: Annotated[str, option("Sizes of the embedded store.")] = "1000000,4000000",
+    server: Annotated[str, option("Sizes on a Milvus server.")] = "1000000",
+    lite: Annotated[str, option("Sizes in Milvus Lite.")] = "250000",
+    city: Annotated[
+        str, option("City whose words and vectors are searched together.")
+    ] = "vancouver",
+    queries: Annotated[int, option("Queries of each.")] = 100,
+    seed: Seed = 0,
+) -> None:
+    """Vectors by the million, and words beside them: rows a second, times, recall, bytes."""
+    kinds = [("", embedded, files), ("milvus_lite", on_lite, lite), ("milvus", on_server, server)]
+    rows: list[Row] = []
+    for module, measure, sizes in kinds:
+        for size in map(int, parts(sizes)):
+            if module and not find_spec(module):
+                run.say(f"{module} is not installed")
+                continue
+            vectors, wanted = clustered(np.random.default_rng(seed), size, queries)
+            with TemporaryDirectory(dir=run.cache, ignore_cleanup_errors=True) as folder:
+                run.say(f"{measure.__name__}: {size:,}")
+                rows.append(measure(vectors, wanted, nearest(vectors, wanted), Path(folder)))
+                run.say(str(rows[-1]))
+    print(printed(rows))
+    words: list[dict[str, Any]] = []
+    if city and find_spec("milvus_lite"):
+        told = make_queries(run.osm / EXTRACTS[city], n=queries, seed=seed)
+        with TemporaryDirectory(dir=run.cache, ignore_cleanup_errors=True) as folder:
+            words = hybrid(open_city(city, run.osm, run.cache), told, Path(folder))
+        header = ["way", "p50", "p95", *(f"@{n}" for n in AMONG)]
+        lines = [
+            [w["way"], number(w["p50_ms"], 1, "ms"), number(w["p95_ms"], 1, "ms"),
+             *(f"{w['among'][str(n)]:.2f}" for n in AMONG)]
+            for w in words
+        ]  # fmt: skip
+        print(f"\n{markdown(header, lines)}")
+    run.save({"rows": [asdict(r) for r in rows], "city": city, "words": words})
