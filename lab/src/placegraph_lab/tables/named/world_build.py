@@ -127,9 +127,7 @@ def world_build(
     rows: list[dict[str, Any]] = []
     for n in map(int, parts(copies)):
         osm = run.cache / f"country_{n}.osm.pbf"
-        run.say(f"{n} x: writing")
-        nodes = country([run.osm / EXTRACTS[city] for city in CITIES], osm, n, seed)
-        before = None
+        nodes, before = written(run, osm, n, seed), None
         for many in map(int, parts(workers)):
             run.say(f"{n} x: building with {many}")
             world = run.cache / "world"
@@ -152,11 +150,20 @@ def world_build(
         build(osm, world, many)
         rows[-1]["same_after_kill"] = shards(world) == made
         shutil.rmtree(world)
-        osm.unlink()
     header = ["copies", "nodes", "PBF", "workers", "wall", "CPU", "PBF a core", "heaps", "resident"]
     header += ["shards", "shards of PBF", "same bytes", "after kill -9"]
     print(markdown(header, [line(row) for row in rows]))
     run.save({"extracts": CITIES, "load": float(np.mean(os.getloadavg())), "rows": rows})
+
+
+def written(run: Run, osm: Path, copies: int, seed: int) -> int:
+    """Nodes of the extract of so many copies, which is written where it is not there yet."""
+    count = osm.with_suffix(".nodes")
+    if not count.exists():
+        run.say(f"{copies} x: writing")
+        nodes = country([run.osm / EXTRACTS[city] for city in CITIES], osm, copies, seed)
+        count.write_text(str(nodes), encoding="utf-8")
+    return int(count.read_text("utf-8"))
 
 
 def line(row: dict[str, Any]) -> list[str]:
