@@ -19,9 +19,11 @@ SMALL = BuildOptions(zoom=15, overlap=100.0, workers=1)
 
 @pytest.fixture
 def extract(write_world):
-    """Benches and trees along two kilometres: five tiles of 780 m."""
+    """Benches and trees along two kilometres, and a road of 60: five tiles of 780 m."""
     things = [(40.0 * i, 10.0 * (i % 3), BENCH if i % 2 else TREE) for i in range(60)]
-    return write_world(things, [(list(range(0, 60, 4)), {"highway": "path", "name": "Weg"})])
+    ends = [(-30_000.0, 20.0, {}), (30_000.0, 20.0, {})]
+    path = (list(range(0, 60, 4)), {"highway": "path", "name": "Weg"})
+    return write_world([*things, *ends], [path, ([60, 61], {"highway": "primary"})])
 
 
 def contents(folder):
@@ -37,7 +39,7 @@ def test_shards_hold_their_core_and_what_is_around(extract, tmp_path):
     for shard in made.shards:
         city = CityMap.open(made.path(shard))
         ids |= {city.objects.osm(i) for i in range(len(city.objects))}
-    assert len(ids) == 61
+    assert len(ids) == 62
     assert sum(shard.objects for shard in made.shards) >= 60
     assert ("building tiles", len(made.shards), len(made.shards)) in told
     assert not list((tmp_path / "w" / ".build").glob("*-0"))

@@ -197,6 +197,8 @@ class _Build:
             for path, folder in zip(self.extracts, self._folders("things"), strict=True)
             if Split.read(folder) is None
         ]
+        if todo:  # what touches many tiles is shared out anew as well
+            (self.work / "tiles.json").unlink(missing_ok=True)
         if len(todo) == 1 or self.workers == 1:
             for job in todo:
                 _split(job, self.tell)
