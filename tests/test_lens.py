@@ -119,6 +119,8 @@ def test_a_camera_as_plain_numbers():
         ({"fy": -1.0}, "greater than 0"),
         ({"fx": math.nan}, "greater than 0"),
         ({"fx": math.inf}, "greater than 0"),
+        ({"width": 10**400}, "greater than 0"),
+        ({"cx": -(10**400)}, "not a number"),
         ({"cx": math.inf}, "not a number"),
         ({"distortion": (0.1, math.nan, 0, 0)}, "not a number"),
         ({"distortion": (0.1, 0.2)}, "4, 5 or 8"),

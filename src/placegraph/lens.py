@@ -45,11 +45,11 @@ class Camera:
 
     def __post_init__(self) -> None:
         sizes = (self.width, self.height, self.fx, self.fy)
-        if not all(np.isfinite(v) and v > 0 for v in sizes):
+        if not all(_is_number(v) and v > 0 for v in sizes):
             raise OptionError(
                 f"camera: width, height, fx, fy are {sizes}; they must be greater than 0."
             )
-        if not all(np.isfinite(v) for v in (self.cx, self.cy, *self.distortion)):
+        if not all(map(_is_number, (self.cx, self.cy, *self.distortion))):
             raise OptionError("camera: cx, cy or the distortion is not a number.")
         if self.model not in MODELS:
             raise OptionError(f"camera: model is {self.model!r}; it is one of {', '.join(MODELS)}.")
@@ -178,3 +178,8 @@ def _reach(distortion: tuple[float, ...]) -> float:
     angles = np.linspace(0.0, WIDEST, 500)
     folded = np.flatnonzero(_spread(angles, distortion)[1] <= 0)
     return float(angles[max(0, folded[0] - 1)]) if len(folded) else WIDEST
+
+
+def _is_number(value: float) -> bool:
+    """Whether a value is finite; a whole number may be beyond all that a float holds."""
+    return abs(value) < 1e300

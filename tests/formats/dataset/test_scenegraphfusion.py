@@ -215,6 +215,7 @@ def test_a_likelihood_that_cannot_be_told(output):
         ({"nodes": []}, "`nodes` must be an object"),
         ({"nodes": {"x": "chair"}}, "'x' is no number of a segment"),
         ({"nodes": {"3": {}}}, "neither a name nor names"),
+        ({"nodes": {"3": {"floor": 10**400}}}, "no number"),
         ({"nodes": {"3": {"a": None}}}, "no number"),
         ({"nodes": {"3": "a"}, "edges": {"3-4": "b"}}, "no edge"),
         ({"nodes": {"4": "a"}}, "share no segment"),

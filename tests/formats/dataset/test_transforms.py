@@ -135,6 +135,8 @@ def one(**said):
         (one(file_path="nothing"), "1: no colour image"),
         ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"integer_depth_scale": 77}, "metres in a unit"),
+        (one(file_path="images/0", h=float("inf")), "w and h are"),
+        (one(file_path="images/0", w=10**400), "beyond all bounds"),
     ],
 )  # fmt: skip
 def test_wrong_files(changes, says, recorded, save, tmp_path):

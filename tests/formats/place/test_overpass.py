@@ -293,6 +293,7 @@ def test_a_server_that_stays_busy(servers, out):
         ),
         ((200, TOWN[:2000]), "something else than was asked for"),
         ((200, b"\x00\xff\xfe" * 100), "something else than was asked for"),
+        ((200, TOWN.replace(b'lat="', b'lat="x')), "something else than was asked for"),
         (
             (200, HEAD + GAVE_UP + b"\n</osm>\n"),
             r"gave up: runtime error: Query timed out.* smaller",

@@ -203,6 +203,9 @@ def test_odometry_that_leads_nowhere(bag):
     fails(path, "/wheels is no nav_msgs/Odometry", topics={"odometry": "/wheels"})
     join = {"parent": "wheels", "child": "base_link", "xyz": [0, 0, 0], "xyzw": [0, 0, 0, 1]}
     assert len(pg.open_capture(path, topics={"transforms": [join]})) == 4, "it stands still"
+    far = join | {"xyz": [10**400, 0, 0]}
+    with pytest.raises(PlacegraphError, match="transforms"):
+        pg.open_capture(path, topics={"transforms": [far]})
     named = bag(
         layout=Layout(poses="none"), name="nameless",
         more=lambda w: w.odometry("/odom", START, np.eye(4), child=""),

@@ -12,7 +12,7 @@ def test_names_steer_no_terminal(monkeypatch, capsys):
     before = sys.stdout, sys.stderr
 
     def fails():
-        print("\x1b[2J")
+        sys.stdout.write("\x1b[2J\n")
         raise InputError("\x1b]0;owned\x07 is no map; build one.")
 
     monkeypatch.setattr(lab, "app", fails)

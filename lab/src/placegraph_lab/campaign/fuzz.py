@@ -42,6 +42,8 @@ class Tally:
     counts: Counter[str] = field(default_factory=Counter)
     found: dict[str, list[int]] = field(default_factory=dict)
     """Numbers of the inputs that broke something, by what they broke."""
+    said: dict[str, str] = field(default_factory=dict)
+    """The message of the first of them."""
     refused: list[str] = field(default_factory=list)
     """Seeds that are not taken as they are."""
     seconds: float = 0.0
@@ -56,7 +58,9 @@ class Tally:
     def add(self, outcome: str, said: str, took: int = 0) -> None:
         """Count an input."""
         if outcome in FAULTS:
-            self.found.setdefault(f"{outcome}: {said}", []).append(self.tried)
+            where, _, why = said.partition(": ")
+            self.found.setdefault(f"{outcome}: {where}", []).append(self.tried)
+            self.said.setdefault(f"{outcome}: {where}", why)
         self.counts[outcome] += 1
         self.most = max(self.most, took)
 
@@ -155,7 +159,8 @@ def tallies(
             told = ", ".join(f"{n} {outcome}" for outcome, n in tally.counts.items())
             effort.say(f"{name}: {told} in {tally.seconds:.0f} s, {tally.most >> 20} MB at most")
             for what, numbers in tally.found.items():
-                effort.say(f"  {what} ({len(numbers)} times, first input {numbers[0]})")
+                told = f"{len(numbers)} times, first input {numbers[0]}"
+                effort.say(f"  {what} ({told}): {tally.said[what]}")
             for what in tally.refused:
                 effort.say(f"  a sound seed is refused: {what}")
             yield name, tally

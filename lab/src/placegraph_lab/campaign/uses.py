@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from placegraph.errors import GeoPoseError, OptionError, PlacegraphError
+from placegraph.errors import GeoPoseError, InputError, OptionError, PlacegraphError
 from placegraph.files import regular
 from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.build import build_scene
@@ -118,7 +118,7 @@ def osm(bench: Bench, path: Path, rng: Generator) -> None:
 
 def rooms(bench: Bench, path: Path, rng: Generator) -> None:
     """Build a scene of rooms in an extract."""
-    use_scene(bench, build_scene(path, None), rng)
+    use_scene(bench, build_scene(path, None, reader={"level": int(rng.integers(2))}), rng)
 
 
 def mesh(bench: Bench, path: Path, rng: Generator) -> None:
@@ -159,9 +159,12 @@ def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
     from placegraph.formats.ros.files.mcap_stream import mcap_packets
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
-    with regular(file).open("rb") as data:
-        for _ in mcap_packets(data.read, "stdin"):
-            pass
+    try:
+        with regular(file).open("rb") as data:
+            for _ in mcap_packets(data.read, "stdin"):
+                pass
+    except OSError as error:  # of opening it, which the shell does for a pipe
+        raise InputError(str(error)) from error
 
 
 def anything(bench: Bench, path: Path, rng: Generator) -> None:

@@ -214,7 +214,7 @@ def _likeliest(path: Path, said: object) -> tuple[str, float]:
         return said, 1.0
     if not isinstance(said, dict) or not said:
         raise InputError(f"{path}: {str(said)[:60]} is neither a name nor names with numbers.")
-    if not all(type(v) in {int, float} and math.isfinite(v) for v in said.values()):
+    if not all(type(v) in {int, float} and abs(v) < 1e300 for v in said.values()):
         raise InputError(f"{path}: {str(said)[:60]} holds what is no number; run it again.")
     shares = {name: math.exp(min(v, 0.0)) for name, v in said.items() if v != 0}
     zeros = [name for name, v in said.items() if v == 0]

@@ -194,8 +194,10 @@ def _camera(file: Path, said: dict[str, Any], i: int) -> Camera:
             f"{file}: camera_model is {str(said['camera_model'])[:40]!r}; {', '.join(_LENSES)} are read. "
             "Undistort the images."
         )
-    width, height = (int(number(file, said, field)) for field in ("w", "h"))
+    width, height = (number(file, said, field) for field in ("w", "h"))
+    if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
+        raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
     intrinsics = [number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
     bent = [number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
     bent = bent if any(bent) or lens == "fisheye" else []
-    return camera_of(f"{file}: frames[{i}]", (width, height), intrinsics, bent, lens)
+    return camera_of(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)

@@ -102,7 +102,7 @@ class _Said(NamedTuple):
             raise InputError(f"{path}: streams is not a list of objects; record again.")
         sizes = {str(s.get("file_extension")): _size(path, s) for s in streams}
         unit = content.get("depth_unit", "m")
-        if unit not in _UNITS:
+        if not isinstance(unit, str) or unit not in _UNITS:
             raise InputError(f"{path}: depth_unit is {str(unit)[:40]!r}; it is 'm' or 'mm'.")
         return cls(path, sizes.get("mp4"), sizes.get("depth.zlib"), unit)
 

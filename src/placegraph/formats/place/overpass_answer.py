@@ -123,7 +123,7 @@ def copied(answer: Path, target: Path, told: Progress) -> Counter[str]:
                 counts[item.type_str()] += 1
                 if writer is not None:
                     writer.add(item)
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
         with answer.open("rb") as file:
             raise nonsense("Overpass", file.read(4096)) from error
     return counts
