@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     from placegraph_lab.campaign.row import Effort
 
-PATIENCE = 90.0
+PATIENCE = 240.0
 """Wall time in which a worker says something; it is killed then [s]."""
-STARTING = 300.0
+STARTING = 900.0
 """The same of a worker that draws seeds and compiles [s]."""
 PROGRAM = ("-m", "placegraph_lab.campaign.worker")
 BATCH = 20
