@@ -89,6 +89,11 @@ _LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
 _LETTERS = re.compile(r"[a-z]+")
 
 
+def whole(digits: str, most: int) -> int:
+    """Whole number of decimal digits, `most` at most: Python reads no more than 4,300 of them."""
+    return most if len(digits) > 300 else min(int(digits), most)
+
+
 def may_measure(text: str) -> bool:
     """Tell whether there may be a distance in a text: it has the word of a unit (quick to see)."""
     return not _UNITS.keys().isdisjoint(_LETTERS.findall(text.casefold()))

@@ -246,3 +246,7 @@ def test_no_text_breaks_it(text):
         assert s.text in text
     assert sentence.statements or sentence.ignored
     assert sentence.to_dict()["text"] == text
+
+
+def test_numbers_may_be_longer_than_python_reads():
+    read(f"a room with {'9' * 5000} chairs")

@@ -42,6 +42,17 @@ def test_nothing_understood_is_no_guess(text):
     assert description.ignored
 
 
+LONG = "9" * 5000
+"""Digits of a number that Python reads no more."""
+
+
+@pytest.mark.parametrize(
+    "said", [f"{LONG} benches are", f"The {LONG}th Street is", f"Es gibt {LONG} Bänke"]
+)
+def test_numbers_may_be_longer_than_python_reads(said):
+    describe(f"{said} north of me.")
+
+
 class Names:
     """The names of a small map."""
 

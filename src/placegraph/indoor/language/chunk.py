@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.indoor.map.floor import label_words
 from placegraph.language.islands import Chunk
-from placegraph.language.measures import COUNTS
+from placegraph.language.measures import COUNTS, whole
 from placegraph.language.phrases import Phrases, Terminal
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _take(sentence: Sequence[Word], lower: list[str], i: int, text: str, found: 
     if known:
         found.extend([Chunk(t.type, word.start, end, words, t.value) for t in terminals])
     elif words in COUNTS or words.isdecimal():
-        count = COUNTS.get(words) or min(int(words), _MOST)
+        count = COUNTS.get(words) or whole(words, _MOST)
         found.append(
             Chunk("SOME" if words in ("few", "several") else "NUM", word.start, end, words, count)
         )

@@ -105,7 +105,7 @@ def from_words(attributes: Mapping[str, str]) -> Floats:
     out = np.zeros(len(COLOURS))
     words = attributes.get(KEY, "").split()
     for name, tenths in zip(words[::2], words[1::2], strict=False):
-        if name in COLOURS and tenths.isdecimal():
+        if name in COLOURS and tenths.isdecimal() and len(tenths) < 4:
             out[COLOURS.index(name)] += int(tenths)
     for word in attributes.get("color", "").lower().replace(",", " ").split():
         for name in looks().colours.get(word, ()):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
+from placegraph.language.measures import whole
 from placegraph.outdoor.language.parse import Noun
 from placegraph.outdoor.language.proper import LONGEST_NOUN, ProperNames
 from placegraph.outdoor.language.words import shouting
@@ -141,7 +142,7 @@ class Chunker:
         """Append a number, a possessive, or a word that says nothing by itself."""
         lower = self.lower[i]
         if lower.isdecimal() or lower in self.lexicon.counts:
-            count = self.lexicon.counts.get(lower) or min(int(lower), 10**6)
+            count = self.lexicon.counts.get(lower) or whole(lower, 10**6)
             found.append(self._chunk("NUM", i, 1, count))
             return 1
         owner, apostrophe, _ = lower.partition("'")

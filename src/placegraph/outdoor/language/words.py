@@ -146,7 +146,7 @@ SMALL = frozenset((
 ))
 # fmt: on
 """Words of names that tell no two names apart."""
-_ORDINAL = re.compile(r"(\d+)(?:st|nd|rd|th|d)")
+_ORDINAL = re.compile(r"(\d{1,9})(?:st|nd|rd|th|d)")
 _NAME_WORD = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|&")
 
 

@@ -58,7 +58,7 @@ def place_of(city: CityMap, mode: Place) -> Floats:
 def row_of(objects: CityObjects, osm: str) -> int:
     """Row of the object with OpenStreetMap's id, or -1."""
     kind, _, number = osm.partition("/")
-    if kind not in ("node", "way", "relation") or not number.isdecimal():
+    if kind not in ("node", "way", "relation") or not number.isdecimal() or len(number) > 18:
         return -1
     osm_type = ("node", "way", "relation").index(kind)
     rows = np.flatnonzero((objects.osm_id == int(number)) & (objects.osm_type == osm_type))
