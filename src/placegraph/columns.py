@@ -45,9 +45,11 @@ def plain(name: str, array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(array, dtype)
 
 
-def pack(array: NDArray[Any]) -> tuple[str, str, bytes]:
+def pack(array: NDArray[Any], *, as_it_is: bool = False) -> tuple[str, str, bytes]:
     """Codec, filter and block of a plain array. Spends its time outside the interpreter's lock."""
     forms = {"none": array.tobytes()}
+    if as_it_is:
+        return "raw", "none", forms["none"]
     if array.size:
         words = _words(array)
         forms["shuffle"] = _shuffle(words)

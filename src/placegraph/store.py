@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
@@ -39,6 +40,7 @@ from placegraph.header import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from typing import BinaryIO
 
 __all__ = [
     "Block",
@@ -56,7 +58,13 @@ __all__ = [
 SENSELESS = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """What is raised where checksums fit and contents do not, as in a forged file."""
 
-Write = Callable[[str, int, Mapping[str, Any], Mapping[str, NDArray[Any]]], None]
+Write = Callable[[str, int, Mapping[str, Any], Mapping[str, NDArray[Any]], Collection[str]], None]
+PAGE = 1 << 16
+"""Columns to be read where they lie are stored as they are, from this size on [bytes]."""
+_WORD = 64
+"""Blocks begin at a multiple of so many bytes, where some are read where they lie."""
+CHUNK = 1 << 20
+"""Bytes of a file that are hashed at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,15 +105,19 @@ def write_map(
     version: int,
     meta: Mapping[str, Any],
     arrays: Mapping[str, NDArray[Any]],
+    mapped: Collection[str] = (),
 ) -> None:
     """Write a map file in one go; see `writing`."""
     with writing(path) as write:
-        write(kind, version, meta, arrays)
+        write(kind, version, meta, arrays, mapped)
 
 
 @contextmanager
 def writing(path: Path_) -> Iterator[Write]:
     """Lock `path` and hand out the function that writes it, once.
+
+    Its last argument names the columns that are to be read where they lie (`read_map`): such are
+    stored as they are, at the head of the file, so that each begins at a multiple of its word.
 
     Take it before a long build: an unwritable folder or a second writer is then refused at once.
     The old file stays untouched until the new one is complete on disk.
@@ -124,9 +136,13 @@ def writing(path: Path_) -> Iterator[Write]:
     files.check_plain(target)
 
     def write(
-        kind: str, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+        kind: str,
+        version: int,
+        meta: Mapping[str, Any],
+        arrays: Mapping[str, NDArray[Any]],
+        mapped: Collection[str] = (),
     ) -> None:
-        head, blocks = _encode(kind, version, meta, arrays)
+        head, blocks = _encode(kind, version, meta, arrays, mapped)
         digest = hashlib.sha256()
         for chunk in (head, *blocks):
             digest.update(chunk)
@@ -143,8 +159,12 @@ def writing(path: Path_) -> Iterator[Write]:
         yield write
 
 
-def read_map(path: Path_, kind: str, max_version: int) -> MapFile:
+def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] = ()) -> MapFile:
     """Read a map file and check all of it.
+
+    Columns of the names `mapped` that are stored as they are are not read into memory: their arrays
+    are windows on the file, of which the system brings in the pages that are looked at. Whoever
+    shortens the file meanwhile, instead of replacing it, ends the process.
 
     Raises
     ------
@@ -166,13 +186,21 @@ def read_map(path: Path_, kind: str, max_version: int) -> MapFile:
                 f"{max_version}; update placegraph, or build the map again with this one."
             )
         start = file.tell()
-        file.seek(0)
-        data = memoryview(file.read())
-    body, digest = data[:-DIGEST], data[-DIGEST:]
-    intact = len(data) == header.file_size and hashlib.sha256(body).digest() == digest
-    # The blocks' own checksums come first: they name the damaged column.
-    arrays = {b.name: _decode(b, body[start + b.offset :], path) for b in header.blocks}
+        windows = {b.name for b in header.blocks if b.name in mapped and _lies_there(b, start)}
+        with ThreadPoolExecutor(1) as pool:
+            hashed = pool.submit(_intact, file, header.file_size)
+            # The blocks' own checksums come first: they name the damaged column.
+            arrays = {
+                b.name: _window(file, b, start)
+                if b.name in windows
+                else _decode(b, _bytes(file, start + b.offset, b.length), path)
+                for b in header.blocks
+            }
+            intact = hashed.result()
     if not intact:
+        for b in header.blocks:
+            if b.name in windows:
+                _decode(b, memoryview(arrays[b.name]).cast("B"), path)
         raise damaged(path, "its checksum does not fit its contents")
     return MapFile(header, arrays)
 
@@ -191,12 +219,19 @@ def sound(path: Path_, mend: str) -> Iterator[None]:
 
 
 def _encode(
-    kind: str, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    kind: str,
+    version: int,
+    meta: Mapping[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    mapped: Collection[str],
 ) -> tuple[bytes, list[bytes]]:
     """Prefix and header, and the blocks. zlib and lzma work outside the interpreter's lock."""
     plain = {name: columns.plain(name, a) for name, a in arrays.items()}
+    large = {name for name, a in plain.items() if name in mapped and a.nbytes >= PAGE}
+    # the widest words first: none then begins within a word
+    plain = dict(sorted(plain.items(), key=lambda c: -c[1].itemsize if c[0] in large else 0))
     with ThreadPoolExecutor(2) as pool:
-        packed = list(pool.map(columns.pack, plain.values()))
+        packed = list(pool.map(lambda c: columns.pack(c[1], as_it_is=c[0] in large), plain.items()))
     table, offset = [], 0
     for (name, array), (codec, filter_, block) in zip(plain.items(), packed, strict=True):
         crc = zlib.crc32(block)
@@ -210,6 +245,7 @@ def _encode(
         ).encode()
     except (TypeError, ValueError, RecursionError) as error:
         raise OptionError(f"A map's metadata must be plain finite JSON: {error}.") from error
+    text += b" " * (-(PREFIX.size + len(text)) % _WORD if large else 0)
     prefix = PREFIX.pack(MAGIC, CONTAINER_VERSION, len(text), zlib.crc32(text))
     blocks = [block for _, _, block in packed]
     if len(text) > MOST or not plausible(sum(a.nbytes for a in plain.values()), offset):
@@ -218,6 +254,38 @@ def _encode(
 
 
 # --- reading ---
+
+
+def _intact(file: BinaryIO, size: int) -> bool:
+    """Whether the file ends with the checksum of what stands before it."""
+    digest, end = hashlib.sha256(), size - DIGEST
+    for at in range(0, end, CHUNK):
+        digest.update(_bytes(file, at, min(CHUNK, end - at)))
+    return _bytes(file, end, DIGEST + 1) == digest.digest()
+
+
+def _bytes(file: BinaryIO, at: int, length: int) -> memoryview:
+    """Bytes of a file, by two threads at once; fewer where it ends before."""
+    found = bytearray()
+    while len(found) < length and (
+        more := os.pread(file.fileno(), length - len(found), at + len(found))
+    ):
+        if len(more) == length:
+            return memoryview(more)
+        found += more
+    return memoryview(found)
+
+
+def _lies_there(block: Block, start: int) -> bool:
+    """Whether a block can be read where it lies: stored as it is, and not beginning within a word."""
+    aligned = (start + block.offset) % np.dtype(block.dtype).itemsize == 0
+    whole = block.length == block.nbytes > 0
+    return block.codec == "raw" and block.filter == "none" and aligned and whole
+
+
+def _window(file: BinaryIO, block: Block, start: int) -> NDArray[Any]:
+    window = np.memmap(file, np.dtype(block.dtype), "r", start + block.offset, block.shape)
+    return np.asarray(window)
 
 
 def _decode(block: Block, data: memoryview, path: Path_) -> NDArray[Any]:

@@ -97,11 +97,7 @@ def _score(city, description, positions, together=TOGETHER):
         far = np.zeros((1, len(query.used)), np.float32)
         if query.far is not None:
             far = distant(query.statements, city.columns, query.far, at.astype(np.float32))
-        seen = [
-            views.objects[views.starts[v] : views.starts[v + 1]]
-            for v in views.near(position, REACH)
-        ]
-        nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
+        nearby = np.unique(city.in_sight(views.near(position, REACH)).objects)
         found.append(
             look_again(query.statements, city.columns, words, at, nearby, far, together, True)
         )

@@ -254,9 +254,12 @@ def test_any_change_is_refused_or_harmless(data, stored, tmp_path_factory):
     arrays = dict(arrays)
     name = data.draw(st.sampled_from(sorted(set(arrays) - {"points"})))
     column = arrays[name]
-    values = st.integers(
-        *(int(x) for x in (np.iinfo(column.dtype).min, np.iinfo(column.dtype).max))
-    )
+    if column.dtype.kind == "f":
+        values = st.floats(width=64)
+    else:
+        values = st.integers(
+            *(int(x) for x in (np.iinfo(column.dtype).min, np.iinfo(column.dtype).max))
+        )
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(column) - 1))
         column = changed(column, at, data.draw(values | st.integers(0, 3)))

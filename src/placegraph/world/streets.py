@@ -52,11 +52,7 @@ def on_street(
 ) -> OnStreet | None:
     """Whether the building around `corners` (4, 2) [m] is on a street, by its rows; None: it is far off."""
     middle = corners.mean(axis=0)
-    seen = city.views.near(middle, REACH)
-    v = city.views
-    around = np.unique(
-        np.concatenate([v.objects[v.starts[i] : v.starts[i + 1]] for i in seen] or [v.objects[:0]])
-    )
+    around = np.unique(city.in_sight(city.views.near(middle, REACH)).objects)
     buildings = [
         int(row)
         for row in around

@@ -16,7 +16,7 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.extract import TOLERANCE, names_of
 from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, centers, simplify
-from placegraph.store import read_map, writing
+from placegraph.store import read_header, writing
 from placegraph_lab.worlds.town.town import Town
 
 EXTRACTS = [
@@ -106,10 +106,13 @@ def test_building_returns_what_opening_does(hafenstadt, tmp_path):
 @pytest.mark.parametrize("extract", EXTRACTS)
 def test_bytes_a_cell_and_left_out(extract, shared, tmp_path):
     city = build_city(shared / "data/osm" / extract, tmp_path / "a.city")
-    size = (tmp_path / "a.city").stat().st_size
+    header = read_header(tmp_path / "a.city")
+    index = sum(b.length for b in header.blocks if b.name.startswith("view_"))
+    size = header.file_size - index
     assert size <= 500 * len(city.cells), f"{size / len(city.cells):.0f} bytes a cell"
     assert size < 0.5 * (shared / "data/osm" / extract).stat().st_size
-    meta = read_map(tmp_path / "a.city", "city", 1).meta
+    assert index <= 300 * len(city.objects), f"{index / len(city.objects):.0f} bytes an object"
+    meta = header.meta
     assert meta["left_out"] == city.left_out
     assert all(n > 0 for n in city.left_out.values())
     assert len(city.cells) > 500

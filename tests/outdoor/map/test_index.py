@@ -1,11 +1,19 @@
 """Viewpoints and what is in sight of each, against brute force."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from placegraph.outdoor.map.index import FADE, REACH, SECOND_LABEL, SIGHT, STRIDE, ViewIndex, fade
-from placegraph.outdoor.map.index_kernels import EMPTY_BOX, join_boxes, pack_box, unpack_box
+from placegraph.outdoor.map.index import FADE, REACH, SIGHT, STRIDE, ViewIndex
+from placegraph.outdoor.map.index_build import LEVELS, SECOND_LABEL, build, fade
+from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, grade_of, pack, slot_of, unpack
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+
+ANY = st.floats(-REACH, REACH, width=32)
 
 
 def nearest(o, row, position):
@@ -16,50 +24,50 @@ def nearest(o, row, position):
 
 
 def sample(city, rng, n=25):
-    return rng.choice(len(city.views.positions), min(n, len(city.views.positions)), replace=False)
+    return rng.choice(len(city.views), min(n, len(city.views)), replace=False)
 
 
-def entries(views, view):
-    return slice(views.starts[view], views.starts[view + 1])
+def sight_of(seen):
+    return fade(np.hypot(seen.offsets[:, 0], seen.offsets[:, 1]))
 
 
 def test_what_is_in_sight(real_city, rng):
-    o, views = real_city.objects, real_city.views
-    for view in sample(real_city, rng):
-        position = views.positions[view].astype(np.float64)
+    o = real_city.objects
+    rows = sample(real_city, rng)
+    seen = real_city.in_sight(rows)
+    np.testing.assert_array_equal(seen.points, rows)
+    for k, position in enumerate(real_city.views.positions_of(rows).astype(np.float64)):
+        here = slice(seen.starts[k], seen.starts[k + 1])
+        found = dict(zip(seen.objects[here], seen.offsets[here], strict=True))
+        assert (np.diff(seen.objects[here]) > 0).all()
         expected = {}
         for row in range(len(o)):
             east, north, d = nearest(o, row, position)
             if d <= REACH - 1e-3:
                 expected[row] = (east, north)
-        found = dict(
-            zip(
-                views.objects[entries(views, view)],
-                views.offsets[entries(views, view)],
-                strict=True,
-            )
-        )
         assert set(expected) <= set(found)
         assert all(nearest(o, row, position)[2] < REACH + 1e-3 for row in found)
         for row, offset in expected.items():
             assert np.hypot(*offset) == pytest.approx(np.hypot(*found[row]), abs=0.01)
 
 
-def test_sums_of_sight(real_city, rng):
-    o, views = real_city.objects, real_city.views
-    for view in sample(real_city, rng):
-        here = entries(views, view)
-        d = np.hypot(*views.offsets[here].T)
+def test_sums_of_sight_are_kept_rounded_down(real_city, rng):
+    o, rows = real_city.objects, sample(real_city, rng)
+    seen, c = real_city.in_sight(rows), real_city.views.columns
+    for k, row in enumerate(rows):
+        here = slice(seen.starts[k], seen.starts[k + 1])
+        d = np.hypot(*seen.offsets[here].T)
         sight = 1 / (1 + np.exp((d - SIGHT) / FADE))
-        np.testing.assert_allclose(views.sight[here], sight, rtol=1e-4)
-        assert views.total[view] == pytest.approx(sight.sum(), rel=1e-4)
-        outside = sight * ~((o.kind[views.objects[here]] == 2) & (d == 0))
-        pairs = np.outer(outside, outside)
-        assert views.pairs[view] == pytest.approx(pairs.sum() - np.trace(pairs), rel=1e-3, abs=1e-3)
+        assert 0.96 * sight.sum() <= LEVELS[c.total[row]] <= sight.sum() * 1.0001
+        outside = sight * ~((o.kind[seen.objects[here]] == 2) & (d == 0))
+        root = np.sqrt(max(outside.sum() ** 2 - (outside**2).sum(), 0.0))
+        assert root - 0.02 <= c.pairs[row] / 64 <= root + 1e-3
 
 
 def test_everything_is_seen_from_somewhere(real_city):
-    assert len(np.unique(real_city.views.objects)) == len(real_city.objects)
+    seen = real_city.in_sight(np.arange(len(real_city.views)))
+    assert len(np.unique(seen.objects)) == len(real_city.objects)
+    assert set(real_city.views.columns.things) == set(range(len(real_city.objects)))
 
 
 def test_a_hut_in_the_hills_is_seen(build_world):
@@ -80,62 +88,77 @@ def test_a_hut_in_the_hills_is_seen(build_world):
         assert [o.name for o in estimate.evidence[0].objects] == [name]
 
 
-def test_viewpoints_lie_on_a_grid_row_by_row(real_city):
+def test_viewpoints_lie_on_a_grid_tile_by_tile(real_city):
     positions = real_city.views.positions.astype(np.float64)
-    steps = (positions - positions.min(axis=0)) / STRIDE
+    steps = (positions - real_city.views.grid[:2]) / STRIDE
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-2)
-    order = np.lexsort((positions[:, 0], positions[:, 1]))
+    column, row = np.round(steps).astype(int).T
+    order = np.lexsort((column, row, column // 8, row // 8))
     np.testing.assert_array_equal(order, np.arange(len(positions)))
     assert len(np.unique(positions, axis=0)) == len(positions)
 
 
+def test_positions_of_some_are_those_of_all(real_city, rng, monkeypatch):
+    rows = sample(real_city, rng, 40)
+    monkeypatch.setattr("placegraph.outdoor.map.index.FEW", 0)
+    few = ViewIndex(real_city.views.columns, real_city.views.share).positions_of(rows)
+    np.testing.assert_array_equal(few, real_city.views.positions[rows])
+
+
+def postings(views, token):
+    """Viewpoint, grade and box of every posting of a token."""
+    c = views.columns
+    for run in range(c.token_starts[token], c.token_starts[token + 1]):
+        bits, tile = int(c.run_slots[run]), c.run_tiles[run]
+        slots = [s for s in range(64) if bits >> s & 1]
+        for k, slot in enumerate(slots):
+            view = c.first[tile] + below(c.present[tile], slot)
+            yield view, run, unpack(np.int64(c.postings[c.run_first[run] + k]))
+
+
 def test_postings_by_token(real_city, rng):
     o, views = real_city.objects, real_city.views
-    n_labels = len(o.labels)
-    tokens = rng.choice(len(views.posting_starts) - 1, 25, replace=False)
-    mass = {int(token): np.zeros(len(views.positions)) for token in tokens}
-    boxes = {}
-    for view in range(len(views.positions)):
-        for e in range(views.starts[view], views.starts[view + 1]):
-            i = views.objects[e]
-            for k, token in enumerate(range(views.token_starts[i], views.token_starts[i + 1])):
-                value = int(views.token_values[token])
-                if value not in mass:
-                    continue
-                weight = SECOND_LABEL[min(k, 2)] if value < n_labels else 1.0
-                mass[value][view] += views.sight[e] * weight
-                boxes.setdefault((value, view), []).append(views.offsets[e])
-    for token, expected in mass.items():
-        here = slice(views.posting_starts[token], views.posting_starts[token + 1])
-        found = views.posting_views[here]
-        np.testing.assert_array_equal(found, np.flatnonzero(expected))
-        np.testing.assert_allclose(views.posting_mass[here], expected[found], rtol=1e-3)
-        for view, box in zip(found, views.posting_boxes[here], strict=True):
-            offsets = np.array(boxes[token, view])
-            west, south, east, north = unpack_box(box)
-            np.testing.assert_array_equal((west, south), np.floor(offsets.min(axis=0)))
-            np.testing.assert_array_equal((east, north), np.ceil(offsets.max(axis=0)))
+    starts, values, _ = real_city.tokens
+    seen = real_city.in_sight(np.arange(len(views)))
+    sight = sight_of(seen)
+    view_of = np.repeat(np.arange(len(views)), np.diff(seen.starts))
+    for token in rng.choice(len(views.share), 25, replace=False).tolist():
+        weights = np.zeros(len(o))
+        for row in np.flatnonzero(np.add.reduceat(values == token, starts[:-1])):
+            mine = np.flatnonzero(values[starts[row] : starts[row + 1]] == token)
+            weights[row] = sum(
+                SECOND_LABEL[min(k, 2)] if token < len(o.labels) else 1.0 for k in mine
+            )
+        entries = np.flatnonzero(weights[seen.objects])
+        mass = np.bincount(view_of[entries], (sight * weights[seen.objects])[entries], len(views))
+        found = list(postings(views, token))
+        assert sorted(view for view, _, _ in found) == np.flatnonzero(mass).tolist()
+        for view, run, (grade, west, south, east, north) in found:
+            kept = LEVELS[grade]
+            assert mass[view] <= kept * 1.0001
+            assert kept <= max(mass[view] * 1.04, LEVELS[0])
+            here = seen.offsets[entries[view_of[entries] == view]]
+            for low, high, ends in ((west, east, here[:, 0]), (south, north, here[:, 1])):
+                assert ends.min() - WIDE - 1e-6 <= low <= ends.min() + 1e-6
+                assert ends.max() - 1e-6 <= high <= ends.max() + WIDE + 1e-6
+            c = views.columns
+            root = np.sqrt((c.pairs[view] / 64) ** 2 + 30.0)
+            assert LEVELS[c.run_pairs[run]] >= kept / root
+            assert LEVELS[c.run_total[run]] >= kept / LEVELS[c.total[view]]
 
 
 def test_frequency_is_a_share(real_city):
-    o, views = real_city.objects, real_city.views
-    n_tokens = len(o.labels) + len(o.names)
-    shares = np.array(
-        [views.frequency(np.array([t], np.int32), np.ones(1, np.float32)) for t in range(n_tokens)]
+    views, (starts, values, weights) = real_city.views, real_city.tokens
+    assert (views.share > 0).all()
+    assert (views.share <= 1).all()
+    seen = real_city.in_sight(np.arange(len(views)))
+    sight = np.bincount(seen.objects, sight_of(seen), len(real_city.objects))
+    token = int(np.argmax(views.share))
+    owner = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    expected = ((values == token) * weights * sight[owner]).sum() / sight.sum()
+    assert views.frequency(np.array([token], np.int32), np.ones(1)) == pytest.approx(
+        expected, rel=1e-3
     )
-    assert (shares > 0).all()
-    assert (shares <= 1).all()
-    total = views.sight.sum(dtype=np.float64)
-    token = int(np.argmax(shares))
-    expected = sum(
-        views.sight[e] * views.token_weights[t]
-        for e in range(len(views.objects))
-        for t in range(
-            views.token_starts[views.objects[e]], views.token_starts[views.objects[e] + 1]
-        )
-        if views.token_values[t] == token
-    )
-    assert shares[token] == pytest.approx(expected / total, rel=1e-3)
 
 
 def test_near(real_city, rng):
@@ -147,6 +170,8 @@ def test_near(real_city, rng):
             delta = np.abs(views.positions - p).max(axis=1)
             assert set(found) == set(np.flatnonzero(delta <= reach))
             assert (np.diff(delta[found]) >= -1e-6).all(), "nearest first"
+    assert not len(views.near(high + 1e6, 400.0))
+    assert len(views.near(low, 1e7)) == len(views)
 
 
 def test_nearest_is_what_near_finds_first(real_city, rng):
@@ -167,20 +192,101 @@ def test_fade_falls_from_one_to_nothing():
     assert fade(np.array([SIGHT], np.float32))[0] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize(
-    "box",
-    [(0, 0, 0, 0), (-127, -127, 127, 127), (-38, 5, -12, 38), (38, -38, 38, -1), (-1, 1, 1, 2)],
-)
-def test_boxes_in_a_word(box):
-    assert tuple(unpack_box(pack_box(*box))) == box
-    assert tuple(unpack_box(join_boxes(np.int32(EMPTY_BOX), pack_box(*box)))) == box
-    assert tuple(unpack_box(join_boxes(pack_box(*box), pack_box(0, 0, 0, 0)))) == (
-        min(box[0], 0), min(box[1], 0), max(box[2], 0), max(box[3], 0),
-    )  # fmt: skip
+@given(mass=st.floats(1e-3, 200.0), ends=st.tuples(ANY, ANY, ANY, ANY))
+def test_postings_hold_what_they_were_made_of(mass, ends):
+    west, south, east, north = ends
+    grade, *kept = unpack(pack(mass, west, south, east, north))
+    assert mass <= LEVELS[grade] * 1.0001
+    assert LEVELS[grade] <= max(LEVELS[0], mass * 1.04)
+    for end, low in zip((west, south), kept[:2], strict=True):
+        assert end - WIDE - 1e-6 <= low <= end + 1e-6
+    for end, high in zip((east, north), kept[2:], strict=True):
+        assert end - 1e-6 <= high <= end + WIDE + 1e-6
+    assert min(kept) >= -EDGE
+
+
+@given(st.sets(st.integers(0, 63), min_size=1))
+def test_bits_are_counted(slots):
+    bits = np.uint64(sum(1 << s for s in slots)).astype(np.int64)
+    assert slot_of(bits) == min(slots)
+    for slot in (0, 31, 63):
+        assert below(bits, slot) == sum(s < slot for s in slots)
+
+
+def test_grades_round_up():
+    for mass in (1e-4, 0.02, 0.5, 3.0, 200.0):
+        assert LEVELS[grade_of(mass)] >= mass * 0.9999
 
 
 def test_same_map_same_index(harbour):
-    one, two = ViewIndex.build(harbour.objects), ViewIndex.build(harbour.objects)
-    for name, column in vars(one).items():
-        if isinstance(column, np.ndarray):
-            np.testing.assert_array_equal(column, getattr(two, name), err_msg=name)
+    one, two = (ViewIndex.build(harbour.objects).arrays() for _ in range(2))
+    for name, column in one.items():
+        np.testing.assert_array_equal(column, two[name], err_msg=name)
+
+
+def test_band_by_band_is_all_at_once(real_city):
+    once, banded = build(real_city.objects, 1 << 40), build(real_city.objects, 200)
+    # postings stand band by band; runs say where
+    for name in once.keys() - {"share"}:
+        np.testing.assert_array_equal(once[name], banded[name], err_msg=name)
+    np.testing.assert_allclose(once["share"], banded["share"], rtol=1e-5)
+
+
+def test_an_index_travels(harbour):
+    again = pickle.loads(pickle.dumps(harbour.views))  # noqa: S301  # our own
+    assert again.columns.grid == harbour.views.columns.grid
+    for name, column in harbour.views.arrays().items():
+        np.testing.assert_array_equal(again.arrays()[name], column)
+        assert not again.arrays()["postings"].flags.writeable
+
+
+SHORT = ("present", "things", "total", "pairs", "run_tiles", "run_slots", "run_pairs", "share")
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_columns_of_other_lengths_are_refused(harbour, name):
+    columns = harbour.views.arrays()
+    with pytest.raises(ValueError, match="entries"):
+        ViewIndex.of(columns | {name: columns[name][:-1]}, harbour.views.grid)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("tiles", lambda a: a[::-1].copy()),
+        ("tiles", lambda a: a - 1),
+        ("present", lambda a: a * 0),
+        ("share", lambda a: a * np.nan),
+        ("share", lambda a: -a),
+    ],
+)
+def test_columns_that_make_no_sense_are_refused(harbour, name, change):
+    columns = harbour.views.arrays()
+    with pytest.raises(ValueError, match=r"viewpoints|tile|share"):
+        ViewIndex.of(columns | {name: change(columns[name])}, harbour.views.grid)
+
+
+@pytest.mark.parametrize("grid", [(np.nan, 0.0, 4), (0.0, 1e12, 4), (0.0, 0.0, 0)])
+def test_a_grid_that_is_none_is_refused(harbour, grid):
+    with pytest.raises(ValueError, match="grid"):
+        ViewIndex.of(harbour.views.arrays(), grid)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
+    """Long columns are not read when a map is opened; whatever they hold, a search ends."""
+    rng, columns = np.random.default_rng(seed), harbour.views.arrays()
+    for name in (
+        "things",
+        "run_tiles",
+        "run_slots",
+        "run_first",
+        "postings",
+        "run_pairs",
+        "run_total",
+    ):
+        raw = rng.integers(0, 256, columns[name].nbytes, np.uint8)
+        columns[name] = raw.view(columns[name].dtype)
+    forged = replace(harbour, index=ViewIndex.of(columns, harbour.views.grid))
+    forged.locate(said(("amenity=bench", "near", "me"), ("natural=tree", "north", "amenity=bench")))
+    forged.locate(said(("amenity=bench", "near", "me")), near=(0.0, 0.0), radius=1e7)

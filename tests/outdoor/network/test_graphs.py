@@ -123,7 +123,7 @@ def test_a_place_holds_the_nearest_things_within_reach(build_world):
     rng = np.random.default_rng(1)
     spots = rng.uniform(-45.0, 45.0, (120, 2))
     city = build_world([(*at, {"natural": "tree"}) for at in spots.tolist()])
-    rows = np.arange(len(city.views.positions))
+    rows = np.arange(len(city.views))
     places = PlaceGraphs.of_views(city, rows)
     counts = np.diff(places.starts)
     assert counts.max() == MOST_THINGS

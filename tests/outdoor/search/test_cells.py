@@ -134,7 +134,7 @@ def test_all_are_all(harbour, encoded, query):
     found = candidate_cells(asking(harbour, query, 3, "all", encoded))
     assert found.tolist() == list(range(len(harbour.cells)))
     views = views_by(asking(harbour, query, 3, "all", encoded))
-    assert len(views) == len(harbour.views.positions)
+    assert len(views) == len(harbour.views)
 
 
 def test_a_store_of_ones_own_is_asked(harbour, encoded, query):

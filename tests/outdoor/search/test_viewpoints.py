@@ -90,4 +90,4 @@ def test_candidates_do_not_depend_on_the_order_of_statements(harbour, said):
 def test_few_viewpoints_are_looked_at(monaco, said):
     query = compile_query(said(("amenity=fountain", "north", "me")), monaco)
     found = search(Request(monaco, query))
-    assert 0 < len(found.positions) < 0.2 * len(monaco.views.positions)
+    assert 0 < len(found.positions) < 0.2 * len(monaco.views)

@@ -13,9 +13,7 @@ from placegraph.outdoor.track.score import MOST_SCORED, score
 def test_closer_looks_are_looks(name, harbour, said, request):
     look = request.getfixturevalue("score")
     description = said(*QUERIES[name])
-    found = score(
-        compile_query(description, harbour), harbour, np.ones(len(harbour.views.positions))
-    )
+    found = score(compile_query(description, harbour), harbour, np.ones(len(harbour.views)))
     assert found.positions.shape == (len(found.closer), len(FINE), 2)
     off = []
     for view, positions, ratios in zip(found.closer, found.positions, found.ratios, strict=True):
@@ -32,7 +30,7 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
     look = request.getfixturevalue("score")
     description = said(*QUERIES[name])
     query = compile_query(description, harbour)
-    n = len(harbour.views.positions)
+    n = len(harbour.views)
     for view in rng.choice(n, 12, replace=False):
         weights = np.full(n, 1e-12)
         weights[view] = 1.0
@@ -45,7 +43,7 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
 def test_nothing_drops_to_zero(harbour, said):
     for name, statements in QUERIES.items():
         query = compile_query(said(*statements), harbour)
-        found = score(query, harbour, np.ones(len(harbour.views.positions)))
+        found = score(query, harbour, np.ones(len(harbour.views)))
         assert np.isfinite(found.views).all(), name
         assert found.views.min() >= np.log(query.statements.noise).sum() - 3.0
         assert found.nothing == pytest.approx(
@@ -55,7 +53,7 @@ def test_nothing_drops_to_zero(harbour, said):
 
 def test_no_belief_on_the_map_is_no_error(harbour, said):
     query = compile_query(said(*QUERIES["one bench"]), harbour)
-    found = score(query, harbour, np.zeros(len(harbour.views.positions)))
+    found = score(query, harbour, np.zeros(len(harbour.views)))
     assert len(found.closer) == 0
     assert (found.views == found.nothing).all()
 
@@ -64,7 +62,7 @@ def test_many_are_left_with_their_bounds(monaco, said):
     """More viewpoints see a building than are scored; the rest still tell good from bad."""
     description = said(("building=yes", "north", "highway=footway"))
     query = compile_query(description, monaco)
-    weights = np.ones(len(monaco.views.positions))
+    weights = np.ones(len(monaco.views))
     found = score(query, monaco, weights)
     spread = np.unique(found.views.round(3))
     assert (found.views > found.nothing + 0.05).sum() > MOST_SCORED / 3

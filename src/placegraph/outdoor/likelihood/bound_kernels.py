@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Which viewpoints are worth a look: bounds on their likelihood from the view index alone."""
+"""How likely the statements can be at viewpoints at best: bounds from the view index alone."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import numpy as np
 
 from placegraph.compiled import kernel
 from placegraph.outdoor.likelihood.fit_kernels import BETWEEN, DIRECTION, ME, TABLE
-from placegraph.outdoor.map.index_kernels import unpack_box
+from placegraph.outdoor.map.index_kernels import FINE, SLOTS, slot_of, unpack
 
-STRIP = 1000
-"""Viewpoints whose bounds are reckoned at once: what is known of them stays in the nearest cache."""
+TILES = 16
+"""Tiles whose bounds are reckoned at once: what is known of them stays in the nearest cache."""
 HERE = 8.0
 """The speaker may stand so far to each side of a viewpoint [m]."""
 HIGHEST = 1e290
@@ -19,90 +19,107 @@ MASS, WEST, SOUTH, EAST, NORTH = range(5)
 """How much of a mention is in sight, and the ends of the box that it lies in [m]."""
 
 
-@kernel(fastmath=True)
-def promising_views(statements, mentions, views, weights, most):
-    """Viewpoints (K,) worth scoring, the most promising first, their bounds, and what is left out.
-
-    Only viewpoints that have all things of at least one statement in sight are worth it. The bound
-    is the likelihood ratio that the statements would have if every direction were right (less what
-    `noise` grants them), times the prior `weights` (W,), all equal where empty. Left out is the sum
-    of the bounds of viewpoints that are worth it and were not returned.
-    """
-    n_mentions = len(mentions.starts) - 1
-    at = views.posting_starts[mentions.tokens]
-    seen = np.zeros((n_mentions + 1, 5, STRIP), np.float32)
+@kernel
+def blank(n_mentions):
+    """Room for what the viewpoints of `TILES` tiles have of each mention in sight, and of the speaker."""
+    seen = np.zeros((n_mentions + 1, 5, TILES * SLOTS), np.float32)
     seen[ME] = HERE  # the last row is the speaker's
     seen[ME, MASS] = 1.0
     seen[ME, WEST : SOUTH + 1] = -HERE
-    there = np.ones(n_mentions + 1, np.bool_)
-    bound = np.empty(STRIP)
-    chosen = np.empty(2 * most + STRIP, np.int32)
-    bounds = np.empty(len(chosen))
-    n, least, total = 0, 0.0, 0.0
-    for first in range(0, len(views.total), STRIP):
-        last = min(first + STRIP, len(views.total))
-        for m in range(n_mentions):
-            there[m] = _fill(seen[m], mentions, views, at, m, first, last)
-        if _bound(statements, seen, there, views, first, bound[: last - first]):
-            total += _weigh(bound[: last - first], weights[first:last])
-            for i in range(last - first):
-                if bound[i] > least:
-                    chosen[n], bounds[n] = first + i, bound[i]
-                    n += 1
-            if n > 2 * most:
-                n, least = _heaviest(chosen, bounds, n, most)
-        for m in range(n_mentions):
-            if there[m]:
-                seen[m, MASS] = 0.0
-    n, _ = _heaviest(chosen, bounds, n, most)
-    order = np.argsort(-bounds[:n])
-    return chosen[order], bounds[order], max(0.0, total - bounds[:n].sum())
+    return seen, np.ones(n_mentions + 1, np.bool_)
+
+
+@kernel(fastmath=True)
+def bounds_of(statements, mentions, views, tiles, at, seen, there, bound):
+    """Bounds of the viewpoints of tiles (ascending, at most `TILES`), slot by slot, into `bound`.
+
+    The bound is the likelihood ratio that the statements would have if every direction were right
+    (less what `noise` grants them); 0 where not all things of at least one statement are in sight.
+    `at` is where the runs of the mentions' tokens were left. Returns whether any is above 0.
+    """
+    n = SLOTS * len(tiles)
+    for m in range(len(mentions.starts) - 1):
+        there[m] = _fill(seen[m], mentions, views, at, m, tiles)
+    worth = _bound(statements, seen, there, views, tiles, bound[:n])
+    for m in range(len(mentions.starts) - 1):
+        if there[m]:
+            seen[m, MASS] = 0.0
+    return worth
 
 
 @kernel(fastmath=True, _nrt=False)
-def _fill(seen, mentions, views, at, m, first, last):
-    """What viewpoints from `first` to `last` have of a mention in sight; whether any has any.
+def skip(views, p, end, tile):
+    """First of the runs from `p` on whose tile is not before `tile`."""
+    if p >= end or views.run_tiles[p] >= tile:
+        return p
+    step = 1
+    while p + step < end and views.run_tiles[p + step] < tile:
+        p += step
+        step += step
+    high = min(end, p + step)
+    while high - p > 1:
+        middle = (p + high) >> 1
+        if views.run_tiles[middle] < tile:
+            p = middle
+        else:
+            high = middle
+    return high
 
-    `at` is where the lists of its tokens were left.
-    """
+
+@kernel(fastmath=True, _nrt=False)
+def _fill(seen, mentions, views, at, m, tiles):
+    """What the viewpoints of tiles have of a mention in sight; whether any has any."""
     there = False
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
-        end, weight = views.posting_starts[mentions.tokens[k] + 1], mentions.weights[k]
+        end, weight = views.token_starts[mentions.tokens[k] + 1], mentions.weights[k]
         p = at[k]
-        while p < end and views.posting_views[p] < last:
-            i = views.posting_views[p] - first
-            west, south, east, north = unpack_box(views.posting_boxes[p])
-            if seen[MASS, i] == 0.0:
-                seen[WEST, i], seen[SOUTH, i], seen[EAST, i], seen[NORTH, i] = (
-                    west, south, east, north
-                )  # fmt: skip
-            else:
-                seen[WEST, i] = min(seen[WEST, i], np.float32(west))
-                seen[SOUTH, i] = min(seen[SOUTH, i], np.float32(south))
-                seen[EAST, i] = max(seen[EAST, i], np.float32(east))
-                seen[NORTH, i] = max(seen[NORTH, i], np.float32(north))
-            seen[MASS, i] += weight * views.posting_mass[p]
-            p += 1
-        there |= p > at[k]
+        for i in range(len(tiles)):
+            p = skip(views, p, end, tiles[i])
+            if p == end:
+                break
+            if views.run_tiles[p] == tiles[i]:
+                there = True
+                _unfold(seen, views, p, i * SLOTS, views.present[tiles[i]], weight)
         at[k] = p
     return there
 
 
+@kernel(fastmath=True, _nrt=False)
+def _unfold(seen, views, p, base, present, weight):
+    """Add the postings of a run to what is in sight of its tile's viewpoints."""
+    bits, q = views.run_slots[p], np.int64(views.run_first[p])
+    bits = bits & present  # of a forged map they may be others, and end early
+    while bits != 0 and q < len(views.postings):
+        i = base + slot_of(bits)
+        grade, west, south, east, north = unpack(np.int64(views.postings[q]))
+        if seen[MASS, i] == 0.0:
+            seen[WEST, i], seen[SOUTH, i], seen[EAST, i], seen[NORTH, i] = west, south, east, north
+        else:
+            seen[WEST, i] = min(seen[WEST, i], west)
+            seen[SOUTH, i] = min(seen[SOUTH, i], south)
+            seen[EAST, i] = max(seen[EAST, i], east)
+            seen[NORTH, i] = max(seen[NORTH, i], north)
+        seen[MASS, i] += weight * views.levels[grade]
+        bits &= bits - 1
+        q += 1
+
+
 @kernel(fastmath=True)
-def _bound(statements, seen, there, views, first, bound):
-    """Bounds of viewpoints from `first` on, 0 where none is worth it; whether any may be."""
+def _bound(statements, seen, there, views, tiles, bound):
+    """Bounds of the viewpoints of tiles, 0 where none is worth it; whether any may be."""
     worth = False
-    last = first + len(bound)
+    total, pairs = np.ones(len(bound), np.float32), np.zeros(len(bound), np.float32)
     for s in range(len(statements.op)):
-        a, b = _ends(statements, s)
+        a, b = ends_of(statements, s)
         if statements.negated[s] or a == b or not (there[a] and there[b]):
             continue
         if not worth:
             bound[:] = 1.0
             worth = True
+            _crowds(views, tiles, total, pairs)
         gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
         of_me = a == ME or b == ME
-        among = views.total[first:last] if of_me else views.pairs[first:last]
+        among = total if of_me else pairs
         crowd = np.float32(0.0 if of_me else statements.crowd)
         wrong = np.float32(1.0)
         if statements.op[s] == DIRECTION:
@@ -120,18 +137,22 @@ def _bound(statements, seen, there, views, first, bound):
 
 
 @kernel(fastmath=True, _nrt=False)
-def _weigh(bound, weights):
-    """Sum of bounds, once they are multiplied by their `weights` where there are any."""
-    for i in range(len(weights)):
-        bound[i] *= weights[i]
-    total = 0.0
-    for i in range(len(bound)):
-        total += bound[i]
-    return total
+def _crowds(views, tiles, total, pairs):
+    """How much is in sight of the viewpoints of tiles, slot by slot: alone, and in pairs."""
+    grain = np.float32(1.0 / FINE)
+    for k in range(len(tiles)):
+        bits, row = views.present[tiles[k]], views.first[tiles[k]]
+        for i in range(k * SLOTS, (k + 1) * SLOTS):
+            if bits & 1:
+                total[i] = views.levels[views.total[row]]
+                root = np.float32(views.pairs[row]) * grain
+                pairs[i] = root * root
+                row += 1
+            bits >>= 1
 
 
 @kernel(inline="always")
-def _ends(statements, s):
+def ends_of(statements, s):
     """The two mentions that a bound looks for: of "I am between b and c" these are b and c."""
     a, b = statements.source[s], statements.target[s]
     return (statements.target2[s], b) if statements.op[s] == BETWEEN and a == ME else (a, b)
@@ -171,22 +192,3 @@ def _deny(bound, seen, noise, towards, anyhow):
         if anyhow or (ahead > 8.0 and max(-left, right) < 0.7 * ahead):
             absent = np.exp(-2.0 * seen[MASS, i])
             bound[i] *= (1.0 - noise) * absent + noise
-
-
-@kernel
-def _heaviest(chosen, bounds, n, most):
-    """Move the `most` viewpoints of largest bound to the front; how many, and the least bound."""
-    if n <= most:
-        return n, 0.0
-    least = np.partition(bounds[:n], n - most)[n - most]
-    ties = most
-    for i in range(n):
-        ties -= bounds[i] > least
-    kept = 0
-    for i in range(n):
-        if bounds[i] == least:
-            ties -= 1
-        if bounds[i] > least or (bounds[i] == least and ties >= 0):
-            chosen[kept], bounds[kept] = chosen[i], bounds[i]
-            kept += 1
-    return kept, least

@@ -16,6 +16,7 @@ from placegraph.outdoor.likelihood.fit_kernels import (
 )
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS, SLACK, in_sight, likelihoods
 from placegraph.outdoor.map.index import POINT, SIGHT
+from placegraph.outdoor.map.index_kernels import look, most_things, place_of, tile_of
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts, nearest_to_each
 
 COARSE, FINE = 20.0, 5.0
@@ -40,15 +41,16 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
     for s in range(n_statements):
         noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
     best = HOPELESS
+    most = most_things(views)
+    objects, sight = np.empty(most, np.int32), np.empty(most, np.float32)
+    offsets, place = np.empty((most, 2), np.float32), np.empty(2, np.float32)
     for k in range(len(chosen)):
         if np.log(bounds[k]) + noise + SLACK < best - margin:
             break
-        v = chosen[k]
-        a, b = views.starts[v], views.starts[v + 1]
-        seen = in_sight(
-            scene, views.objects[a:b], views.offsets[a:b], views.sight[a:b],
-            views.total[v], views.pairs[v], COARSE, views.positions[v],
-        )  # fmt: skip
+        tile, slot = tile_of(views, chosen[k])
+        place[0], place[1] = place_of(views, tile, slot)
+        n, total, pairs = look(scene, views, tile, slot, objects, offsets, sight)
+        seen = in_sight(scene, objects[:n], offsets[:n], sight[:n], total, pairs, COARSE, place)
         scores[k] = likelihoods(
             statements,
             scene,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
@@ -13,17 +13,21 @@ from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
-from placegraph.outdoor.map.index import ViewIndex, tokens_of
+from placegraph.outdoor.map.index import ViewIndex
+from placegraph.outdoor.map.index_build import tokens_of
+from placegraph.outdoor.map.index_file import MAPPED, columns_of, index_in
+from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
     GRAIN,
     CityColumns,
     CityObjects,
     centers,
+    extents,
     index_of,
     of_name,
 )
-from placegraph.outdoor.map.raster import Grid
+from placegraph.outdoor.map.raster import Grid, Sightings
 from placegraph.portable import Portable
 from placegraph.store import pack_strings, read_map, sound, write_map
 
@@ -35,7 +39,7 @@ if TYPE_CHECKING:
     from placegraph.graph import SceneGraph
 
 KIND = "city"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,8 @@ class City(Portable):
     """Name of the file the map was built from."""
     left_out: dict[str, int]
     """What of that file could not be used, by reason."""
+    index: ViewIndex | None = field(default=None, repr=False)
+    """Of its viewpoints, as the map file has it; see `views`."""
 
     @classmethod
     def create(
@@ -85,6 +91,7 @@ class City(Portable):
             "grid": list(cells.grid),
             "source": self.source,
             "left_out": self.left_out,
+            "views": list(self.views.grid),
         }
         arrays: dict[str, NDArray[Any]] = {
             "osm_type": objects.osm_type,
@@ -101,12 +108,12 @@ class City(Portable):
             "names": pack_strings(objects.names),
             "cells": cells.points,
         }
-        write_map(path, KIND, VERSION, meta, arrays)
+        write_map(path, KIND, VERSION, meta, arrays | columns_of(self.views), MAPPED)
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Self:
         """Open a map file; raises `InputError` or `MapError` where it is not a sound city map."""
-        file = read_map(path, KIND, VERSION)
+        file = read_map(path, KIND, VERSION, MAPPED)
         with sound(path, "Build it again."):
             meta = file.meta
             plane = LocalPlane(*map(float, meta["origin"]))
@@ -142,7 +149,8 @@ class City(Portable):
             cells.check()
             left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
             source = str(meta["source"])
-        return cls(plane, replace(objects, center=center), cells, source, left_out)
+            index = index_in(file, len(objects.labels) + len(objects.names))
+        return cls(plane, replace(objects, center=center), cells, source, left_out, index)
 
     def graph(self, cell: str) -> SceneGraph:
         """Scene graph of a cell (Eq. 1-8); raises `OptionError` where there is no such cell."""
@@ -150,8 +158,14 @@ class City(Portable):
 
     @cached_property
     def views(self) -> ViewIndex:
-        """What is seen from where; derived on first use."""
-        return ViewIndex.build(self.objects)
+        """What is seen from where: as the map file has it, or derived on first use where it has not."""
+        return self.index or ViewIndex.build(self.objects)
+
+    def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:
+        """What is in sight of viewpoints `rows` (K,) of `views`, which are its `points`."""
+        rows = np.asarray(rows, np.int64)
+        starts, objects, offsets, _ = looks(self.columns, self.views.columns, rows)
+        return Sightings(rows, starts, objects, offsets)
 
     @cached_property
     def name_index(self) -> NameIndex:
@@ -196,10 +210,10 @@ class City(Portable):
     @cached_property
     def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Objects by token (label, then name), as CSR: starts and rows, ascending within a token."""
-        views = self.views
-        owner = np.repeat(np.arange(len(self.objects)), np.diff(views.token_starts))
-        order = np.argsort(views.token_values, kind="stable")
-        counts = np.bincount(views.token_values, minlength=len(views.posting_starts) - 1)
+        token_starts, values, _ = self.tokens
+        owner = np.repeat(np.arange(len(self.objects)), np.diff(token_starts))
+        order = np.argsort(values, kind="stable")
+        counts = np.bincount(values, minlength=len(self.objects.labels) + len(self.objects.names))
         return np.concatenate(([0], np.cumsum(counts))), owner[order]
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
@@ -219,11 +233,13 @@ class City(Portable):
     @cached_property
     def columns(self) -> CityColumns:
         """Columns that compiled code reads."""
-        o, v = self.objects, self.views
+        o, kind = self.objects, self.objects.kind.view()
+        kind.flags.writeable = (
+            False  # as of a map that was opened: compiled code tells the two apart
+        )
         return CityColumns(
-            o.kind, o.part_starts, o.point_starts, o.points, o.center,
-            v.token_starts, v.token_values, v.token_weights,
-        )  # fmt: skip
+            kind, o.part_starts, o.point_starts, o.points, o.center, extents(o), *self.tokens
+        )
 
     @cached_property
     def fingerprint(self) -> str:

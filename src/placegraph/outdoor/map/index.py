@@ -1,253 +1,284 @@
 """Viewpoints of a city and what stands around each: what candidates are found by.
 
 A sentence is spoken somewhere, not "in a tile". Every 20 m where anything is in sight there is a
-viewpoint; for each the objects in sight are listed with their nearest points, and for each *token*
-(a label or a name) the viewpoints that have it in sight, as in an inverted index.
+viewpoint. For each *token* (a label or a name) the index lists the viewpoints that have it in sight,
+tile by tile: in a tile of 8 times 8 viewpoints 64 bits tell which, and how much there is at most.
+It is built when a map is written (`index_build`), and read where it lies: a search looks at few
+tiles, and what is in sight of a viewpoint is worked out for the few that are compared in full.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from placegraph.outdoor.map.index_kernels import _postings
-from placegraph.outdoor.map.raster import Grid, Sightings, sightings
+from placegraph.outdoor.map.index_build import LEVELS, STRIDE, build, grid_of
+from placegraph.outdoor.map.index_kernels import (
+    FADED,
+    REACHED,
+    SIDE,
+    WIDTH,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from placegraph.outdoor.map.objects import CityObjects
 
-
 POINT, AREA = 0, 2
-
-
-STRIDE = 20.0
-"""Distance of neighbouring viewpoints [m]."""
-
-
-SIGHT = 25.0
+SIGHT = FADED
 """Distance at which half the things are still spoken of [m]."""
-
-
-FADE = 3.5
+FADE = WIDTH
 """Width of the fall around `SIGHT` [m]."""
-
-
-REACH = 38.0
+REACH = REACHED
 """Beyond this distance a thing is not listed at a viewpoint [m]."""
+FEW = 500_000
+"""The positions of no more viewpoints than this are kept at hand."""
+_AROUND = 2
+"""Points of the grid to every side among which the nearest viewpoint within `STRIDE` is."""
 
 
-ENOUGH = 2.0
-"""A viewpoint needs this much in sight (sum of `sight`), or a point object close by."""
-
-
-SECOND_LABEL = (1.0, 0.35, 0.2)
-"""How readily a thing is called by its first, second, third ... label."""
-
-
-_MOST = 4
-"""Viewpoints of a line, and lines, within `STRIDE` of a place to both sides; one is to spare."""
+_DERIVED = frozenset({"grid", "first", "thing_starts", "token_starts", "levels"})
+"""Fields of `ViewColumns` that are not stored as they are."""
 
 
 class ViewColumns(NamedTuple):
-    """Columns of `ViewIndex` under the same names, for compiled code."""
+    """Columns of a `ViewIndex`, for compiled code."""
 
-    positions: NDArray[np.float32]
-    starts: NDArray[np.int64]
-    objects: NDArray[np.int32]
-    offsets: NDArray[np.float32]
-    sight: NDArray[np.float32]
-    total: NDArray[np.float32]
-    pairs: NDArray[np.float32]
-    posting_starts: NDArray[np.int64]
-    posting_views: NDArray[np.int32]
-    posting_mass: NDArray[np.float32]
-    posting_boxes: NDArray[np.int32]
+    grid: tuple[float, float, float, int]
+    """East and north of the first point, stride [m], and tiles in a line."""
+    tiles: NDArray[np.int64]
+    """(T,) where a tile lies, ``line * tiles in a line + column``, ascending."""
+    present: NDArray[np.int64]
+    """(T,) which of its slots are viewpoints: 64 bits."""
+    first: NDArray[np.int64]
+    """(T + 1,) its first viewpoint; those of a tile are numbered by slot."""
+    total: NDArray[np.uint8]
+    """(W,) grade, rounded down, of the sum of `sight` of what a viewpoint has in sight."""
+    pairs: NDArray[np.uint16]
+    """(W,) root of its sum of products of `sight` over pairs of what one does not stand in, in steps
+    of 1 / 64, rounded down."""
+    thing_starts: NDArray[np.int64]
+    """(T + 1,)"""
+    things: NDArray[np.int32]
+    """Rows of the objects in sight of any viewpoint of a tile, ascending."""
+    token_starts: NDArray[np.int64]
+    """(tokens + 1,) runs of a token: a run is a token in a tile."""
+    run_tiles: NDArray[np.uint32]
+    """(R,) its tile, ascending within a token."""
+    run_slots: NDArray[np.int64]
+    """(R,) which of the viewpoints have it in sight: 64 bits."""
+    run_first: NDArray[np.uint32]
+    """(R,) its first posting; they follow by slot."""
+    run_pairs: NDArray[np.uint8]
+    """(R,) grade of the largest mass over the root of pairs and crowd."""
+    run_total: NDArray[np.uint8]
+    """(R,) grade of the largest mass over total."""
+    postings: NDArray[np.uint32]
+    """(P,) `unpack`: grade of the mass of a viewpoint's objects of the token (the sum of `sight`
+    times the token's weight), and the box that they lie in."""
+    levels: NDArray[np.float32]
+    """(GRADES,) mass of a grade."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewIndex:
-    """Viewpoints (W), objects in sight of each (CSR), and viewpoints by token (CSR)."""
+    """Viewpoints (W) of a map, and where each of its tokens is in sight."""
 
-    positions: NDArray[np.float32]
-    """(W, 2) east, north [m]."""
-    starts: NDArray[np.int64]
-    """(W + 1,) entries of a viewpoint."""
-    objects: NDArray[np.int32]
-    """(E,) row of the object in sight."""
-    offsets: NDArray[np.float32]
-    """(E, 2) its nearest point seen from the viewpoint [m]."""
-    sight: NDArray[np.float32]
-    """(E,) how readily a thing at this distance is spoken of, 0 to 1."""
-    total: NDArray[np.float32]
-    """(W,) sum of `sight` over a viewpoint's entries."""
-    pairs: NDArray[np.float32]
-    """(W,) sum of products of `sight` over ordered pairs of what one does not stand in."""
-    token_starts: NDArray[np.int32]
-    """(N + 1,) tokens of an object: its labels, then its names (shifted by the number of labels)."""
-    token_values: NDArray[np.int32]
-    token_weights: NDArray[np.float32]
-    """How readily the object is called so."""
-    posting_starts: NDArray[np.int64]
-    """(T + 1,) viewpoints of a token."""
-    posting_views: NDArray[np.int32]
-    """Viewpoint, ascending within a token."""
-    posting_mass: NDArray[np.float32]
-    """Sum of `sight` times token weight over the viewpoint's objects of this token."""
-    posting_boxes: NDArray[np.int32]
-    """(P,) ends of the offsets of these objects [m]: west, south, east, north, a byte each."""
+    columns: ViewColumns
+    share: NDArray[np.float64]
+    """(tokens,) share of each in all that is in sight of all viewpoints."""
 
     @classmethod
-    def build(cls, objects: CityObjects) -> ViewIndex:
-        """Viewpoints of a city; about 1 s for 50,000 objects."""
-        low, high = objects.points.min(axis=0) - REACH, objects.points.max(axis=0) + REACH
-        columns, rows = (int(n) for n in np.ceil((high - low) / STRIDE) + 1)
-        grid = Grid(float(low[0]), float(low[1]), STRIDE, columns, rows)
-        seen = sightings(
-            objects.kind,
-            objects.part_starts,
-            objects.point_starts,
-            objects.points,
-            grid=grid,
-            radius=REACH,
+    def build(cls, objects: CityObjects) -> Self:
+        """Index of a map that has none yet."""
+        grid = grid_of(objects)
+        return cls.of(build(objects), (grid.east, grid.north, grid.columns // SIDE))
+
+    @classmethod
+    def of(cls, columns: Mapping[str, NDArray[Any]], grid: tuple[float, float, int]) -> Self:
+        """Index of the columns that `build` makes; `ValueError` where they contradict each other."""
+        east, north, width = grid
+        columns = {name: _locked(column) for name, column in columns.items()}
+        given = ViewColumns(
+            grid=(float(east), float(north), STRIDE, int(width)),
+            tiles=columns["tiles"],
+            present=columns["present"],
+            first=_starts(_ones(columns["present"])),
+            total=columns["total"],
+            pairs=columns["pairs"],
+            thing_starts=_starts(columns["thing_counts"]),
+            things=columns["things"],
+            token_starts=_starts(columns["run_counts"]),
+            levels=LEVELS,
+            **{name: columns[name] for name in ViewColumns._fields if name.startswith("run_")},
+            postings=columns["postings"],
         )
-        seen, sight = _worth_standing(seen, objects.kind)
-        row, column = np.divmod(seen.points, columns)
-        positions = np.stack([low[0] + STRIDE * column, low[1] + STRIDE * row], axis=1)
-        total = np.add.reduceat(sight, seen.starts[:-1])
-        inside = (objects.kind[seen.objects] == AREA) & ~seen.offsets.any(axis=1)
-        apart = np.where(inside, np.float32(0.0), sight)  # what one stands in lies in no direction
-        pairs = np.add.reduceat(apart, seen.starts[:-1]) ** 2 - np.add.reduceat(
-            apart * apart, seen.starts[:-1]
-        )
-        tokens = tokens_of(objects)
-        n_tokens = len(objects.labels) + len(objects.names)
-        postings = _postings(seen.starts, seen.objects, seen.offsets, sight, *tokens, n_tokens)
-        return cls(
-            positions.astype(np.float32),
-            seen.starts,
-            seen.objects,
-            seen.offsets,
-            sight,
-            total,
-            np.maximum(pairs, 0.0),
-            *tokens,
-            *postings,
-        )
+        _check(given, columns["share"])
+        return cls(given, columns["share"])
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The columns that `of` takes."""
+        c = self.columns
+        own = {name: value for name, value in c._asdict().items() if name not in _DERIVED}
+        counts = {"thing_counts": c.thing_starts, "run_counts": c.token_starts}
+        sizes = {name: np.diff(starts).astype(np.uint32) for name, starts in counts.items()}
+        return own | sizes | {"share": self.share}
+
+    @property
+    def grid(self) -> tuple[float, float, int]:
+        """East and north of the first point [m], and how many tiles a line has."""
+        east, north, _, width = self.columns.grid
+        return east, north, width
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).of, (self.arrays(), self.grid)
+
+    def __len__(self) -> int:
+        return int(self.columns.first[-1])
 
     @cached_property
-    def columns(self) -> ViewColumns:
-        """Columns that the scanning kernels read."""
-        return ViewColumns(*(getattr(self, name) for name in ViewColumns._fields))
+    def positions(self) -> NDArray[np.float32]:
+        """(W, 2) east, north of all viewpoints [m]; tile after tile, and row by row within each."""
+        return self._at(*np.nonzero(_bits(self.columns.present)))
+
+    def positions_of(self, rows: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
+        """(K, 2) east, north of viewpoints (K,) [m]."""
+        if len(rows) > len(self) // 8 or len(self) <= FEW:
+            return self.positions[rows]
+        tile = np.searchsorted(self.columns.first, rows, side="right") - 1
+        rank = np.asarray(rows) - self.columns.first[tile]
+        upto = np.cumsum(_bits(self.columns.present[tile]), axis=1, dtype=np.int8)
+        return self._at(tile, np.argmax(upto > rank[:, None], axis=1))
+
+    def _at(
+        self, tile: NDArray[np.integer[Any]], slot: NDArray[np.integer[Any]]
+    ) -> NDArray[np.float32]:
+        east, north, stride, width = self.columns.grid
+        line, column = np.divmod(self.columns.tiles[tile], width)
+        x = east + (column * SIDE + slot % SIDE) * stride
+        return np.stack([x, north + (line * SIDE + slot // SIDE) * stride], 1).astype(np.float32)
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Share of all things in sight, over all viewpoints, that these tokens stand for."""
-        return float(weights @ self._token_share[tokens])
+        return float(weights @ self.share[tokens])
 
-    def near(self, position: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
+    def near(self, position: NDArray[np.floating[Any]], reach: float) -> NDArray[np.int64]:
         """Viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
-        first, last = self.rows_near(position, reach)
-        delta = _farther(self.positions[first:last] - position)
-        found = np.flatnonzero(delta <= reach)
-        return first + found[np.argsort(delta[found], kind="stable")]
+        found = self.around(position, reach)
+        delta = _farther(self.positions_of(found) - position)
+        inside = delta <= reach
+        found, delta = found[inside], delta[inside]
+        return found[np.argsort(delta, kind="stable")]
+
+    def around(self, position: NDArray[np.floating[Any]], reach: float) -> NDArray[np.int64]:
+        """Viewpoints (K,) of all tiles that have points within `reach` [m] of a position, ascending."""
+        east, north, stride, width = self.columns.grid
+        tile = SIDE * stride
+        low = np.floor((np.asarray(position, np.float64) - reach - (east, north)) / tile)
+        high = np.floor((np.asarray(position, np.float64) + reach - (east, north)) / tile)
+        if high[0] < 0 or low[0] >= width or not len(self.columns.tiles):
+            return np.zeros(0, np.int64)
+        last = int(self.columns.tiles[-1]) // width
+        lines = np.arange(max(0, int(low[1])), min(last, int(high[1])) + 1)
+        ends = lines[:, None] * width + [max(0, int(low[0])), min(width - 1, int(high[0])) + 1]
+        rows = self.columns.first[np.searchsorted(self.columns.tiles, ends)]
+        return np.concatenate([np.zeros(0, np.int64), *(np.arange(a, b) for a, b in rows)])
 
     def nearest(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
         """First (K,) of what `near` finds within `STRIDE` of positions (K, 2); -1 where it is none."""
-        norths, low, width, order = self._lines
-        line = np.searchsorted(norths, positions[:, 1] - STRIDE)[:, None] + np.arange(_MOST)
-        east = np.clip(positions[:, :1] - STRIDE - low, -STRIDE, width - 2.0 * STRIDE)
-        first = np.searchsorted(order, line * width + east)
-        found = first[:, :, None] + np.arange(_MOST)
-        found = np.sort(np.minimum(found.reshape(len(positions), _MOST**2), len(order) - 1))
-        delta = _farther(self.positions[found] - positions[:, None])
-        best = np.argmin(delta, axis=1)[:, None]
-        there = np.take_along_axis(delta, best, 1) <= STRIDE
-        return np.where(there, np.take_along_axis(found, best, 1), -1)[:, 0]
+        east, north, stride, _ = self.columns.grid
+        at = (np.asarray(positions, np.float64) - (east, north)) / stride
+        steps = np.arange(1 - _AROUND, 1 + _AROUND)
+        offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)[:, ::-1]
+        points = np.floor(at).astype(np.int64)[:, None] + offsets
+        rows = self._rows(points[..., 0], points[..., 1])
+        places = (points * stride + (east, north)).astype(np.float32)
+        delta = np.where(rows >= 0, _farther(places - np.asarray(positions)[:, None]), np.inf)
+        best = np.min(delta, axis=1)
+        first = np.min(np.where(delta == best[:, None], rows, len(self)), axis=1)
+        return np.where(best <= STRIDE, first, -1)
 
-    def rows_near(self, position: NDArray[np.floating[Any]], reach: float) -> tuple[int, int]:
-        """First and last + 1 of the viewpoints within `reach` [m] of a position (2,) in north."""
-        ends = (position[1] - reach, position[1] + reach)
-        first, last = (bisect_left(self._north, end) for end in ends)
-        return first, last
-
-    @cached_property
-    def _north(self) -> NDArray[np.float32]:
-        return np.ascontiguousarray(self.positions[:, 1])  # ascending: viewpoints are row-major
-
-    @cached_property
-    def _lines(self) -> tuple[NDArray[np.float32], float, float, NDArray[np.float64]]:
-        """Lines of viewpoints from west to east.
-
-        Their norths, their west end, a length that no line has [m], and how far (W,) each viewpoint
-        is along all lines laid end to end.
-        """
-        norths, line = np.unique(self._north, return_inverse=True)
-        east = self.positions[:, 0].astype(np.float64)
-        low = float(east.min(initial=0.0))
-        width = float(east.max(initial=0.0)) - low + 4.0 * STRIDE
-        return norths, low, width, line * width + (east - low)
-
-    @cached_property
-    def _token_share(self) -> NDArray[np.float64]:
-        mass = np.concatenate(([0.0], np.cumsum(self.posting_mass, dtype=np.float64)))
-        return np.diff(mass[self.posting_starts]) / float(self.total.sum())
+    def _rows(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Viewpoints at points of the grid; -1 where there is none."""
+        c, width = self.columns, self.columns.grid[3]
+        on = (column >= 0) & (column < width * SIDE) & (row >= 0)
+        key = (row // SIDE) * width + column // SIDE
+        tile = np.minimum(np.searchsorted(c.tiles, key), len(c.tiles) - 1)
+        slot = (row % SIDE) * SIDE + column % SIDE
+        bits = c.present[tile]
+        on &= (c.tiles[tile] == key) & ((bits >> slot) & 1 == 1)
+        rank = _ones(bits & ((np.int64(1) << slot) - 1))
+        return np.where(on, c.first[tile] + rank, -1)
 
 
-def _farther(delta: NDArray[np.float64]) -> NDArray[np.float64]:
+def _farther(delta: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """The larger of the distances in east and in north of differences (..., 2)."""
     return np.maximum(np.abs(delta[..., 0]), np.abs(delta[..., 1]))
 
 
-def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How readily a thing at `distance` [m] is spoken of, 0 to 1."""
-    return np.float32(1.0) / (
-        np.float32(1.0) + np.exp((distance - np.float32(SIGHT)) / np.float32(FADE))
-    )
+def _bits(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Bits (n, 64) of numbers (n,), the lowest first."""
+    in_bytes = numbers.astype("<i8").view(np.uint8).reshape(-1, 8)
+    return np.unpackbits(in_bytes, axis=1, bitorder="little")
 
 
-def _worth_standing(
-    seen: Sightings, kind: NDArray[np.uint8]
-) -> tuple[Sightings, NDArray[np.float32]]:
-    """Drop viewpoints from which too little is seen to be told from their neighbours.
+_IN_BYTE = np.array([i.bit_count() for i in range(256)], np.uint8)
 
-    Returns what is left, and `fade` of its distances.
+
+def _ones(bits: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many bits are set."""
+    in_bytes = _IN_BYTE[np.ascontiguousarray(bits)[..., None].view(np.uint8)]
+    return in_bytes.sum(axis=-1, dtype=np.int64)
+
+
+def _starts(counts: NDArray[Any]) -> NDArray[np.int64]:
+    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+
+
+def _locked(column: NDArray[Any]) -> NDArray[Any]:
+    """The column, which nobody may write: compiled code tells the two apart."""
+    column = np.ascontiguousarray(column).view()
+    column.flags.writeable = False
+    return column
+
+
+def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
+    """Raise `ValueError` where columns contradict each other, by what is short enough to be read whole.
+
+    Compiled code checks what it reads of the rest: a run's tile and postings, and a tile's things.
     """
-    distance = np.hypot(seen.offsets[:, 0], seen.offsets[:, 1])
-    sight, close = fade(distance), distance < STRIDE
-    total = np.add.reduceat(sight, seen.starts[:-1])
-    lone = (kind[seen.objects] == POINT) & close
-    keep = (total >= ENOUGH) | np.logical_or.reduceat(lone, seen.starts[:-1])
-    found = np.zeros(len(kind), np.bool_)
-    found[seen.objects[np.repeat(keep, np.diff(seen.starts))]] = True
-    hut = ~found[seen.objects] & close  # in the hills: nothing else is in sight
-    keep |= np.logical_or.reduceat(hut, seen.starts[:-1])
-    entries = np.repeat(keep, np.diff(seen.starts))
-    starts = np.concatenate(([0], np.cumsum(np.diff(seen.starts)[keep])))
-    kept = Sightings(seen.points[keep], starts, seen.objects[entries], seen.offsets[entries])
-    return kept, sight[entries]
-
-
-def tokens_of(
-    objects: CityObjects,
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-    """Tokens of every object as CSR (starts, values, weights): its labels, then its names."""
-    n_labels, n_names = np.diff(objects.label_starts), np.diff(objects.name_starts)
-    starts = np.concatenate(([0], np.cumsum(n_labels + n_names))).astype(np.int32)
-    owner_label = np.repeat(np.arange(len(objects)), n_labels)
-    owner_name = np.repeat(np.arange(len(objects)), n_names)
-    rank = np.arange(len(owner_label)) - objects.label_starts[owner_label]
-    values = np.empty(starts[-1], np.int32)
-    weights = np.ones(starts[-1], np.float32)
-    at_label = starts[owner_label] + rank
-    values[at_label] = objects.label_values
-    weights[at_label] = np.array(SECOND_LABEL, np.float32)[np.minimum(rank, len(SECOND_LABEL) - 1)]
-    rank = np.arange(len(owner_name)) - objects.name_starts[owner_name]
-    values[starts[owner_name] + n_labels[owner_name] + rank] = objects.name_values + len(
-        objects.labels
+    lengths = (
+        (c.present, len(c.tiles), "present"),
+        (c.thing_starts, len(c.tiles) + 1, "thing_counts"),
+        (c.total, c.first[-1], "total"),
+        (c.pairs, c.first[-1], "pairs"),
+        (c.things, c.thing_starts[-1], "things"),
+        (share, len(c.token_starts) - 1, "share"),
+        *(
+            (getattr(c, name), c.token_starts[-1], name)
+            for name in ViewColumns._fields
+            if name.startswith("run_")
+        ),
     )
-    return starts, values, weights
+    for column, length, name in lengths:
+        if len(column) != length:
+            raise ValueError(f"{name} of viewpoints has {len(column)} entries instead of {length}")
+    east, north, _, width = c.grid
+    if not (
+        np.isfinite((east, north)).all()
+        and max(abs(east), abs(north)) <= 1e9
+        and 0 < width < 1 << 31
+    ):
+        raise ValueError(f"grid of viewpoints {c.grid}")
+    if not len(c.tiles) or (np.diff(c.tiles, prepend=-1) < 1).any() or c.tiles[-1] >= 1 << 48:
+        raise ValueError("tiles of viewpoints are not in order")
+    if not c.present.all():
+        raise ValueError("a tile has no viewpoints")
+    if not (np.isfinite(share).all() and (share >= 0.0).all()):
+        raise ValueError("shares of tokens are none")

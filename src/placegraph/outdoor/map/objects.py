@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.map.simplify_kernels import _centers, _keep
+from placegraph.outdoor.map.simplify_kernels import _centers, _extents, _keep
 from placegraph.portable import Portable
 
 if TYPE_CHECKING:
@@ -121,6 +121,8 @@ class CityColumns(NamedTuple):
     point_starts: NDArray[np.int32]
     points: NDArray[np.float32]
     center: NDArray[np.float32]
+    extent: NDArray[np.float32]
+    """(N,) how far it reaches from its center, in east and in north [m]."""
     token_starts: NDArray[np.int32]
     token_values: NDArray[np.int32]
     token_weights: NDArray[np.float32]
@@ -150,6 +152,11 @@ def centers(
 ) -> NDArray[np.float32]:
     """Centers (N, 2) [m] of objects: the point, the middle of the line, the area's centroid."""
     return _centers(kind, part_starts, point_starts, points)
+
+
+def extents(o: CityObjects) -> NDArray[np.float32]:
+    """How far (N,) each object reaches from its center, in east and in north [m]."""
+    return _extents(o.part_starts, o.point_starts, o.points, o.center)
 
 
 def simplify(

@@ -77,3 +77,13 @@ def _centers(kind, part_starts, point_starts, points):
                 elif left >= 0.0:
                     left -= step
     return out
+
+
+@kernel
+def _extents(part_starts, point_starts, points, center):
+    extent = np.zeros(len(center), np.float32)
+    for row in range(len(center)):
+        for i in range(point_starts[part_starts[row]], point_starts[part_starts[row + 1]]):
+            east, north = points[i, 0] - center[row, 0], points[i, 1] - center[row, 1]
+            extent[row] = max(extent[row], abs(east), abs(north))
+    return extent * np.float32(1.0001)  # of rounding

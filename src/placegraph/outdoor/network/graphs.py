@@ -197,8 +197,8 @@ class PlaceGraphs:
     @classmethod
     def of_views(cls, city: City, rows: NDArray[np.int64]) -> PlaceGraphs:
         """Graphs around viewpoints `rows` (K,) of a city."""
-        views = city.views
-        return cls._gathered(city, views.starts, views.objects, views.offsets, rows)
+        seen = city.in_sight(rows)
+        return cls.of_sightings(city, seen, np.arange(len(seen.points)))
 
     @classmethod
     def of_sightings(cls, city: City, seen: Sightings, rows: NDArray[np.int64]) -> PlaceGraphs:

@@ -192,12 +192,9 @@ class _Around:
         """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
         views, objects = city.views, city.objects
         nearest = np.maximum(views.nearest(positions), 0)
-        counts = views.starts[nearest + 1] - views.starts[nearest]
-        place = np.repeat(np.arange(len(positions)), counts)
-        ends = np.cumsum(counts)
-        entries = np.arange(len(place)) + np.repeat(views.starts[nearest] + counts - ends, counts)
-        rows = views.objects[entries]
-        delta = views.positions[nearest[place]] + views.offsets[entries] - positions[place]
+        seen = city.in_sight(nearest)
+        place, rows = np.repeat(np.arange(len(positions)), np.diff(seen.starts)), seen.objects
+        delta = (views.positions_of(nearest) - positions)[place] + seen.offsets
         distance = np.hypot(*delta.T)
         sure = 1.0 / (1.0 + np.exp((distance - ASKED_WITHIN) / 6.0))
         shares = [sure]

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.errors import StoreError
-from placegraph.outdoor.likelihood.bound_kernels import HIGHEST, promising_views
+from placegraph.outdoor.likelihood.bound_kernels import HIGHEST
+from placegraph.outdoor.likelihood.promise_kernels import promising_views
 from placegraph.outdoor.likelihood.score_kernels import distant
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ class Candidates(NamedTuple):
         chosen, statements, city = rows.astype(np.int32), asked.query.statements, asked.city
         far = np.zeros((len(chosen), len(statements.op)), np.float32)
         if asked.query.far:
-            far = distant(statements, city.columns, asked.query.far, city.views.positions[chosen])
+            far = distant(
+                statements, city.columns, asked.query.far, city.views.positions_of(chosen)
+            )
         return cls(chosen, np.full(len(chosen), HIGHEST), far, 0.0)
 
 
@@ -85,7 +88,7 @@ def _with_far(
     extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
     chosen = np.concatenate([chosen, extra])
     bounds = np.concatenate([bounds, weights[extra] if len(weights) else np.ones(len(extra))])
-    added = distant(statements, city.columns, far, city.views.positions[chosen])
+    added = distant(statements, city.columns, far, city.views.positions_of(chosen))
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
     order = np.argsort(-total, kind="stable")[:MOST_CANDIDATES]
     return chosen[order], np.exp(np.minimum(total[order], 690.0)), added[order]
@@ -93,13 +96,9 @@ def _with_far(
 
 def around_far(city: City, far: Far, chosen: NDArray[np.int32]) -> NDArray[np.int32]:
     """Viewpoints (K,) around rare things out of sight that are not among the chosen, ascending."""
-    around = np.zeros(len(city.views.positions), np.bool_)
-    for anchor in city.objects.center[far.anchors[:MOST_ANCHORS]]:
-        first, last = city.views.rows_near(anchor, FAR_REACH)
-        east = city.views.positions[first:last, 0]
-        around[first:last] |= np.abs(east - anchor[0]) <= FAR_REACH
-    around[chosen] = False
-    return np.flatnonzero(around).astype(np.int32)
+    anchors = city.objects.center[far.anchors[:MOST_ANCHORS]]
+    around = [city.views.near(anchor, FAR_REACH) for anchor in anchors]
+    return np.setdiff1d(np.concatenate([np.zeros(0, np.int64), *around]), chosen).astype(np.int32)
 
 
 def _touched(asked: Request, most: int) -> NDArray[np.int32]:
@@ -123,9 +122,7 @@ def views_by(asked: Request) -> NDArray[np.int64]:
     """Viewpoints (V,) in the dense candidates, and for ``both`` those of largest bound as well."""
     way, inside = asked.matching.way, _inside(asked)
     if way == "all":
-        return (
-            np.arange(len(asked.city.views.positions)) if inside is None else np.flatnonzero(inside)
-        )
+        return np.arange(len(asked.city.views)) if inside is None else np.flatnonzero(inside)
     views = views_in(asked.city, dense_cells(asked, asked.matching.candidates))
     return np.union1d(views, _touched(asked, MOST_CANDIDATES)) if way == "both" else views
 
@@ -174,5 +171,5 @@ def _sparse_cells(asked: Request, n: int) -> NDArray[np.int64]:
     if not asked.positive:
         return np.zeros(0, np.int64)
     views = _touched(asked, SPARSE * n)
-    rows = asked.city.cells.rows_at(asked.city.views.positions[views].astype(np.float64))
+    rows = asked.city.cells.rows_at(asked.city.views.positions_of(views).astype(np.float64))
     return np.array(list(dict.fromkeys(rows[rows >= 0].tolist()))[:n], np.int64)

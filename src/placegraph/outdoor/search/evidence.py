@@ -66,13 +66,12 @@ def looked_at(
     """
     views = city.views
     around = np.unique(np.concatenate([views.near(p, REACH) for p in positions]))
-    seen = [views.objects[views.starts[v] : views.starts[v + 1]] for v in around]
-    nearby = np.unique(np.concatenate([*seen, np.zeros(0, np.int32)]))
+    nearby = np.unique(city.in_sight(around).objects)
     far = np.zeros((len(positions), len(query.used)), np.float32)
     if query.far is not None:
         far = distant(query.statements, city.columns, query.far, positions)
     _, ratios, served = look_again(
-        query.statements, city.columns, query.words(len(views.posting_starts) - 1),
+        query.statements, city.columns, query.words(len(views.share)),
         positions, nearby, far, CERTAIN, True,
     )  # fmt: skip
     return ratios, served

@@ -223,7 +223,7 @@ class Request:
     @cached_property
     def words(self) -> NDArray[np.float32]:
         """How well every token of the map fits every mention, (T, M)."""
-        return self.query.words(len(self.city.views.posting_starts) - 1)
+        return self.query.words(len(self.city.views.share))
 
     @cached_property
     def log_prior(self) -> NDArray[np.float64]:

@@ -63,8 +63,8 @@ def score(asked: Request, chosen: Candidates) -> Scored:
     """Score candidates; those that cannot matter are left out, and counted in `rest`."""
     statements, views = asked.query.statements, asked.city.views
     rows, bounds, far, left_out = chosen
-    highest = -float(np.log(len(views.positions)))
-    relative, share = np.zeros(len(rows)), len(rows) / len(views.positions)
+    highest = -float(np.log(len(views)))
+    relative, share = np.zeros(len(rows)), len(rows) / len(views)
     if asked.known.informative:
         highest = float(asked.log_prior.max())
         relative = asked.log_prior[rows] - highest
@@ -99,7 +99,7 @@ def closer(asked: Request, found: Scored, reach: float = 1.0) -> Posterior:
     others = np.setdiff1d(np.arange(len(found.rows)), best)
     fine, ratios = look_around(asked, found.rows[best], found.far[best])
     share = np.repeat(found.log_prior[best] - np.log(len(FINE)), len(FINE))
-    positions = asked.city.views.positions[found.rows[others]].astype(np.float64)
+    positions = asked.city.views.positions_of(found.rows[others]).astype(np.float64)
     positions = np.concatenate([positions, fine.reshape(-1, 2)])
     scores = np.concatenate([found.scores[others], ratios.ravel()]).astype(np.float64)
     log_prior = np.concatenate([found.log_prior[others], share])
@@ -114,11 +114,10 @@ def look_around(
     asked: Request, rows: NDArray[np.int32], far: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fine positions (B, 9, 2) [m] around viewpoints (B,), and their log-likelihood ratios (B, 9)."""
-    views = asked.city.views
-    positions = views.positions[rows].astype(np.float64)[:, None] + FINE
-    ratios = np.empty(positions.shape[:2])
-    for k, v in enumerate(rows):
-        nearby = views.objects[views.starts[v] : views.starts[v + 1]]
+    positions = asked.city.views.positions_of(rows).astype(np.float64)[:, None] + FINE
+    ratios, seen = np.empty(positions.shape[:2]), asked.city.in_sight(rows)
+    for k in range(len(rows)):
+        nearby = seen.objects[seen.starts[k] : seen.starts[k + 1]]
         ratios[k], _, _ = look_again(
             asked.query.statements, asked.city.columns, asked.words, positions[k], nearby,
             np.tile(far[k], (len(FINE), 1)), TOGETHER, False,
@@ -132,5 +131,5 @@ def by_whereabouts(asked: Request) -> Posterior:
     likely = np.argsort(-log_prior, kind="stable")[:FAR_CANDIDATES]
     norm = np.logaddexp.reduce(log_prior)
     rest = np.log(max(1e-12, 1.0 - np.exp(log_prior[likely] - norm).sum()))
-    positions = views.positions[likely].astype(np.float64)
+    positions = views.positions_of(likely).astype(np.float64)
     return posterior(positions, np.zeros(len(likely)), log_prior[likely] - norm, float(rest))

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.likelihood.bound_kernels import promising_views
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
+from placegraph.outdoor.likelihood.promise_kernels import promising_views
 from placegraph.outdoor.likelihood.score_kernels import distant, score_views
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
 from placegraph.outdoor.search.request import Request
@@ -96,7 +96,7 @@ def _candidates(
     bounds = np.concatenate([bounds, relative[extra]])
     heavy = np.argsort(-bounds, kind="stable")[:FAR_CANDIDATES]
     heavy = np.union1d(heavy, np.arange(len(chosen) - len(extra), len(chosen)))
-    added = distant(statements, city.columns, query.far, views.positions[chosen[heavy]])
+    added = distant(statements, city.columns, query.far, views.positions_of(chosen[heavy]))
     log_bounds = np.log(bounds)
     log_bounds[heavy] += np.log1p(statements.gain * added).sum(axis=1)
     order = np.argsort(-log_bounds, kind="stable")

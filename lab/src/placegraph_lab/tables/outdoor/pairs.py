@@ -102,13 +102,13 @@ class Pairs:
     def views(self) -> tuple[np.ndarray, ...]:
         """For each text (K,) viewpoints drawn at random: what relational matching scores."""
         rng = np.random.default_rng(0)
-        count = len(self.city.views.positions)
+        count = len(self.city.views)
         return tuple(rng.choice(count, len(r)).astype(np.int32) for r in self.rows)
 
     def by_relations(self) -> Callable[[], int]:
         """Relational matching of all pairs in full, texts compiled anew."""
         city, columns, scene = self.city, self.city.views.columns, self.city.columns
-        tokens = len(city.views.posting_starts) - 1
+        tokens = len(city.views.share)
 
         def work() -> int:
             for description, chosen in zip(self.descriptions, self.views, strict=True):

@@ -96,9 +96,9 @@ def _candidates(
     asked = Request(speaker.city, query)
     found = score(asked, candidates(asked))
     best = np.argsort(-found.scores, kind="stable")
-    best = best[speaker.may_see(views.positions[found.rows[best]])][:HARD]
+    best = best[speaker.may_see(views.positions_of(found.rows[best]))][:HARD]
     true = rng.permutation(views.near(position, AT))[:4]  # not the nearest: cells stand apart
-    others = rng.integers(len(views.positions), size=OTHERS)
+    others = rng.integers(len(views), size=OTHERS)
     others = others[speaker.may_see(views.positions[others])]
     rows = np.concatenate([true, found.rows[best], others]).astype(np.int64)
     known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))

@@ -123,8 +123,9 @@ class Speaker:
     def places(self) -> NDArray[np.int64]:
         """Viewpoints in its tiles with enough in sight to speak of."""
         views = self.city.views
-        close = np.hypot(*views.offsets.T) <= SIGHT
-        enough = np.add.reduceat(close, views.starts[:-1]) >= FEWEST
+        seen = self.city.in_sight(np.arange(len(views)))
+        close = np.hypot(*seen.offsets.T) <= SIGHT
+        enough = np.add.reduceat(close, seen.starts[:-1]) >= FEWEST
         places = np.flatnonzero(enough & self.mine(views.positions))
         if not len(places):
             raise OptionError(
@@ -141,8 +142,7 @@ class Speaker:
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
             if not self.mine(position[None])[0]:
                 continue
-            nearby = views.objects[views.starts[view] : views.starts[view + 1]]
-            seen = _look(self.city, nearby, position)
+            seen = _look(self.city, self.city.in_sight([view]).objects, position)
             description = self.describe(seen, position, rng)
             if description is not None:
                 yield Example(description, position)

@@ -1,0 +1,50 @@
+"""The index of viewpoints as columns of a map file; most of them are read where they lie."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from placegraph.outdoor.map.index import ViewIndex
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from placegraph.store import MapFile
+
+SINCE = 2
+"""Version of city maps that have one; of those before it is derived when it is first used."""
+_PREFIX = "view_"
+_DTYPES = {
+    "tiles": "<i8", "present": "<i8", "total": "|u1", "pairs": "<u2", "thing_counts": "<u4",
+    "things": "<i4", "run_counts": "<u4", "run_tiles": "<u4", "run_slots": "<i8",
+    "run_first": "<u4", "run_pairs": "|u1", "run_total": "|u1", "postings": "<u4", "share": "<f8",
+}  # fmt: skip
+MAPPED = frozenset(
+    _PREFIX + name
+    for name in (
+        "run_slots", "run_tiles", "run_first", "postings", "things", "pairs", "total", "run_pairs",
+        "run_total",
+    )
+)  # fmt: skip
+"""Columns that are read where they lie."""
+
+
+def columns_of(index: ViewIndex) -> dict[str, NDArray[Any]]:
+    """Columns of a map file."""
+    return {_PREFIX + name: column for name, column in index.arrays().items()}
+
+
+def index_in(file: MapFile, words: int) -> ViewIndex | None:
+    """The index that a map file has of as many `words`; None of a map of an earlier version.
+
+    Raises `MapError` where a column is missing, and what `store.sound` turns into one where columns
+    contradict each other.
+    """
+    if file.header.version < SINCE:
+        return None
+    columns = {name: file.array(_PREFIX + name, dtype) for name, dtype in _DTYPES.items()}
+    east, north, width = file.meta["views"]
+    index = ViewIndex.of(columns, (float(east), float(north), int(width)))
+    if len(index.share) != words:
+        raise ValueError("the index of viewpoints is of other words")
+    return index

@@ -1,0 +1,55 @@
+"""Passing tiles over loses nothing: what is found tile by tile is what looking at all of them finds."""
+
+import numpy as np
+import pytest
+
+from placegraph.outdoor.likelihood.promise_kernels import promising_views
+from placegraph.outdoor.likelihood.query import compile_query, read
+
+TEXTS = (
+    "A bakery is north of me.",
+    "There is a tree to my south. There is a bench to my west. There is no fountain near me.",
+    "The building is on the north of the footway. The footway is on the south of the bench.",
+    "I am between a restaurant and a bus stop. A hotel is west of me.",
+)
+
+
+@pytest.fixture(params=TEXTS)
+def query(request, monaco):
+    return compile_query(read(monaco, request.param), monaco)
+
+
+def promising(query, city, weights, most):
+    return promising_views(query.statements, query.mentions, city.views.columns, weights, most)
+
+
+@pytest.mark.parametrize("most", [5, 60, 400])
+@pytest.mark.parametrize("weighed", [False, True])
+def test_the_heaviest_are_found(query, monaco, rng, most, weighed):
+    weights = rng.random(len(monaco.views)) ** 4 if weighed else np.zeros(0)
+    rows, bounds, left = promising(query, monaco, weights, most)
+    every, of_every, nothing = promising(query, monaco, weights, len(monaco.views))
+    assert nothing == pytest.approx(0.0, abs=1e-9 * of_every.sum())
+    most = min(most, len(every))
+    assert len(np.unique(every)) == len(every)
+    assert len(np.unique(rows)) == len(rows) == most
+    np.testing.assert_allclose(bounds, of_every[:most], rtol=1e-6)
+    # of equal bounds any may be among them
+    assert set(every[of_every > bounds[-1] * 1.000001]) <= set(rows)
+    assert left == pytest.approx(of_every[most:].sum(), rel=1e-3)
+
+
+def test_bounds_are_bounds(query, monaco):
+    """No viewpoint scores above its bound."""
+    from placegraph.outdoor.likelihood.match_kernels import SLACK
+    from placegraph.outdoor.likelihood.score_kernels import score_views
+
+    rows, bounds, _ = promising(query, monaco, np.zeros(0), 2000)
+    s = query.statements
+    none = np.zeros((len(rows), len(s.op)), np.float32)
+    scores = score_views(
+        s, monaco.columns, monaco.views.columns, query.words(len(monaco.views.share)), rows,
+        np.full(len(rows), 1e290), np.zeros(len(rows)), none, 0.0, 1e9,
+    )  # fmt: skip
+    noise = np.log(s.noise[~s.negated]).sum()
+    assert (scores <= np.log(bounds) + noise + SLACK).all()
