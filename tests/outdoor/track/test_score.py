@@ -37,7 +37,7 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
         found = score(query, harbour, weights)
         seen = look(harbour, description, harbour.views.positions[view] + FINE)[0]
         exact = float(np.log(np.exp(seen.astype(np.float64)).mean()))
-        assert found.views[view] == pytest.approx(exact, abs=0.6)
+        assert found.views[view] == pytest.approx(exact, abs=0.8)
 
 
 def test_nothing_drops_to_zero(harbour, said):

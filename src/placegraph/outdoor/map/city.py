@@ -163,9 +163,9 @@ class City(Portable):
 
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:
         """What is in sight of viewpoints `rows` (K,) of `views`, which are its `points`."""
-        rows = np.asarray(rows, np.int64)
-        starts, objects, offsets, _ = looks(self.columns, self.views.columns, rows)
-        return Sightings(rows, starts, objects, offsets)
+        points = np.asarray(rows, np.int64)
+        starts, objects, offsets, _ = looks(self.columns, self.views.columns, points)
+        return Sightings(points, starts, objects, offsets)
 
     @cached_property
     def name_index(self) -> NameIndex:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from placegraph.outdoor.map.index_build import LEVELS, STRIDE, build, grid_of
+from placegraph.outdoor.map import index_build
+from placegraph.outdoor.map.index_build import LEVELS, build, grid_of
 from placegraph.outdoor.map.index_kernels import (
     FADED,
     REACHED,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.map.objects import CityObjects
 
 POINT, AREA = 0, 2
+STRIDE = index_build.STRIDE
+"""Distance of neighbouring viewpoints [m]."""
 SIGHT = FADED
 """Distance at which half the things are still spoken of [m]."""
 FADE = WIDTH

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
 
 import numpy as np
 
+from placegraph.outdoor.map.index_build import fade
+from placegraph.outdoor.map.objects import AREA
 from placegraph.store import pack_strings, read_map, sound, write_map
 
 if TYPE_CHECKING:
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 
 KIND, VERSION = "words", 1
@@ -53,15 +56,12 @@ def counted(city: City, key: str) -> Counted:
 
     views, objects = city.views, city.objects
     n, n_labels = len(objects.labels) + len(objects.names), len(objects.labels)
-    inside = held(city.plane.to_lonlat(views.positions.astype(np.float64)), key)
-    token = np.repeat(np.arange(n), np.diff(views.posting_starts))
-    here = inside[views.posting_views]
-    token, view, mass = token[here], views.posting_views[here], views.posting_mass[here]
-    share = mass / views.total[view]
+    inside = np.flatnonzero(held(city.plane.to_lonlat(views.positions.astype(np.float64)), key))
+    token, view, mass, total, pairs = _in_sight(city, inside)
+    share = mass / total[view]
     peak = np.zeros(n, np.float32)
-    np.maximum.at(peak, token, share)
-    of_labels = np.bincount(view[token < n_labels], share[token < n_labels], len(views.total))
-    total, pairs = views.total[inside].astype(np.float64), views.pairs[inside]
+    np.maximum.at(peak, token, share.astype(np.float32))
+    of_labels = np.bincount(view[token < n_labels], share[token < n_labels])
     own = held(city.plane.to_lonlat(objects.center.astype(np.float64)), key)
     starts, values, _ = city.tokens
     owner = np.repeat(np.arange(len(objects)), np.diff(starts))
@@ -72,8 +72,39 @@ def counted(city: City, key: str) -> Counted:
         np.bincount(token, mass, n).astype(np.float32), peak, float(total.sum()),
         float(of_labels.max(initial=0.0)),
         float((total**2 / (pairs + CROWD)).max(initial=0.0)),
-        int(own.sum()), int(held(middles, key).sum()), int(inside.sum()),
+        int(own.sum()), int(held(middles, key).sum()), len(inside),
     )  # fmt: skip
+
+
+class _InSight(NamedTuple):
+    """What viewpoints (K,) have in sight: a row a word that one has."""
+
+    token: NDArray[np.int64]
+    view: NDArray[np.int64]
+    mass: Floats
+    total: Floats
+    """(K,) sum of all that is in sight ..."""
+    pairs: Floats
+    """... and over pairs of what one does not stand in."""
+
+
+def _in_sight(city: City, rows: NDArray[np.int64]) -> _InSight:
+    seen, (starts, values, weights) = city.in_sight(rows), city.tokens
+    sight = fade(np.hypot(*seen.offsets.T))
+    view = np.repeat(np.arange(len(rows)), np.diff(seen.starts))
+    stood_in = (city.objects.kind[seen.objects] == AREA) & ~seen.offsets.any(axis=1)
+    apart = np.where(stood_in, 0.0, sight)
+    total, alone, squared = (
+        np.bincount(view, x, len(rows)).astype(np.float64) for x in (sight, apart, apart**2)
+    )
+    sizes = np.diff(starts)[seen.objects]
+    ends = np.cumsum(sizes)
+    at = np.arange(len(sizes) and ends[-1]) + np.repeat(starts[seen.objects] - ends + sizes, sizes)
+    key = values[at] * np.int64(len(rows)) + np.repeat(view, sizes)
+    keys, number = np.unique(key, return_inverse=True)
+    mass = np.bincount(number, np.repeat(sight, sizes) * weights[at], len(keys)).astype(np.float64)
+    token, view = np.divmod(keys, max(1, len(rows)))
+    return _InSight(token, view, mass, total, np.maximum(alone**2 - squared, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,7 +62,9 @@ def tiled(city: CityMap, copies: int, rng: Generator) -> CityMap:
 def _bags(o: CityObjects, rng: Generator | None) -> NDArray[np.int64]:
     """Of which object (N,) each has the words."""
     rows = np.arange(len(o))
-    for kind in range(3) if rng is not None else ():
+    if rng is None:
+        return rows
+    for kind in range(3):
         of_kind = np.flatnonzero(o.kind == kind)
         rows[of_kind] = rng.permutation(of_kind)
     return rows

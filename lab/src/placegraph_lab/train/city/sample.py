@@ -142,7 +142,7 @@ class Speaker:
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
             if not self.mine(position[None])[0]:
                 continue
-            seen = _look(self.city, self.city.in_sight([view]).objects, position)
+            seen = _look(self.city, self.city.in_sight(np.array([view])).objects, position)
             description = self.describe(seen, position, rng)
             if description is not None:
                 yield Example(description, position)
