@@ -514,3 +514,52 @@ def test_any_json_in_the_table(tmp_path_factory, key, value):
     except REFUSALS:
         return
     assert found.arrays[value if key == "name" else "a"].nbytes == len(TAIL)
+
+
+# --- columns that are read where they lie ---
+
+
+@pytest.fixture
+def long(path, rng):
+    content = sample(rng) | {
+        "wide": rng.integers(0, 1 << 60, 20_000),
+        "bytes": rng.integers(0, 255, 100_001).astype(np.uint8),
+        "words": rng.integers(0, 1 << 30, 40_000).astype(np.uint32),
+    }
+    write_map(path, "city", 1, {"cells": 7}, content, ("bytes", "wide", "words", "ids"))
+    return path, content
+
+
+def test_mapped_columns_come_back_bit_by_bit(long):
+    path, content = long
+    for mapped in ((), ("bytes", "wide", "words", "ids", "none", "other")):
+        found = read_map(path, "city", 1, mapped).arrays
+        assert set(found) == set(content)
+        for name, array in content.items():
+            assert identical(found[name], array), name
+            assert found[name].flags.aligned
+            assert not found[name].flags.writeable
+
+
+def test_mapped_columns_lie_at_the_head_as_they_are(long):
+    blocks = {b.name: b for b in read_header(long[0]).blocks}
+    assert list(blocks)[:3] == ["wide", "words", "bytes"]
+    assert all(blocks[name].codec == "raw" for name in ("wide", "words", "bytes"))
+    assert blocks["ids"].codec != "raw", "short ones are squeezed"
+
+
+def test_damage_to_a_mapped_column_is_named(long):
+    path, content = long
+    data = bytearray(path.read_bytes())
+    at = data.index(content["words"].tobytes()[:64])
+    data[at + 5000] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(MapError, match="'words'"):
+        read_map(path, "city", 1, ("bytes", "wide", "words"))
+
+
+def test_a_map_that_is_replaced_stays_as_it_was_opened(long, rng):
+    path, content = long
+    found = read_map(path, "city", 1, ("words",))
+    write_map(path, "city", 1, {}, sample(rng))
+    assert identical(found.arrays["words"], content["words"])

@@ -81,7 +81,8 @@ for name, module in list(sys.modules.items()):
     for found in vars(module).values() if name.startswith("placegraph.") else ():
         if isinstance(found, Kernel):
             for types in found.overloads:
-                size = max((p.stat().st_size for p in found._cache.files(types)), default=0)
+                kept = [p for p in found._cache.files(types) if p.exists()]
+                size = max((p.stat().st_size for p in kept), default=0)
                 calls[spelled(found, types, names)] = size
 json.dump([names, calls], open(sys.argv[1], "w"))
 """

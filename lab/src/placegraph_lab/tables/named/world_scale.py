@@ -1,0 +1,229 @@
+"""What a search costs in maps of up to 1,000,000 cells, and whether it finds what looking at all finds.
+
+    placegraph-lab table world_scale --copies 1,2,19
+
+Maps are copies of one city's map side by side, their words shuffled in all but the first, from which
+the queries come. Every map is built, and asked, in a process of its own. Prints Markdown, writes JSON.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from placegraph_lab.tables.apart import apart, peak
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
+from placegraph_lab.tables.outdoor.queries import load, make_queries
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.tables import markdown, number
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.queries import Query
+
+CANDIDATES = 400
+"""As `MOST_CANDIDATES`."""
+COMMONER = 8
+"""Of so many times as many texts those are kept that speak of the commonest things alone."""
+
+
+def build(small: Path, path: Path, copies: int, seed: int) -> dict[str, float]:
+    """Lay out copies of a map, and write it with its index."""
+    from placegraph.outdoor.city import CityMap
+    from placegraph_lab.tables.outdoor.tiled_map import tiled
+
+    made = tiled(CityMap.open(small), copies, np.random.default_rng(seed))
+    start = _now()
+    viewpoints = len(made.views)
+    index = _since(start)
+    made.save(path)
+    return {
+        "cells": len(made.cells),
+        "objects": len(made.objects),
+        "viewpoints": viewpoints,
+        "index": index,
+        "bytes": path.stat().st_size,
+        "peak_bytes": peak(),
+    }
+
+
+def ask(path: Path, small: Path, texts: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Open a map and give it all texts; compiled code was loaded by a small map before."""
+    from placegraph.outdoor.city import CityMap
+
+    CityMap.open(small).locate("A bench is north of me.")
+    before = _resident()
+    start = _now()
+    city = CityMap.open(path)
+    opened = _since(start)
+    start = _now()
+    city.locate(next(iter(texts.values()))[0])
+    first = _since(start)
+    kinds = {kind: _times(city, some) for kind, some in texts.items()}
+    return {
+        "open": opened, "first": first, "kinds": kinds, "before": before, "resident": _resident(),
+    }  # fmt: skip
+
+
+def equal(path: Path, texts: Mapping[str, Sequence[str]]) -> dict[str, dict[str, float]]:
+    """Compare answers with those for which the bounds of all viewpoints were reckoned, none passed over."""
+    from placegraph.outdoor.city import CityMap
+
+    city = CityMap.open(path)
+    return {kind: _compared(city, some) for kind, some in texts.items()}
+
+
+def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
+    from placegraph.outdoor.likelihood.promise_kernels import promising_views
+    from placegraph.outdoor.locate import Hints, understand
+    from placegraph.outdoor.search.answer import estimate
+    from placegraph.outdoor.search.candidates import Candidates
+    from placegraph.outdoor.search.request import Matching
+    from placegraph.outdoor.search.viewpoints import closer, score, search
+
+    apart_, off, asked_ = [], [], 0
+    for text in texts:
+        description, asked = understand(city, text, Hints(), Matching())
+        statements = asked.query.statements
+        if asked.query.far or not asked.positive:
+            continue
+        rows, bounds, _ = promising_views(
+            statements, asked.query.mentions, city.views.columns, np.zeros(0), len(city.views)
+        )
+        first = slice(CANDIDATES)
+        none = np.zeros((len(rows[first]), len(statements.op)), np.float32)
+        every = Candidates(rows[first], bounds[first], none, float(bounds[CANDIDATES:].sum()))
+        found = [
+            estimate(asked, posterior, 1, description)
+            for posterior in (search(asked), closer(asked, score(asked, every)))
+        ]
+        asked_ += 1
+        if not all(e.modes for e in found):
+            continue
+        one, two = (city.plane.to_plane((e.best.longitude, e.best.latitude)) for e in found)
+        apart_.append(float(np.hypot(*(one - two))))
+        off.append(abs(found[0].best.probability - found[1].best.probability))
+    return {
+        "texts": asked_,
+        "same_mode": sum(d < 1.0 for d in apart_),
+        "compared": len(apart_),
+        "probability_off": max(off, default=0.0),
+    }
+
+
+def texts_of(osm: Path, n: int, seed: int) -> dict[str, list[str]]:
+    """Texts by kind: with names, of six statements, and of the commonest things alone."""
+    city = load(osm).city
+    often = Counter(np.array(city.labels)[city.label].tolist())
+
+    def rarest(query: Query) -> int:
+        return min(often[label] for s in query.said for label in (s.source, s.target) if label)
+
+    common = sorted(make_queries(osm, n=COMMONER * n, seed=seed + 1), key=rarest, reverse=True)
+    return {
+        "names": [q.text for q in make_queries(osm, n=n, seed=seed + 2, setting="names")],
+        "six statements": [q.text for q in make_queries(osm, n=n, seed=seed)],
+        "the commonest things": [q.text for q in common[:n]],
+        "of the speaker": [
+            q.text for q in make_queries(osm, n=n, seed=seed + 3, setting="speaker")
+        ],
+    }
+
+
+def _times(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
+    for text in texts[::10]:
+        city.locate(text)
+    took = []
+    for text in texts:
+        start = _now()
+        city.locate(text)
+        took.append(_since(start))
+    columns = {which: np.array([t[which] for t in took]) for which in ("wall_s", "cpu_s")}
+    return {
+        f"{p}_{which}": float(np.percentile(column, q))
+        for which, column in columns.items()
+        for p, q in (("p50", 50), ("p95", 95))
+    }
+
+
+def _now() -> tuple[float, float]:
+    return time.perf_counter(), time.process_time()
+
+
+def _since(start: tuple[float, float]) -> dict[str, float]:
+    wall, cpu = _now()
+    return {"wall_s": wall - start[0], "cpu_s": cpu - start[1]}
+
+
+def _resident() -> dict[str, int]:
+    """Resident memory of this process [bytes]: its own, and pages of files."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    names = {"own": "RssAnon", "files": "RssFile", "all": "VmRSS"}
+    return {name: 1024 * int(status[key].split()[0]) for name, key in names.items()}
+
+
+@table()
+def world_scale(
+    run: Run,
+    city: Annotated[str, option("City that is copied.")] = "vancouver",
+    copies: Annotated[str, option("Numbers of copies with commas.")] = "1,2,19",
+    queries: Annotated[int, option("Queries of each kind.")] = 60,
+    seed: Seed = 0,
+    *,
+    quick: Quick = False,
+) -> None:
+    """What a search costs in maps of up to a million cells, and whether it finds what looking at does."""
+    if quick:
+        copies, queries = "1,2", 10
+    open_city(city, run.osm, run.cache)
+    small = run.cache / f"{city}.city"
+    texts = texts_of(run.osm / EXTRACTS[city], queries, seed)
+    rows: list[dict[str, Any]] = []
+    for n in (int(c) for c in copies.split(",")):
+        run.say(f"{n} x: building, asking, comparing")
+        path = run.cache / f"world_{city}_{n}.city"
+        made = apart(build, small, path, n, seed)
+        load_ = os.getloadavg()[0]
+        found = apart(ask, path, small, texts)
+        rows.append(
+            {"copies": n, "load": load_} | made | found | {"equal": apart(equal, path, texts)}
+        )
+        path.unlink()
+    print(markdown(_HEADER, [_line(row) for row in rows]))
+    kinds = [[f"{row['cells']:,}", kind, *_of_kind(row, kind)] for row in rows for kind in texts]
+    print(markdown(_KINDS, kinds))
+    run.save({"extract": EXTRACTS[city], "rows": rows})
+
+
+_HEADER = [
+    "cells", "index built (CPU)", "build peak", "bytes/cell", "open (CPU)", "first query (CPU)",
+    "resident", "of it own", "before",
+]  # fmt: skip
+_KINDS = ["cells", "texts", "p50 (CPU)", "p95 (CPU)", "p50", "p95", "same mode", "probability off"]
+
+
+def _line(row: dict[str, Any]) -> list[str]:
+    def seconds(key: str) -> str:
+        return f"{row[key]['wall_s']:.2f} s ({row[key]['cpu_s']:.2f})"
+
+    mb: Callable[[float], str] = lambda n: f"{n / 1e6:,.0f} MB"  # noqa: E731
+    return [
+        f"{row['cells']:,}", seconds("index"), mb(row["peak_bytes"]),
+        f"{row['bytes'] / row['cells']:.0f}", seconds("open"), seconds("first"),
+        mb(row["resident"]["all"]), mb(row["resident"]["own"]), mb(row["before"]["all"]),
+    ]  # fmt: skip
+
+
+def _of_kind(row: dict[str, Any], kind: str) -> list[str]:
+    times, same = row["kinds"][kind], row["equal"][kind]
+    return [
+        *(f"{1e3 * times[f'{p}_{w}']:.1f} ms" for w in ("cpu_s", "wall_s") for p in ("p50", "p95")),
+        f"{same['same_mode']} of {same['compared']}", number(same["probability_off"], 4),
+    ]  # fmt: skip
