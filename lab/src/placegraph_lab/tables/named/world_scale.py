@@ -34,7 +34,7 @@ COMMONER = 8
 """Of so many times as many texts those are kept that speak of the commonest things alone."""
 
 
-def build(small: Path, path: Path, copies: int, seed: int) -> dict[str, float]:
+def build(small: Path, path: Path, copies: int, seed: int) -> dict[str, Any]:
     """Lay out copies of a map, and write it with its index."""
     from placegraph.outdoor.city import CityMap
     from placegraph_lab.tables.outdoor.tiled_map import tiled
@@ -107,9 +107,10 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
         asked_ += 1
         if not all(e.modes for e in found):
             continue
-        one, two = (city.plane.to_plane((e.best.longitude, e.best.latitude)) for e in found)
+        best = [e.modes[0] for e in found]
+        one, two = (city.plane.to_plane((m.longitude, m.latitude)) for m in best)
         apart_.append(float(np.hypot(*(one - two))))
-        off.append(abs(found[0].best.probability - found[1].best.probability))
+        off.append(abs(best[0].probability - best[1].probability))
     return {
         "texts": asked_,
         "same_mode": sum(d < 1.0 for d in apart_),
