@@ -15,7 +15,7 @@ from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex
 from placegraph.outdoor.map.index_build import tokens_of
-from placegraph.outdoor.map.index_file import MAPPED, columns_of, index_in
+from placegraph.outdoor.map.index_file import MAPPED, index_in, stored
 from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
@@ -23,7 +23,7 @@ from placegraph.outdoor.map.objects import (
     CityColumns,
     CityObjects,
     centers,
-    extents,
+    columns_of,
     index_of,
     of_name,
 )
@@ -108,7 +108,7 @@ class City(Portable):
             "names": pack_strings(objects.names),
             "cells": cells.points,
         }
-        write_map(path, KIND, VERSION, meta, arrays | columns_of(self.views), MAPPED)
+        write_map(path, KIND, VERSION, meta, arrays | stored(self.views), MAPPED)
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Self:
@@ -233,13 +233,7 @@ class City(Portable):
     @cached_property
     def columns(self) -> CityColumns:
         """Columns that compiled code reads."""
-        o, kind = self.objects, self.objects.kind.view()
-        kind.flags.writeable = (
-            False  # as of a map that was opened: compiled code tells the two apart
-        )
-        return CityColumns(
-            kind, o.part_starts, o.point_starts, o.points, o.center, extents(o), *self.tokens
-        )
+        return columns_of(self.objects, self.tokens)
 
     @cached_property
     def fingerprint(self) -> str:

@@ -29,7 +29,7 @@ MAPPED = frozenset(
 """Columns that are read where they lie."""
 
 
-def columns_of(index: ViewIndex) -> dict[str, NDArray[Any]]:
+def stored(index: ViewIndex) -> dict[str, NDArray[Any]]:
     """Columns of a map file."""
     return {_PREFIX + name: column for name, column in index.arrays().items()}
 

@@ -154,9 +154,13 @@ def centers(
     return _centers(kind, part_starts, point_starts, points)
 
 
-def extents(o: CityObjects) -> NDArray[np.float32]:
-    """How far (N,) each object reaches from its center, in east and in north [m]."""
-    return _extents(o.part_starts, o.point_starts, o.points, o.center)
+def columns_of(
+    o: CityObjects, tokens: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]
+) -> CityColumns:
+    """Columns that compiled code reads, of objects and their tokens (starts, values, weights)."""
+    kind, extent = o.kind.view(), _extents(o.part_starts, o.point_starts, o.points, o.center)
+    kind.flags.writeable = False  # as of a map that was opened: compiled code tells the two apart
+    return CityColumns(kind, o.part_starts, o.point_starts, o.points, o.center, extent, *tokens)
 
 
 def simplify(

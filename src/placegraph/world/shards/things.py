@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.outdoor.map.objects import columns_of
 from placegraph.world.shards.quadtree import core_of
 
 if TYPE_CHECKING:
@@ -96,11 +97,7 @@ def _with(city: City, things: Sequence[Thing]) -> City:
     )  # fmt: skip
     made = replace(city, objects=objects)
     made.__dict__["views"] = city.views
-    columns = city.columns
-    made.__dict__["columns"] = columns._replace(
-        kind=objects.kind, part_starts=objects.part_starts, point_starts=objects.point_starts,
-        points=objects.points, center=objects.center,
-    )  # fmt: skip
+    made.__dict__["columns"] = columns_of(objects, city.tokens)
     return made
 
 
