@@ -1,4 +1,4 @@
-"""A city cut into shards, so that the two can be compared: the same plane, grid and viewpoints."""
+"""Worlds in shards to measure on: a city cut into them, with the same viewpoints, and copies of these."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT
-from placegraph.world.shards import core_of, finish, held, key_of, tiles
+from placegraph.world.shards import WorldFile, core_of, finish, held, key_of, tile_of, tiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from placegraph.outdoor.map.objects import CityObjects
-    from placegraph.world.shards import WorldFile
 
 SIDE = 8
 """Viewpoints are kept in squares of so many."""
@@ -117,3 +118,50 @@ def _taken(
     sizes = np.diff(starts)[rows].astype(np.int64)
     kept = np.concatenate(([0], np.cumsum(sizes)))
     return np.arange(kept[-1]) + np.repeat(starts[rows] - kept[:-1], sizes), kept
+
+
+def write_copies(source: Path, folder: Path, copies: int, rng: Generator) -> WorldFile:
+    """A larger world: copies of one side by side, to the east, their labels shuffled.
+
+    The first keeps its labels. In every other one labels and names are exchanged among the things of
+    a kind of geometry in a shard, and names get a word of their own before them.
+    """
+    old = WorldFile.read(source)
+    columns = [tile_of(shard.key)[0] for shard in old.shards]
+    wide, around = max(columns) - min(columns) + 1, 1 << old.zoom
+    (folder / "shards").mkdir(parents=True, exist_ok=True)
+    for shard in old.shards:
+        city = CityMap.open(old.path(shard))
+        column, row = tile_of(shard.key)
+        for k in range(copies):
+            key = key_of(((column + k * wide) % around, row), old.zoom)
+            east = (city.plane.longitude + 360.0 * k * wide / around + 180.0) % 360.0 - 180.0
+            plane = LocalPlane(east, city.plane.latitude)
+            objects = city.objects if k == 0 else shuffled(city.objects, _word(k), rng)
+            cells = replace(city.cells, plane=plane)
+            CityMap(plane, objects, cells, city.source, {}).save(folder / "shards" / f"{key}.city")
+    return finish(folder, old.zoom, old.overlap)
+
+
+def shuffled(objects: CityObjects, word: str, rng: Generator) -> CityObjects:
+    """Objects with labels and names exchanged among those of a kind."""
+    rows = np.arange(len(objects))
+    for kind in range(3):
+        mine = np.flatnonzero(objects.kind == kind)
+        rows[mine] = rng.permutation(mine)
+    labels, label_starts = _taken(objects.label_starts, rows)
+    names, name_starts = _taken(objects.name_starts, rows)
+    return replace(
+        objects,
+        label_starts=label_starts.astype(np.int32),
+        label_values=objects.label_values[labels],
+        name_starts=name_starts.astype(np.int32),
+        name_values=objects.name_values[names],
+        names=tuple(f"{word} {name}" for name in objects.names),
+    )
+
+
+def _word(k: int) -> str:
+    """A word for each number."""
+    syllables = [c + v for c in "bdfgklmnprstvz" for v in "aeiou"]
+    return (syllables[k % 70] + syllables[k // 70 % 70] + "mo").capitalize()

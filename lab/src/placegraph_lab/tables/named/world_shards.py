@@ -1,0 +1,275 @@
+"""A world in shards: whether it answers as one map, and what texts take as it grows.
+
+    placegraph-lab table world_shards --copies 1,4,16,32
+
+One city is cut into shards and asked both ways. Then copies of its shards, with other labels, make
+larger worlds, for which a model of time and size is fitted to all but the last, and checked on that.
+Milliseconds are of the processor, so that other load counts less.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from placegraph_lab.tables.apart import apart, peak
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS
+from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.shards import write_copies, write_shards
+from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.tables import markdown, number, share
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from placegraph_lab.tables.outdoor.queries import Query
+
+KINDS = {
+    "common words": "none",
+    "names": "names",
+    "the speaker": "speaker",
+    "everyday words": "synonyms",
+}
+"""Kinds of text, and the setting of `make_queries` that makes them."""
+NEAR = 500.0
+"""Radius of the fix of texts of the kind "with a fix" [m]."""
+PLANET = 1.5e9
+"""Cells of the planet, as extrapolated from four extracts."""
+
+Texts = dict[str, list["Query"]]
+
+
+def told(reason: str) -> int:
+    """Shards looked into, as a reason has it."""
+    return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
+
+
+def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
+    """One map against its shards, text by text."""
+    import placegraph as pg
+
+    whole, planet, rows = pg.CityMap.open(city), pg.open_world(world), []
+    for kind, queries in texts.items():
+        whole.locate(queries[0].text)
+        planet.locate(queries[0].text)
+        row: dict[str, Any] = {"kind": kind, "same": 0, "differ": [], "ms": [], "ms_shards": []}
+        row["touched"] = []
+        for q in queries:
+            start = time.process_time()
+            one = whole.locate(q.text)
+            middle = time.process_time()
+            many = planet.locate(q.text)
+            row["ms_shards"].append(1e3 * (time.process_time() - middle))
+            row["ms"].append(1e3 * (middle - start))
+            row["touched"].append(told(many.reason) if many.modes else 0)
+            if one.best is None or many.best is None:
+                row["same"] += one.best is many.best
+                continue
+            a, b = whole.plane.to_plane([(m.longitude, m.latitude) for m in (one.best, many.best)])
+            row["same"] += bool(np.hypot(*(a - b)) < 20.0)
+            row["differ"].append(abs(one.best.probability - many.best.probability))
+        rows.append(row | {"queries": len(queries), "shards": len(planet.cities)})
+    return rows
+
+
+def asked(world: Path, texts: Texts) -> dict[str, Any]:
+    """Time and shards of all texts in one process, after a few have opened what they need."""
+    import placegraph as pg
+
+    start = time.process_time()
+    planet = pg.open_world(world)
+    planet.locate(next(iter(texts.values()))[0].text)
+    first = time.process_time() - start
+    found: dict[str, Any] = {"first_s": first, "shards": len(planet.cities)}
+    for kind, queries in texts.items():
+        for q in queries[:3]:
+            planet.locate(q.text, **fix(kind, q))
+        ms, touched, right = [], [], 0
+        for q in queries:
+            start = time.process_time()
+            estimate = planet.locate(q.text, **fix(kind, q))
+            ms.append(1e3 * (time.process_time() - start))
+            touched.append(told(estimate.reason) if estimate.modes else 0)
+            right += estimate.best is not None and near(estimate.best, q)
+        found[kind] = {"ms": ms, "touched": touched, "right": right / len(queries)}
+    return found | {"peak_bytes": peak()}
+
+
+def fix(kind: str, q: Query) -> dict[str, Any]:
+    """What is known beside the text."""
+    return {"near": (q.longitude, q.latitude), "radius": NEAR} if kind == "with a fix" else {}
+
+
+def near(best: Any, q: Query) -> bool:  # noqa: ANN401
+    """Whether a place is within 50 m of the truth."""
+    east = (best.longitude - q.longitude) * np.cos(np.radians(q.latitude))
+    return bool(np.hypot(east, best.latitude - q.latitude) * 111_000.0 < 50.0)
+
+
+def together(
+    world: Path, texts: list[str], workers: int, *, killed: bool = False
+) -> dict[str, Any]:
+    """Seconds that workers of a cluster take for texts; one of them is killed in between."""
+    from distributed import LocalCluster
+
+    import placegraph as pg
+
+    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as cluster:
+        planet = pg.open_world(world, scheduler=cluster.scheduler_address)
+        for text in texts:
+            planet.locate(text)
+        start, answers = time.perf_counter(), []
+        for k, text in enumerate(texts):
+            if killed and k == len(texts) // 2:
+                victim = next(iter(planet.crew.client.run(os.getpid).values()))  # type: ignore[attr-defined]
+                os.kill(victim, signal.SIGKILL)
+            answers.append(planet.locate(text).to_dict())
+        seconds = time.perf_counter() - start
+        planet.close()  # type: ignore[attr-defined]
+    return {"seconds": seconds, "answers": answers}
+
+
+@table()
+def world_shards(
+    run: Run,
+    city: Annotated[str, option("City that is cut and copied.")] = "vancouver",
+    zoom: Annotated[int, option("Level of the quadtree.")] = 13,
+    copies: Annotated[str, option("Numbers of copies with commas.")] = "1,4,16,32",
+    queries: Annotated[int, option("Queries of a kind.")] = 50,
+    seed: Seed = 0,
+    *,
+    quick: Quick = False,
+) -> None:
+    """Does a world in shards answer as one map? What texts take as it grows, and with workers."""
+    import placegraph as pg
+
+    if quick:
+        copies, queries = "1,2", 6
+    run.cache.mkdir(parents=True, exist_ok=True)
+    osm, map_file, base = run.osm / EXTRACTS[city], run.cache / "whole.city", run.cache / "shards_1"
+    run.say("cutting")
+    if not map_file.exists():
+        pg.build_city(osm, map_file)
+    shutil.rmtree(base, ignore_errors=True)
+    write_shards(pg.CityMap.open(map_file), base, zoom)
+    texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
+    run.say("asking both")
+    rows = apart(compared, map_file, base, texts)
+    print(markdown(EQUAL, [equal(row) for row in rows]))
+    kept = {k: texts[k] for k in ("common words", "names")} | {"with a fix": texts["common words"]}
+    grown = []
+    for n in (int(c) for c in copies.split(",")):
+        run.say(f"{n} copies")
+        folder, start = run.cache / f"shards_{n}", time.process_time()
+        if n > 1:
+            shutil.rmtree(folder, ignore_errors=True)
+            write_copies(base, folder, n, np.random.default_rng(seed))
+        seconds = time.process_time() - start
+        grown.append({"copies": n, "build_s": seconds} | sizes(folder) | apart(asked, folder, kept))
+        print(markdown(GROWN, [line(grown[-1], kind) for kind in kept]))
+    big = run.cache / f"shards_{max(int(c) for c in copies.split(',')[:2])}"
+    said = [q.text for q in texts["common words"][: min(20, queries)]]
+    crew = {n: apart(together, big, said, n) for n in (1, 2)}
+    killed = apart(_killed, big, said)
+    same = killed["answers"] == crew[2]["answers"] == crew[1]["answers"]
+    print(f"\nWorkers: 1 {crew[1]['seconds']:.1f} s, 2 {crew[2]['seconds']:.1f} s, ", end="")
+    print(f"2 of which one was killed {killed['seconds']:.1f} s; the same answers: {same}.")
+    made = model(grown)
+    print(markdown(["", "model", "measured"], made["check"]))
+    print("\n".join(made["planet"]))
+    run.save({
+        "rows": rows, "grown": grown, "model": made, "workers_answer_alike": same,
+        "seconds": {"1": crew[1]["seconds"], "2": crew[2]["seconds"], "killed": killed["seconds"]},
+    })  # fmt: skip
+
+
+def _killed(world: Path, texts: list[str]) -> dict[str, Any]:
+    return together(world, texts, 2, killed=True)
+
+
+EQUAL = [
+    "texts",
+    "shards",
+    "same best",
+    "within 1 %",
+    "largest",
+    "whole p50",
+    "shards p50",
+    "touched p50",
+]
+GROWN = [
+    "copies",
+    "cells",
+    "shards",
+    "MB",
+    "texts",
+    "p50",
+    "p95",
+    "touched p50",
+    "p95",
+    "@1 50 m",
+    "peak",
+]
+
+
+def equal(row: dict[str, Any]) -> list[str]:
+    """Row of the first table."""
+    differ = np.array(row["differ"])
+    return [
+        row["kind"], number(row["shards"]), share(row["same"] / row["queries"]),
+        share(float((differ <= 0.01).mean())), share(float(differ.max())),
+        number(np.median(row["ms"]), 1, "ms"), number(np.median(row["ms_shards"]), 1, "ms"),
+        number(np.median(row["touched"])),
+    ]  # fmt: skip
+
+
+def sizes(folder: Path) -> dict[str, float]:
+    """What a world holds, and what it takes on disk."""
+    from placegraph.world.shards import WorldFile
+
+    shards = WorldFile.read(folder).shards
+    return {
+        "cells": sum(s.cells for s in shards),
+        "bytes": sum(s.bytes for s in shards),
+        "words_bytes": (folder / "words.table").stat().st_size,
+    }
+
+
+def line(row: dict[str, Any], kind: str) -> list[str]:
+    """Row of the second table."""
+    of = row[kind]
+    return [
+        f"{row['copies']} x", number(row["cells"]), number(row["shards"]),
+        number(1e-6 * row["bytes"], 0), kind, number(np.median(of["ms"]), 0, "ms"),
+        number(np.quantile(of["ms"], 0.95), 0, "ms"), number(np.median(of["touched"])),
+        number(np.quantile(of["touched"], 0.95)), share(of["right"]),
+        number(1e-6 * row["peak_bytes"], 0, "MB"),
+    ]  # fmt: skip
+
+
+def model(grown: list[dict[str, Any]]) -> dict[str, Any]:
+    """Lines in the number of cells, fitted to all worlds but the last, and what they say of the planet."""
+    cells = np.array([row["cells"] for row in grown], float)
+    measured = {
+        "disk [MB]": [1e-6 * (row["bytes"] + row["words_bytes"]) for row in grown],
+        "table of words [MB]": [1e-6 * row["words_bytes"] for row in grown],
+        "common words, mean [core ms]": [
+            float(np.mean(row["common words"]["ms"])) for row in grown
+        ],
+        "names, mean [core ms]": [float(np.mean(row["names"]["ms"])) for row in grown],
+    }
+    check, planet = [], []
+    for name, values in measured.items():
+        fitted = (
+            np.polyfit(cells[:-1], values[:-1], 1)
+            if len(cells) > 2
+            else (values[0] / cells[0], 0.0)
+        )
+        check.append([name, number(np.polyval(fitted, cells[-1]), 1), number(values[-1], 1)])
+        planet.append(f"planet, extrapolated: {name} {np.polyval(fitted, PLANET):,.0f}")
+    return {"check": check, "planet": planet}
