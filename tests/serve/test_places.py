@@ -5,6 +5,7 @@ import shutil
 import pytest
 
 from placegraph.errors import InputError, MapError, RequestError
+from placegraph.maps import open_map
 from placegraph.serve.desk import Desk
 from placegraph.serve.locate import locate
 from placegraph.serve.options import ServeOptions
@@ -97,3 +98,21 @@ def test_where_a_damaged_map_lies_is_not_told(maps, tmp_path):
         places.scene("home")
     (listed,) = places.listed()
     assert listed["problem"].startswith(f"{file.name} is damaged")
+
+
+def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
+    from placegraph.world.shards import finish, key_of, tiles
+
+    town = open_map(maps / "hafenstadt.city")
+    key = key_of(tiles((town.plane.longitude, town.plane.latitude), 6), 6)
+    (tmp_path / "all" / "shards").mkdir(parents=True)
+    shutil.copy(maps / "hafenstadt.city", tmp_path / "all" / "shards" / f"{key}.city")
+    finish(tmp_path / "all", 6, 150.0)
+    places = Places([tmp_path / "all"])
+    assert places.only == "all"
+    assert places.listed()[0]["objects"] == len(town.objects)
+    told = locate(Desk(places, ServeOptions()), {"text": "A bakery is north of me."})
+    assert "shards" in told["estimate"]["reason"]
+    assert places.world("all") is places.world("all")
+    (tmp_path / "all" / "world.json").write_text("{}")
+    assert "world build" in places.listed()[0]["problem"]

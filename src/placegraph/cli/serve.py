@@ -30,6 +30,10 @@ def serve(
     log_queries: Annotated[
         bool, Option("--log-queries", help="Log what is asked; nothing is kept of it otherwise.")
     ] = False,
+    scheduler: Annotated[
+        str | None,
+        Option(help="Dask scheduler whose workers search worlds in shards, as tcp://host:8786."),
+    ] = None,
 ) -> None:
     """Serve maps: a page at /, sentences, images and GeoPose for other programs (/docs).
 
@@ -39,8 +43,10 @@ def serve(
     from placegraph.serve.places import Places
     from placegraph.serve.run import serve as run
 
-    options = ServeOptions(keys=keys, names=tuple(name or ()), log_queries=log_queries)
-    found = Places(places)
+    options = ServeOptions(
+        keys=keys, names=tuple(name or ()), log_queries=log_queries, scheduler=scheduler
+    )
+    found = Places(places, scheduler)
 
     def ready(url: str) -> None:
         names = ", ".join(entry.name for entry in found.entries()[:8])

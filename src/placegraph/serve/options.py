@@ -59,9 +59,11 @@ class ServeOptions:
     """Host names that it is asked by, beside addresses and localhost; with `keys`, by any."""
     log_queries: bool = False
     """Whether what is asked is logged."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler whose workers search worlds in shards; None: the server does it."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name not in {"keys", "names", "log_queries"} and not value > 0:
+            if field.name not in {"keys", "names", "log_queries", "scheduler"} and not value > 0:
                 raise OptionError(f"{field.name} is {value}; give a number greater than 0.")

@@ -12,6 +12,8 @@ from placegraph import store
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
 from placegraph.maps import checked, find, open_map
+from placegraph.world import open_world
+from placegraph.world.shards.folder import NAME, WorldFile, is_world
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +36,7 @@ class Entry:
 
     name: str
     kind: str
-    """``city``, ``scene`` or ``library``."""
+    """``city``, ``scene`` or ``library``; ``world`` of one in shards, whose `path` is its world.json."""
     path: Path
 
 
@@ -44,7 +46,10 @@ class Places:
     Parameters
     ----------
     paths
-        Map files, and folders of them; a folder is looked into anew when it is listed.
+        Map files, and folders of them; a folder is looked into anew when it is listed. A folder may
+        be a world in shards.
+    scheduler
+        Address of a Dask scheduler whose workers search worlds in shards; this process if not given.
 
     Raises
     ------
@@ -55,11 +60,13 @@ class Places:
 
     """
 
-    def __init__(self, paths: Sequence[str | PathLike[str]]) -> None:
+    def __init__(self, paths: Sequence[str | PathLike[str]], scheduler: str | None = None) -> None:
         self.paths = tuple(Path(path) for path in paths)
+        self.scheduler = scheduler
         self._held: dict[Path, tuple[State, Any]] = {}
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
-        checked(self.paths)
+        if maps := [path for path in self.paths if not is_world(path)]:
+            checked(maps)
         self._entries = self._found()
 
     def entries(self) -> tuple[Entry, ...]:
@@ -91,10 +98,17 @@ class Places:
         held = self._held.get(path)
         if held is None or held[0] != state:
             try:
-                held = self._held[path] = state, open_map(path)
+                held = self._held[path] = state, self._open(path)
             except PlacegraphError as error:
                 raise type(error)(without_folder(error, path)) from error
         return held[1]
+
+    def _open(self, path: Path) -> Any:  # noqa: ANN401  # any map
+        return (
+            open_world(path.parent, scheduler=self.scheduler)
+            if path.name == NAME
+            else open_map(path)
+        )
 
     def city(self, name: str) -> CityMap:
         """A map that must be a city; `RequestError` where it is none."""
@@ -126,9 +140,13 @@ class Places:
 
     def world(self, name: str | None = None) -> World:
         """All maps as one world, or one of them alone; made anew where a file was replaced."""
-        from placegraph.world import open_world
-
-        entries = self.entries() if name is None else (self.entry(name),)
+        if name is None:
+            entries = tuple(entry for entry in self.entries() if entry.kind != "world")
+        else:
+            entries = (self.entry(name),)
+            if entries[0].kind == "world":
+                planet: World = self._opened(entries[0].path)
+                return planet
         states = {entry.path: state_of(entry.path) for entry in entries}
         held = self._worlds.get(name)
         if held is None or held[0] != states:
@@ -142,8 +160,10 @@ class Places:
     def _facts(self, entry: Entry) -> dict[str, Any]:
         facts: dict[str, Any] = {
             "name": entry.name, "kind": entry.kind, "objects": 0, "bounds": None,
-            "anchored": entry.kind == "city", "bytes": 0,
+            "anchored": entry.kind in ("city", "world"), "bytes": 0,
         }  # fmt: skip
+        if entry.kind == "world":
+            return facts | _of_shards(entry.path.parent)
         try:
             header = store.read_header(entry.path)
         except PlacegraphError as error:
@@ -163,11 +183,21 @@ class Places:
 
     def _found(self) -> dict[str, Entry]:
         """Entries by name, which is the stem of the file, or all of its name where two share one."""
-        found = find(self.paths).paths
+        found = find([path for path in self.paths if not is_world(path)]).paths
         stems = Counter(itertools.chain.from_iterable(found.values()))
         files = ((kind, path) for kind, paths in found.items() for path in paths.values())
-        named = (Entry(p.stem if stems[p.stem] == 1 else p.name, kind, p) for kind, p in files)
+        named = [Entry(p.stem if stems[p.stem] == 1 else p.name, kind, p) for kind, p in files]
+        named += [Entry(p.resolve().name, "world", p / NAME) for p in self.paths if is_world(p)]
         return {entry.name: entry for entry in named}
+
+
+def _of_shards(folder: Path) -> dict[str, Any]:
+    """What is listed of a world in shards; the reason where it cannot be opened."""
+    try:
+        shards = WorldFile.read(folder).shards
+    except PlacegraphError as error:
+        return {"problem": without_folder(error, folder / NAME)}
+    return {"objects": sum(s.objects for s in shards), "bytes": sum(s.bytes for s in shards)}
 
 
 def without_folder(error: PlacegraphError, path: Path) -> str:

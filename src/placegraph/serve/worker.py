@@ -90,7 +90,7 @@ def run(connection: Connection, setting: Setting) -> None:
     warnings.simplefilter("ignore")
     kept.use_folder(setting.compiled)
     try:
-        desk = Desk(Places(setting.paths), setting.options)
+        desk = Desk(Places(setting.paths, setting.options.scheduler), setting.options)
         answer(desk, setting.warm, None)
         connection.send((b"", None))
         while True:
