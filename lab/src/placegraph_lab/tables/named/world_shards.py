@@ -36,6 +36,8 @@ KINDS = {
     "everyday words": "synonyms",
 }
 """Kinds of text, and the setting of `make_queries` that makes them."""
+MARGIN, EXACT = 4.0, 30.0
+"""What a city gives up [nat], and what leaves out nothing that matters."""
 NEAR = 500.0
 """Radius of the fix of texts of the kind "with a fix" [m]."""
 PLANET = 1.5e9
@@ -49,9 +51,17 @@ def told(reason: str) -> int:
     return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
 
 
-def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
-    """One map against its shards, text by text."""
+def compared(city: Path, world: Path, texts: Texts, margin: float) -> list[dict[str, Any]]:
+    """One map against its shards, text by text.
+
+    Both give up candidates that fall `margin` [nat] behind the best so far, each in its own order: only
+    where nothing that matters is given up can they agree in all digits.
+    """
     import placegraph as pg
+    from placegraph.outdoor.search import viewpoints
+    from placegraph.world.shards import merged
+
+    viewpoints.MARGIN = merged.MARGIN = margin
 
     whole, planet, rows = pg.CityMap.open(city), pg.open_world(world), []
     for kind, queries in texts.items():
@@ -159,8 +169,10 @@ def world_shards(
     write_shards(pg.CityMap.open(map_file), base, zoom)
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
     run.say("asking both")
-    rows = apart(compared, map_file, base, texts)
-    print(markdown(EQUAL, [equal(row) for row in rows]))
+    rows = {m: apart(compared, map_file, base, texts, m) for m in (MARGIN, EXACT)}
+    for m, found in rows.items():
+        print(f"\nCandidates {m:g} nat behind the best are given up:\n")
+        print(markdown(EQUAL, [equal(row) for row in found]))
     kept = {k: texts[k] for k in ("common words", "names")} | {"with a fix": texts["common words"]}
     grown = []
     for n in (int(c) for c in copies.split(",")):
