@@ -61,7 +61,8 @@ def compared(city: Path, world: Path, texts: Texts, margin: float) -> list[dict[
     from placegraph.outdoor.search import viewpoints
     from placegraph.world.shards import merged
 
-    viewpoints.MARGIN = merged.MARGIN = margin
+    for module in (viewpoints, merged):
+        vars(module)["MARGIN"] = margin
 
     whole, planet, rows = pg.CityMap.open(city), pg.open_world(world), []
     for kind, queries in texts.items():
@@ -78,9 +79,11 @@ def compared(city: Path, world: Path, texts: Texts, margin: float) -> list[dict[
             row["ms"].append(1e3 * (middle - start))
             row["touched"].append(told(many.reason) if many.modes else 0)
             if one.best is None or many.best is None:
-                row["same"] += one.best is many.best
+                row["same"] += one.best is None and many.best is None
                 continue
-            a, b = whole.plane.to_plane([(m.longitude, m.latitude) for m in (one.best, many.best)])
+            a, b = whole.plane.to_plane(
+                np.array([(m.longitude, m.latitude) for m in (one.best, many.best)], float)
+            )
             row["same"] += bool(np.hypot(*(a - b)) < 20.0)
             row["differ"].append(abs(one.best.probability - many.best.probability))
         rows.append(row | {"queries": len(queries), "shards": len(planet.cities)})
@@ -282,6 +285,6 @@ def model(grown: list[dict[str, Any]]) -> dict[str, Any]:
             if len(cells) > 2
             else (values[0] / cells[0], 0.0)
         )
-        check.append([name, number(np.polyval(fitted, cells[-1]), 1), number(values[-1], 1)])
-        planet.append(f"planet, extrapolated: {name} {np.polyval(fitted, PLANET):,.0f}")
+        check.append([name, number(float(np.polyval(fitted, cells[-1])), 1), number(values[-1], 1)])
+        planet.append(f"planet, extrapolated: {name} {float(np.polyval(fitted, PLANET)):,.0f}")
     return {"check": check, "planet": planet}
