@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-OPEN = 64
+OPEN = 256
 """Shards that a process holds open at most."""
 STEPS: dict[str, Callable[..., Any]] = {
     "gather": steps.gathered,
