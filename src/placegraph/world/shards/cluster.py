@@ -94,8 +94,7 @@ class Cluster:
         workers = sorted(self.client.scheduler_info(n_workers=-1)["workers"])
         futures = {
             self.client.submit(
-                _done, step, task, pure=False, retries=1, allow_other_workers=True,
-                workers=_favourite(task.source.key, workers),
+                _done, step, task, pure=False, retries=1, **_favourite(task.source.key, workers),
             ): row
             for row, task in enumerate(tasks)
         }  # fmt: skip
@@ -113,9 +112,12 @@ class Cluster:
         self.client.close()
 
 
-def _favourite(key: str, workers: Sequence[str]) -> list[str] | None:
+def _favourite(key: str, workers: Sequence[str]) -> dict[str, Any]:
     """The worker that holds a shard open if any does: the same one as long as it is there."""
-    return [max(workers, key=lambda worker: crc32(f"{key} {worker}".encode()))] if workers else None
+    if not workers:  # none is known for a moment, as where all are being replaced
+        return {}
+    best = max(workers, key=lambda worker: crc32(f"{key} {worker}".encode()))
+    return {"workers": [best], "allow_other_workers": True}
 
 
 def _done(step: str, task: Task) -> Any:  # noqa: ANN401
