@@ -28,7 +28,7 @@ def room(tmp_path_factory, study):
 def test_a_bag_of_poses(run, room, tmp_path):
     """It is written, opens, holds a pose an image that was known; the summary says how many."""
     out = tmp_path / "out.mcap"
-    words = ("bag", "localize", room.bag, room.map, "-o", out, "--seed", 1)
+    words = ("bag", "localize", room.bag, room.map, "-o", out)
     result = run(*words, "--json")
     assert result.code == 0, result.err
     assert result.json["frames"] == FRAMES
@@ -40,7 +40,7 @@ def test_a_bag_of_poses(run, room, tmp_path):
     again = run(*words)
     assert again.code == 7
     assert "is there already" in again.err
-    folder = run("bag", "localize", room.bag, room.map, "-o", tmp_path / "other", "--seed", 1)
+    folder = run("bag", "localize", room.bag, room.map, "-o", tmp_path / "other")
     assert f"{FRAMES} frames: " in folder.out
     assert "OK (" in folder.out
     assert (tmp_path / "other" / "metadata.yaml").is_file()
@@ -58,7 +58,7 @@ def test_a_recording_of_rerun_beside_it(run, room, tmp_path):
 
 def test_follow_a_folder_and_a_pipe(run, room, tmp_path, monkeypatch, capsys):
     """Lines of JSON, the last of which is the summary; a bag is written of a pipe."""
-    result = run("live", room.map, room.walk, "--speed", "inf", "--wait", 0, "--json", "--seed", 1)
+    result = run("live", room.map, room.walk, "--speed", "inf", "--wait", 0, "--json")
     assert result.code == 0, result.err
     *poses, summary = map(json.loads, result.out.splitlines())
     assert summary["frames"] == FRAMES
@@ -75,7 +75,7 @@ def test_follow_a_folder_and_a_pipe(run, room, tmp_path, monkeypatch, capsys):
 
 def test_a_bag_in_foxglove(run, room):
     result = run(
-        "live", room.map, room.bag, "--foxglove", "ws://127.0.0.1:0", "--speed", "inf", "--seed", 1
+        "live", room.map, room.bag, "--foxglove", "ws://127.0.0.1:0", "--speed", "inf"
     )
     assert result.code == 0, result.err
     assert "Foxglove: open a connection to ws://127.0.0.1:" in result.err
@@ -85,7 +85,7 @@ def test_a_bag_in_foxglove(run, room):
 def test_a_bag_that_is_cut_off_is_localized_as_far_as_it_goes(run, room, tmp_path):
     data = room.bag.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(0.7 * len(data))])
-    words = (tmp_path / "cut.mcap", room.map, "-o", tmp_path / "out.mcap", "--seed", 1)
+    words = (tmp_path / "cut.mcap", room.map, "-o", tmp_path / "out.mcap")
     result = run("bag", "localize", *words)
     assert result.code == 0, result.err
     assert "it is read as far as it goes" in result.out

@@ -70,7 +70,10 @@ class Node:
         descriptor=None,
         ignore_override=False,
     ):
-        return SimpleNamespace(value=self.world.parameters.get(name, value))
+        given = self.world.parameters.get(name, value)
+        if type(given) is not type(value) and not descriptor.dynamic_typing:
+            raise TypeError(f"Trying to set parameter {name!r} to {given!r}, expecting {value!r}")
+        return SimpleNamespace(value=given)
 
     def create_publisher(
         self, msg_type, topic, qos_profile, *, callback_group=None, event_callbacks=None,
@@ -151,6 +154,8 @@ class World:
             timer()
 
     def message(self, kind):
+        if kind == "rcl_interfaces/msg/ParameterDescriptor":
+            return SimpleNamespace
         package = kind.partition("/")[0]
         if package in self.lacks:
             raise ModuleNotFoundError(f"No module named {package!r}")

@@ -38,7 +38,7 @@ def robot(room, recorded, monkeypatch):
     nodes = []
 
     def started(lacks=(), **parameters):
-        world = World({"map": str(room.map), "seed": 1} | parameters, recorded[1], lacks)
+        world = World({"map": str(room.map)} | parameters, recorded[1], lacks)
         world.install(monkeypatch)
         world.init()
         shell = LocalizerNode(Ros.imported())
@@ -112,7 +112,7 @@ def test_it_listens_chooses_and_tells_the_pose(robot, recorded):
 def test_what_it_is_asked(robot, recorded, room, scene, tmp_path):
     """Services answer at once; another map is opened; what is no map is said in nav2's numbers."""
     packets, _ = recorded
-    world, shell = robot(publish_tf=False)
+    world, shell = robot(publish_tf=False, transform_tolerance=1)
     sent(world, shell, packets[: len(packets) // 2])
     assert "/tf" not in world.node.told
     world.node.call("reinitialize_global_localization")
@@ -224,6 +224,7 @@ def test_main(room, recorded, monkeypatch, capsys):
         ({}, 7, "no map is given"),
         ({"map": "nowhere.scene"}, 3, "nowhere.scene"),
         ({"map": str(room.map), "mode": "twice"}, 7, "mode is 'twice'"),
+        ({"map": str(room.map), "transform_tolerance": "soon"}, 7, "transform_tolerance is 'soon'"),
     ):
         world = World(parameters, recorded[1])
         world.install(monkeypatch)

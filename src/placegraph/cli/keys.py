@@ -1,9 +1,10 @@
-"""Keys of a terminal while something plays: pause, speed, end."""
+"""Keys of a terminal while something plays: pause, speed, end; and Ctrl-C."""
 
 from __future__ import annotations
 
 import os
 import select
+import signal
 import sys
 import threading
 from contextlib import contextmanager
@@ -16,6 +17,30 @@ if TYPE_CHECKING:
     from placegraph.ros.sources import Patience
 
 _FASTEST, _SLOWEST = 64.0, 1 / 64
+
+
+@contextmanager
+def ending(pace: Pace, patience: Patience) -> Iterator[None]:
+    """The first Ctrl-C ends what plays as `q` does, between two messages: what is written of it is whole.
+
+    The second is a `KeyboardInterrupt`, wherever it falls.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    if not main or before is signal.SIG_IGN:  # a shell has started it in the background
+        yield
+        return
+
+    def interrupted(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        # whoever was interrupted may hold the locks that this needs
+        threading.Thread(target=pressed, args=("q", pace, patience)).start()
+
+    signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import click
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
 from placegraph.cli.following import RerunFile, RoomsFile, carriers, show_summary
-from placegraph.cli.keys import keys
+from placegraph.cli.keys import ending, keys
 from placegraph.cli.scene.query import Device, Seed
 from placegraph.errors import InputError
 
@@ -85,11 +85,12 @@ def live(
             wishes=from_where.wishes, device=device,
         )  # fmt: skip
         stack.enter_context(keys(pace, patience))
+        stack.enter_context(ending(pace, patience))
         lines = _Lines(as_json=as_json, quiet=quiet)
         paced = pace.paced(from_where.happenings, time_of)
-        with suppress(KeyboardInterrupt):  # the usual end of it
+        with suppress(KeyboardInterrupt):  # a second Ctrl-C
             summary = run(paced, localizer, sinks, lines)
-            if not summary.frames:
+            if not summary.frames and not pace.stopped:
                 why = (*summary.lacks, *summary.left_out, f"{source} holds no frame.")
                 raise InputError(why[0])
         written = {name: str(file) for name, file in (("out", out), ("rerun", rerun)) if file}

@@ -78,7 +78,8 @@ class Localizer:
         self._left_out: Counter[str] = Counter()
         self._stamps: dict[int, float] = {}
         self._reason = ""
-        self._told: Counter[str] = Counter()
+        self._told: Counter[str] = Counter()  # in maps before this one
+        self._unheard = ""  # why odometry's covariance is not used
         self.frames = self._dropped = 0
         self._placed: tuple[Floats, Floats] | None = None
         self._begin(maps)
@@ -92,7 +93,6 @@ class Localizer:
         )
         names = frame_ids(options, self._assembly)
         self._telling = Telling(maps, names, options.tolerance, whole=options.whole)
-        self._seen: object = None
         self._live: LivePose | None = None  # as it is after the last move
         self._wanted = True  # whether images are to be looked at
         self._moves = False
@@ -169,7 +169,11 @@ class Localizer:
             return self._see(part)
         self._moves = True
         self._carried = part.stamp, part.odometry_from_camera
-        live = self.tracker.move(*self._carried)
+        try:
+            live = self.tracker.move(*self._carried, part.covariance)
+        except OptionError as error:
+            self._unheard = f"What odometry says of its own errors is not used: {error}"
+            live = self.tracker.move(*self._carried)
         self._live = None if self._mounted() else live
         return self._telling.moved(live, *self._carried)
 
@@ -194,7 +198,7 @@ class Localizer:
             if self.options.whole:
                 messages += image_messages(frame, frame.stamp, self._telling.frames)
             if self._wanted:
-                self._look(frame)
+                self.tracker.see(frame)
         except (InputError, OptionError) as error:
             return messages + self._amiss("a frame", str(error))
         if not self._moves:  # images alone tell odometry
@@ -203,21 +207,13 @@ class Localizer:
             messages += self._telling.moved(self.tracker.pose(), *self._carried)
         return messages
 
-    def _look(self, frame: Frame) -> None:
-        self.tracker.see(frame)
-        if not self.options.background:
-            self.tracker.wait()
-            self._told[self.tracker.pose().status.name] += 1
-
     def _news(self) -> list[Message]:
         """What images have changed since it was told."""
         live, self._live = self._live or self.tracker.pose(), None
         newest = -np.inf if self._assembly is None else self._assembly.newest
         if newest > live.stamp:  # odometry may have fallen silent
             live = self.tracker.pose(newest)
-        if self.options.background and live.estimate is not self._seen:
-            self._told[live.status.name] += 1
-        self._seen, self._reason = live.estimate, live.reason
+        self._reason = live.reason
         if self.options.mode == "once" and live.status is Status.OK:
             self._wanted = False
         if self.frames:
@@ -270,8 +266,9 @@ class Localizer:
 
     def load(self, maps: SceneMap | SceneLibrary) -> list[Message]:
         """Go on in another map, where nothing is known yet (``load_map``)."""
-        self._dropped += self.tracker.dropped
         self.tracker.close()
+        self._dropped += self.tracker.dropped
+        self._told += self.tracker.told
         mount = self._telling.base_from_camera
         self._begin(maps)
         self._telling.base_from_camera = mount
@@ -289,10 +286,13 @@ class Localizer:
             if parts.jumps:
                 notes.append(f"The clock was set back {parts.jumps} times, and went on from there.")
         lacks = self._discovery.lacks if parts is None else ()
-        if self.frames and not self._told[Status.OK.name]:
+        if self._unheard:
+            notes.append(self._unheard)
+        told = self._told + self.tracker.told
+        if self.frames and not told[Status.OK.name]:
             notes.append(f"No pose was sure: {self._reason}")
         dropped = self._dropped + self.tracker.dropped
-        return Summary(self.frames, self._told, dropped, left_out, lacks, tuple(notes))
+        return Summary(self.frames, told, dropped, left_out, lacks, tuple(notes))
 
     def close(self) -> None:
         """End the tracker's threads."""

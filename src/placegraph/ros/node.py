@@ -78,7 +78,7 @@ class LocalizerNode:
         self.ros = ros
         self.node = ros.rclpy.create_node(NAME)
         given = {
-            name: self.node.declare_parameter(name, value).value
+            name: self.node.declare_parameter(name, value, self._descriptor(value)).value
             for name, value in PARAMETERS.items()
         }
         if not given["map"]:
@@ -100,6 +100,12 @@ class LocalizerNode:
         self._error: BaseException | None = None
         self._worker = Thread(target=self._work, name="placegraph", daemon=True)
         self._worker.start()
+
+    def _descriptor(self, value: object) -> Any:  # noqa: ANN401  # of rcl_interfaces
+        """What may be set: where it is seconds, whole ones (`1`), too."""
+        descriptor = self.ros.message("rcl_interfaces/msg/ParameterDescriptor")()
+        descriptor.dynamic_typing = isinstance(value, float)
+        return descriptor
 
     def close(self) -> None:
         """End the worker, and say what became of the frames; what it died of, if it did, is raised."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from placegraph.errors import OptionError
 from placegraph.formats.ros.wishes import wishes_of
 from placegraph.ros.options import LiveOptions, mode_of
 
@@ -31,11 +32,14 @@ PARAMETERS: dict[str, Any] = {
 
 def options_of(given: Mapping[str, Any]) -> LiveOptions:
     """How the localizer works by the parameters; `OptionError` where one is out of its range."""
+    tolerance = given["transform_tolerance"]
+    if type(tolerance) not in {int, float}:
+        raise OptionError(f"transform_tolerance is {tolerance!r}; it is seconds, such as 0.1.")
     return LiveOptions(
         mode=mode_of(given["mode"]),
         map_frame=given["map_frame"].lstrip("/"),
         base_frame=given["base_frame"].lstrip("/"),
-        tolerance=given["transform_tolerance"],
+        tolerance=tolerance,
         whole=False,
         seed=given["seed"],
     )

@@ -51,7 +51,7 @@ class Summary:
     frames: int = 0
     """Images that could be looked at."""
     told: Counter[str] = field(default_factory=Counter)
-    """Answers to images, by status; of several between two messages the last."""
+    """Images that were looked at, by the status after each."""
     dropped: int = 0
     """Images that came too fast."""
     left_out: Counter[str] = field(default_factory=Counter)

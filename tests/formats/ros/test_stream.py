@@ -19,6 +19,8 @@ from placegraph.formats.ros.plan import plan_of
 from placegraph.formats.ros.transforms import Tree
 from placegraph.formats.ros.wishes import Wishes
 from placegraph.geometry import quaternion_from_rotation, rotation_from_vector
+from placegraph.ros.message import pose
+from placegraph.ros.pose import based
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start
@@ -155,6 +157,28 @@ def test_odometry_between_images_is_told(tmp_path, clip):
     along = moves[-1].odometry_from_camera[0, 3] - clip.frames[0].odometry[0, 3]
     assert along == pytest.approx(stamps[-1], abs=1e-6)
     same([f for f in said if isinstance(f, Frame)], pg.open_capture(tmp_path / "more"))
+
+
+def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
+    """Led to the camera, and back to the base by `based`: the same."""
+    root = rng.normal(size=(6, 6))
+    told = root @ root.T
+    poses = [frame.odometry @ np.linalg.inv(BASE_FROM_CAMERA) for frame in clip]
+
+    def wheels(writer):
+        writer.transform("base_link", OPTICAL, BASE_FROM_CAMERA, START, "/tf_static")
+        for frame, matrix in zip(clip, poses, strict=True):
+            writer.send(
+                "/odom", "nav_msgs/msg/Odometry", START + frame.stamp, "odom",
+                child_frame_id="base_link", pose={"pose": pose(matrix), "covariance": told.ravel()},
+            )  # fmt: skip
+
+    assembly, packets = of_bag(bag(layout=Layout(poses="none"), more=wheels))
+    moves = [m for m in assembled(assembly, packets) if isinstance(m, Move)]
+    assert moves
+    for move in moves:
+        _, spread = based(move.odometry_from_camera, move.covariance, BASE_FROM_CAMERA)
+        np.testing.assert_allclose(spread, told, atol=1e-9)
 
 
 def test_clocks_that_jump_and_gaps(clip, bag):

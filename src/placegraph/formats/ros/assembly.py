@@ -21,7 +21,7 @@ from placegraph.formats.capture.frame_files import (
 from placegraph.formats.capture.posed import SAME_MOMENT
 from placegraph.formats.ros.capture import Source, metres_of, picture, unit_of
 from placegraph.formats.ros.decode import decode, frame_of, stamp_of
-from placegraph.formats.ros.moves import numbers_of
+from placegraph.formats.ros.moves import Spread, numbers_of
 from placegraph.formats.ros.packets import is_static
 from placegraph.formats.ros.poses import BACK
 from placegraph.formats.ros.transforms import Edge, Tree
@@ -50,6 +50,9 @@ class Move(NamedTuple):
     stamp: float
     odometry_from_camera: NDArray[np.float64]
     """(4, 4) [m]"""
+    covariance: NDArray[np.float64] | None
+    """(6, 6) of it as odometry itself says, in its frame: x, y, z [m], and a turn about the axes [rad];
+    it may hold anything. None: transforms tell where it is."""
 
 
 class Assembly:
@@ -76,6 +79,7 @@ class Assembly:
         self._lean[:3, :3] = plan.placing.lean
         self._turns: int | None = None
         self._mount: NDArray[np.float64] | None = None
+        self._spread: Spread | None = None
         self._tree = Tree()
         self._tree.add(plan.wishes.transforms, static=True)
         self._waiting: deque[tuple[float, Packet]] = deque()
@@ -251,7 +255,9 @@ class Assembly:
         found = self._tree.between(self.odometry, self.camera, np.array([newest]))
         if found is not None and not np.isnan(found).any():
             self._moved = newest
-            yield Move(newest, self._lean @ self._turned(found[0]))
+            pose = self._lean @ self._turned(found[0])
+            spread = self._spread and self._spread.at(found[0], self._lean)
+            yield Move(newest, pose, spread)
 
     def _rows(self, packet: Packet) -> dict[tuple[str, str], list[tuple[float, ...]]]:
         """Stamps and numbers of transforms by parent and child."""
@@ -261,6 +267,8 @@ class Assembly:
         out: dict[tuple[str, str], list[tuple[float, ...]]] = {}
         if self._told is not None and packet.topic == self._told.name:
             at = said.pose.pose
+            if frame_of(said.header.frame_id) == self.odometry:
+                self._spread = Spread.of(said.pose)
             held = [(said.header, said.child_frame_id, at.position, at.orientation)]
         else:
             held = [

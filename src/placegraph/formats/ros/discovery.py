@@ -57,8 +57,7 @@ class Discovery:
         key = packet.topic, packet.type, packet.encoding
         if key not in self._heard:
             short = packet.type.replace("/msg/", "/")
-            most = None if is_static(packet.topic) else _IMAGES if short in IMAGES else _OTHERS
-            self._heard[key] = deque(maxlen=most)
+            self._heard[key] = deque(maxlen=_IMAGES if short in IMAGES else _OTHERS)
         self._heard[key].append(packet)
         if (
             self._next is None or packet.time < self._next - LISTEN

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from struct import unpack_from
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.formats.ros.decode import decode, frame_of, stamp_of
+from placegraph.geometry import cross_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -74,3 +75,29 @@ def samples_of(held: Iterable[Moves], *, recorded: bool) -> Samples:
 def numbers_of(move: Any, turn: Any) -> tuple[float, ...]:  # noqa: ANN401  # rosbags'
     """x, y, z, qx, qy, qz, qw of a position and a quaternion."""
     return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
+
+
+class Spread(NamedTuple):
+    """How far odometry may be off, by its own account, and where it has the robot."""
+
+    covariance: NDArray[np.float64]
+    """(6, 6) of x, y, z [m] and a turn about its frame's axes [rad]; it may hold anything."""
+    position: NDArray[np.float64]
+    """(3,) [m]"""
+
+    @classmethod
+    def of(cls, said: Any) -> Self:  # noqa: ANN401  # rosbags'
+        """Of a `geometry_msgs/PoseWithCovariance`."""
+        at = said.pose.position
+        covariance = np.array(said.covariance, np.float64).reshape(6, 6)
+        return cls(covariance, np.array([at.x, at.y, at.z]))
+
+    def at(
+        self, odometry_from_camera: NDArray[np.float64], lean: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(6, 6) of a camera that the robot carries, in axes that odometry's are led to by `lean`; both (4, 4)."""
+        swing = np.eye(6)
+        swing[:3, 3:] = -cross_matrix(odometry_from_camera[:3, 3] - self.position)
+        swing = np.kron(np.eye(2), lean[:3, :3]) @ swing
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(swing @ self.covariance @ swing.T)

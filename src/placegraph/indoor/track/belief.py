@@ -43,6 +43,11 @@ class Belief:
         self._last: tuple[Status, str, PoseEstimate | None] = Status.LOST, NOTHING, None
         self._placed: tuple[Floats, Floats, str] | None = None
 
+    @property
+    def status(self) -> Status:
+        """What the last image said."""
+        return self._last[0]
+
     def tell(self, stamp: float, pose: Floats, covariance: Floats | None, *, own: bool) -> bool:
         """A sample of odometry, of its `own` or an image's; whether it had to begin anew."""
         odometry, newest = self.odometry, self.odometry.newest

@@ -13,6 +13,7 @@ import numpy as np
 
 from placegraph.errors import PlacegraphError
 from placegraph.estimate import Status
+from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import prior_of
 from placegraph.indoor.track.tracker import KEPT, PATIENCE, WAIT, Tracker, apart
 
@@ -105,7 +106,7 @@ class Follower:
         self._scene, self._tracker = "", None
         self._recent: deque[Frame] = deque(maxlen=KEPT)
         self._clear()
-        self._rival: Found | None = None
+        self._again = Again()
         self._strayed = self._waited = self._denied = 0
 
     _tracker: Tracker | None
@@ -132,13 +133,6 @@ class Follower:
             self._clear()  # what was before fits where the pose was known
         self._strayed += 1
         self._remember(frame)
-        if self._rival is not None and self._strayed >= STRAYED:
-            other, self._rival = self._rival, None
-            taken = self._taken(other)
-            again = taken.update(frame)
-            if again.status is Status.OK:
-                self._tracker, self._scene = taken, other.scene
-                return self._sure(frame, again)
         over = not self._tracker.following
         fits = not over and bool(estimate.stats.get("fits"))
         return Said(frame, estimate.reason, self._scene, estimate, told=fits, over=over)
@@ -154,25 +148,28 @@ class Follower:
         return Question((*before, self._newest), self._placed, self._rng.spawn(1)[0])
 
     def hear(self, found: Found) -> Said | None:
-        """Take an answer over, or keep it for the next frame where another pose is still followed."""
-        if self.following:
-            self._rival = found if found.sure and self._strayed else None
+        """Take an answer over; where a pose is still followed, only one that is sure to be elsewhere."""
+        last, estimate = found.frames[-1], found.estimate
+        if estimate is not None and self._placed is None:  # else a person and an image say the same
+            estimate = self._again.judged(found.scene, last, estimate)
+        sure = estimate is not None and estimate.status is Status.OK
+        if self.following and not (sure and self._strayed >= STRAYED):
             return None
-        last = found.frames[-1]
-        if found.estimate is None:
+        if estimate is None:
             self._clear()
             return Said(last, found.reason)
-        if found.sure:
+        if sure:
             self._tracker, self._scene = self._taken(found), found.scene
-            return self._sure(last, found.estimate)
-        lost = found.estimate.status is Status.LOST
+            return self._sure(last, estimate)
+        lost = estimate.status is Status.LOST
         if self._placed is not None:
             self._denied = self._denied + 1 if lost else 0
             if self._denied < PATIENCE:
                 return Said(last, found.reason, found.scene, found.estimate)
             self._placed, self._fresh = None, True
-        told = not lost and len(found.estimate.modes) == 1  # of several places none is the pose
-        return Said(last, found.reason, found.scene, found.estimate, told=told, over=True)
+        # of several places none is the pose
+        told = found.sure or (not lost and len(estimate.modes) == 1)
+        return Said(last, estimate.reason, found.scene, estimate, told=told, over=True)
 
     def _clear(self) -> None:
         """Forget the frames that were to be looked up."""
@@ -181,7 +178,7 @@ class Follower:
 
     def _sure(self, frame: Frame, estimate: PoseEstimate) -> Said:
         self._clear()
-        self._placed = self._rival = None
+        self._placed = None
         self._strayed = self._denied = 0
         return Said(frame, estimate.reason, self._scene, estimate, told=True)
 

@@ -15,6 +15,7 @@ from placegraph.indoor.track.saved import Saved, digest_of
 from placegraph.indoor.track.worker import Worker
 
 if TYPE_CHECKING:
+    from collections import Counter
     from concurrent.futures import Executor
     from os import PathLike
 
@@ -84,6 +85,12 @@ class LiveTracker:
     def late(self) -> int:
         """Samples of odometry that came after newer ones, and were left out."""
         return self._belief.late
+
+    @property
+    def told(self) -> Counter[str]:
+        """Images that were looked at, by the status after each."""
+        with self._changed:
+            return self._worker.told.copy()
 
     def move(
         self, stamp: float, odom_from_camera: ArrayLike, covariance: ArrayLike | None = None

@@ -21,6 +21,7 @@ from placegraph.indoor.pose.query import leveled
 from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
+from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import look_up
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Tracker:
     """Localizes a stream of frames in one map; time and memory a frame are bounded.
 
     Until the pose is known, the newest keyframes are looked up in the visibility table and polished
-    together; then the pose is carried on by odometry and fitted to the last keyframes. Where these
+    together, and again until two answers agree; then the pose is carried on by odometry and fitted to the last keyframes. Where these
     fit, but are too bare to tell a place alone, it stays known by where it was, ever more loosely; a
     pose that they contradict for a while is given up, and searched for anew.
 
@@ -84,6 +85,7 @@ class Tracker:
         self.scorer = Scorer(query.scene, query.options.likelihood, query.device)
         self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
         self._cut: Cut = {}
+        self._again = Again()
         self._since = np.zeros(4)
         self._fit: Fit | None = None
         self._last: Frame | None = None
@@ -137,6 +139,7 @@ class Tracker:
         self._fit, self._last, self._answer = None, None, None
         self._cut, self._since = {}, np.zeros(4)
         self._doubts = self._waited = 0
+        self._again = Again()
 
     def _sighted(self, frame: Frame) -> Sighting:
         if self.camera is not None and frame.camera != self.camera:
@@ -212,6 +215,7 @@ class Tracker:
         known = [s for s in self.keyframes if s is not newest]
         window = self._window([*known[-KEPT + 1 :], newest])
         estimate, fit = look_up(window, self.rng)
+        estimate = self._again.judged("", newest.frame, estimate)
         if estimate.status is Status.OK:
             self._doubts, self._since = 0, np.zeros(4)
             self._settle(fit)

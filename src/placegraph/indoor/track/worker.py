@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,7 @@ class Worker:
         self, follower: Follower, belief: Belief, changed: Condition, background: bool | Executor
     ) -> None:
         self.dropped = 0
+        self.told: Counter[str] = Counter()
         self._follower, self._belief, self._changed = follower, belief, changed
         self._own = not isinstance(background, Executor)
         self._executor = background if isinstance(background, Executor) else Inline()
@@ -96,11 +98,15 @@ class Worker:
 
     def _work(self) -> None:
         """Look at images, and take answers over, until there is none left."""
+        looked = False
         try:
             while True:
                 with self._changed:
                     epoch, frame, found = self._belief.epoch, self._next(), self._answer
                     self._answer = None
+                    if looked and (frame is not None or found is None):  # it has told what it does
+                        self.told[self._belief.status.name] += 1
+                        looked = False
                     if frame is None and found is None:
                         self._busy = False
                         self._changed.notify_all()
@@ -113,6 +119,7 @@ class Worker:
                 if frame is not None:
                     self._publish(epoch, self._follower.look(frame))
                     self._ask(epoch)
+                    looked = True
         except BaseException as error:  # noqa: BLE001  # told to who calls next
             self._fail(error)
 
