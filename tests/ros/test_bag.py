@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from placegraph.errors import MapError, OptionError
+from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.formats.capture.frame import Frame
 from placegraph.formats.mesh.glb import read_glb
 from placegraph.geometry import Camera
@@ -177,6 +177,15 @@ def test_what_is_there_is_never_written_over(tmp_path):
         (tmp_path / "b.mcap").write_text("another's")  # made while this one was written
     assert (tmp_path / "b.mcap").read_text() == "another's"
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_two_do_not_write_one_bag(tmp_path):
+    """The second is refused at once, and not after minutes; the first is written."""
+    with BagWriter(tmp_path / "out.mcap") as bag:
+        with pytest.raises(MapLockedError, match="by someone else"), BagWriter(bag.path):
+            pass
+        bag.write(EMPTY)
+    assert [p.name for p in tmp_path.iterdir()] == ["out.mcap"]
 
 
 def test_where_nothing_can_be_written(tmp_path):

@@ -172,8 +172,8 @@ class Localizer:
         try:
             live = self.tracker.move(*self._carried, part.covariance)
         except OptionError as error:
-            self._unheard = f"What odometry says of its own errors is not used: {error}"
             live = self.tracker.move(*self._carried)
+            self._unheard = f"What odometry says of its own errors is not used: {error}"
         self._live = None if self._mounted() else live
         return self._telling.moved(live, *self._carried)
 

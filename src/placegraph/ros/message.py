@@ -53,6 +53,11 @@ def nanoseconds(stamp: float) -> int:
     return round(stamp * 1e9)
 
 
+def sayable(stamp: float) -> float:
+    """The stamp [s]; 0, which is none, where ROS cannot say it."""
+    return stamp if 0.0 <= stamp < _SECONDS else 0.0
+
+
 def time(stamp: float) -> Fields:
     """`builtin_interfaces/Time` of a stamp [s]; `OptionError` where it is none that ROS can say."""
     seconds, nanos = divmod(nanoseconds(stamp), 10**9)

@@ -11,7 +11,7 @@ from placegraph.estimate import Status
 from placegraph.indoor.map.scene import Scene
 from placegraph.ros.estimate import estimate_messages, status_message
 from placegraph.ros.map import map_messages
-from placegraph.ros.message import FrameIds, Message, transform
+from placegraph.ros.message import FrameIds, Message, sayable, transform
 from placegraph.ros.pose import UPRIGHT_BASE, pose_messages, rig_message, transforms_message
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Telling:
         if live.estimate is None or live.estimate is self._estimate:
             changed = self._status != (live.status, live.reason)
             return self.status(live.status, live.reason, live.stamp, live=live) if changed else []
-        self._estimate = live.estimate
+        self._estimate, stamp = live.estimate, sayable(stamp)
         told = estimate_messages(
             live.estimate, stamp, self.frames, base_from_camera=self.base_from_camera
         )
@@ -108,7 +108,7 @@ class Telling:
         self, status: Status, reason: str, stamp: float, *, live: LivePose | None = None
     ) -> list[Message]:
         """How far the pose may be trusted, and why, as diagnostics and on a topic of its own."""
-        stamp = stamp if np.isfinite(stamp) else 0.0
+        stamp = sayable(stamp)
         self._status = status, reason
         best = live.estimate.best if live is not None and live.estimate is not None else None
         modes = len(live.estimate.modes) if live is not None and live.estimate is not None else 0

@@ -5,11 +5,12 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
 from placegraph.files import cannot_write
+from placegraph.locks import exclusive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,18 +35,20 @@ def writing(path: Path) -> Iterator[None]:
 
 
 class Unfinished:
-    """A hidden folder beside a path, in which the file or folder of that path is written.
+    """A hidden folder beside a path, in which the file or folder of that path is written, by one at a time.
 
-    Raises `OptionError` where something is at the path already, `MapError` where nothing can be
-    written there.
+    Raises `OptionError` where something is at the path already, `MapLockedError` where somebody else
+    is writing it, `MapError` where nothing can be written there.
     """
 
     def __init__(self, path: Path) -> None:
         check_free(path)
         self.path = path
-        with writing(path):
+        with writing(path), ExitStack() as stack:
             path.parent.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(exclusive(path))
             self.folder = path.parent / tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent)
+            self._locked = stack.pop_all()
 
     def finish(self, made: Path) -> None:
         """Give what was made in the folder its name; raises as the constructor."""
@@ -56,3 +59,4 @@ class Unfinished:
     def drop(self) -> None:
         """Remove the folder, and what is left in it."""
         shutil.rmtree(self.folder, ignore_errors=True)
+        self._locked.close()

@@ -376,7 +376,7 @@ def test_odometry_that_falls_silent(told, live, film):
 
 
 def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeypatch):
-    """As wallpaper that repeats: the first image is found 0.7 m too high, and sure; those after it are not."""
+    """As wallpaper that repeats: the first image is found 0.7 m too high, and those after it are not."""
     whole, asked = Finder.anywhere, []
 
     def fooled(finder, frames, rng):
@@ -386,7 +386,9 @@ def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeyp
             return name, told
         pose = truth(film)[0].copy()
         pose[2, 3] += 0.7
-        return name, replace(told, status=Status.OK, modes=(replace(told.best, map_from_camera=pose),))
+        return name, replace(
+            told, status=Status.OK, modes=(replace(told.best, map_from_camera=pose),)
+        )
 
     monkeypatch.setattr(Finder, "anywhere", fooled)
     poses = [live.step(frame) for frame in film[:8]]

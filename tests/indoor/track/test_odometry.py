@@ -97,6 +97,8 @@ def test_memory_is_bounded():
         (0.0, np.eye(3), None, "4x4"),
         (0.0, np.diag([2.0, 1, 1, 1]), None, "not rigid"),
         (0.0, np.diag([-1.0, 1, 1, 1]), None, "not rigid"),
+        (0.0, np.eye(4) + 1e200 * np.eye(4, k=3), None, "from its origin"),
+        (0.0, 1e200 * np.eye(4), None, "from its origin"),
         (0.0, np.eye(4), np.full((6, 6), np.nan), "covariance"),
         (0.0, np.eye(4), -np.eye(6), "eigenvalue"),
         (0.0, "here", None, "not numbers"),

@@ -95,7 +95,7 @@ class Spread(NamedTuple):
     def at(
         self, odometry_from_camera: NDArray[np.float64], lean: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """(6, 6) of a camera that the robot carries, in axes that odometry's are led to by `lean`; both (4, 4)."""
+        """(6, 6) of a camera on the robot, in axes that `lean` leads odometry's to; both are (4, 4)."""
         swing = np.eye(6)
         swing[:3, 3:] = -cross_matrix(odometry_from_camera[:3, 3] - self.position)
         swing = np.kron(np.eye(2), lean[:3, :3]) @ swing

@@ -27,6 +27,8 @@ JUMP = 1.0
 So long may odometry be silent, too."""
 FASTEST, TWITCH = 10.0, 0.5
 """No camera moves faster [m/s], beyond this [m]: odometry has begun anew."""
+FARTHEST = 1e7
+"""No pose is further than this [m] from the origin of its frame."""
 _UNIT = np.eye(4)
 _BASE = 0.1  # seconds over which speed is measured, since samples jitter
 
@@ -137,6 +139,8 @@ def checked_pose(what: str, matrix: ArrayLike) -> Floats:
         raise OptionError(f"{what}: not numbers ({error}); give a 4x4 matrix.") from error
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise OptionError(f"{what}: shape {pose.shape}; a pose is 4x4 finite numbers.")
+    if np.abs(pose).max() > FARTHEST:
+        raise OptionError(f"{what}: more than {FARTHEST:g} m from its origin; it is in metres.")
     turn = pose[:3, :3]
     off = max(np.abs(turn @ turn.T - _UNIT[:3, :3]).max(), np.abs(pose[3] - _UNIT[3]).max())
     if off > 1e-3 or np.linalg.det(turn) <= 0:

@@ -54,9 +54,9 @@ class Tracker:
     """Localizes a stream of frames in one map; time and memory a frame are bounded.
 
     Until the pose is known, the newest keyframes are looked up in the visibility table and polished
-    together, and again until two answers agree; then the pose is carried on by odometry and fitted to the last keyframes. Where these
-    fit, but are too bare to tell a place alone, it stays known by where it was, ever more loosely; a
-    pose that they contradict for a while is given up, and searched for anew.
+    together, until two answers agree; then the pose is carried on by odometry and fitted to the last
+    keyframes. Where these fit, but are too bare to tell a place alone, it stays known by where it was,
+    ever more loosely; a pose that they contradict for a while is given up, and searched for anew.
 
     Parameters
     ----------
