@@ -13,7 +13,6 @@ Prints Markdown tables and writes JSON.
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -128,13 +127,11 @@ def by_ways(run: Run, places: Places, folder: Path) -> dict[str, dict[str, Any]]
     """Every way in."""
     paths = sorted((run.data / "house").glob("seq[0-9]*"))
     scene = places.scene("house")
-    found = {
+    return {
         "folder": from_files(scene, paths),
         "MCAP": from_files(scene, bags(paths, folder)),
+        "WebSocket": from_server(folder / "maps", paths),
     }
-    if shutil.which("wrk"):
-        found["WebSocket"] = from_server(folder / "maps", paths)
-    return found
 
 
 def ways_table(found: dict[str, dict[str, Any]]) -> str:

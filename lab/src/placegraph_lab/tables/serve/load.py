@@ -76,7 +76,12 @@ class Served:
     def asked(
         self, requests: Iterable[Request], file: Path, *, at_once: int, seconds: int
     ) -> dict[str, Any]:
-        """What wrk saw of requests in turn, so many at once, and the CPU that each took."""
+        """What wrk saw of requests in turn, so many at once, and the CPU that each took.
+
+        Raises `OptionError` where wrk is not installed.
+        """
+        if shutil.which("wrk") is None:
+            raise OptionError("wrk is not installed; install it (apt-get install wrk).")
         file.write_bytes(b"".join(r.bytes for r in requests))
         before = self.cpu()
         words = ["wrk", "-t1", f"-c{at_once}", f"-d{seconds}s", "--timeout", "60s", "-s", SCRIPT,
@@ -98,9 +103,9 @@ def _stat(process: int) -> list[str]:
 
 @contextmanager
 def served(folder: Path) -> Iterator[Served]:
-    """`placegraph serve` of a folder, ready; raises `OptionError` where wrk is not installed."""
-    if shutil.which("wrk") is None or not Path("/proc/self/stat").exists():
-        raise OptionError("wrk is not installed; install it (apt-get install wrk), on Linux.")
+    """`placegraph serve` of a folder, ready; raises `OptionError` where its CPU cannot be read."""
+    if not Path("/proc/self/stat").exists():
+        raise OptionError("The CPU of processes is read from /proc; measure on Linux.")
     words = [sys.executable, "-m", "placegraph", "serve", str(folder), "--port", "0"]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)  # noqa: S603
     try:
