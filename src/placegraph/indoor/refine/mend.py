@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _SAME = 1e-3  # of an image's width: intrinsics of one view
 _ALIKE = 0.01  # focal lengths that are off by one factor
+_DEVICE = 0.2  # cameras of one device stand no further apart [m]: depth or images are late
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +85,10 @@ class Mend:
     def chosen(self, asked: PoseQuery, before: PoseEstimate, after: PoseEstimate) -> PoseEstimate:
         """Of the answers before and after mending the better one, which says what was found.
 
-        The mended answer is taken where it is `OK` and its refinement confirmed; else the camera is
-        a doubt about the other, if there is anything to doubt. Gravity is none, since poses may lean:
-        if it alone is mended, an answer that is `OK` gives way only to one that fits better.
+        The mended answer is taken where it is `OK`, its refinement confirmed and the camera one that
+        can be; else the camera is a doubt about the other, if there is anything to doubt. Gravity is
+        none, since poses may lean: if it alone is mended, an answer that is `OK` gives way only to one
+        that fits better.
         """
         ratios = [answer.stats.get("trust", {}).get("ratio") or 0.0 for answer in (before, after)]
         leans = not self.values[: TILT[0]].any()
@@ -94,11 +96,15 @@ class Mend:
             return before
         said = self.sentence(asked.frames[-1])
         told = after.refinement
-        if after.status is Status.OK and told is not None and told.accepted:
+        if after.status is Status.OK and told is not None and told.accepted and not self._late:
             return replace(after, reason=f"{after.reason} {said}", calibration=self.calibration())
         if leans or before.status is Status.LOST:
             return before
         return replace(before, status=Status.AMBIGUOUS, reason=f"{before.reason} Perhaps: {said}")
+
+    @property
+    def _late(self) -> bool:
+        return bool(np.linalg.norm(self.values[list(PLACE[:3])]) > _DEVICE)
 
     def sentence(self, frame: Frame) -> str:
         """What is wrong, and what should stand in `camera.json` instead."""
@@ -137,7 +143,8 @@ class Mend:
             return []
         way, turn = np.linalg.norm(place[:3]), np.degrees(np.linalg.norm(place[3:]))
         apart = f"{100 * way:.0f} cm and {turn:.1f} degrees"
-        return [f"Depth and images are not of one view: {apart} lie between their cameras."]
+        late = "; that is no device, one of them is late" if self._late else ""
+        return [f"Depth and images are not of one view: {apart} lie between their cameras{late}."]
 
     def _tilt(self) -> list[str]:
         turn = np.degrees(self.values[list(TILT)])
