@@ -75,7 +75,6 @@ class Row:
             "ok": round(self.status("OK"), 4),
             "false_ok": round(self.false_ok, 4),
             "milliseconds": rounded(self.milliseconds, 2),
-            "answers": [t.to_dict() for t in self.told],
         }  # fmt: skip
 
 
