@@ -171,7 +171,7 @@ def message(bench: Bench, folder: Path, rng: Generator) -> None:
     served = _served(bench)
     files = sorted(folder.glob("*.http"))
     data = files[rng.integers(len(files))].read_bytes()
-    with socket.create_connection(("127.0.0.1", served.port), timeout=20.0) as there:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=200.0) as there:
         try:
             there.sendall(data)
             there.shutdown(socket.SHUT_WR)
