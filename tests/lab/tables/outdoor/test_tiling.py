@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph_lab.tables.outdoor.raw import read_raw
-from placegraph_lab.tables.outdoor.tiling import tile
+from placegraph_lab.tables.outdoor.tiling import country, tile
 
 
 def tiles(town, tmp_path, copies, seed=0):
@@ -53,3 +53,14 @@ def test_a_seed_gives_the_same_bytes(town, tmp_path):
     first = tiles(town, tmp_path, 3, seed=1)[1].read_bytes()
     assert first == tiles(town, tmp_path, 3, seed=1)[1].read_bytes()
     assert first != tiles(town, tmp_path, 3, seed=2)[1].read_bytes()
+
+
+def test_a_country_of_extracts_in_turn(town, tmp_path):
+    whole, out = len(read_raw(town)), tmp_path / "country.osm.pbf"
+    nodes = country([town, town], out, 3, seed=0)
+    made, first = read_raw(out), out.read_bytes()
+    assert 2.0 * whole < len(made) <= 3 * whole
+    assert country([town, town], out, 3, seed=0) == nodes
+    assert out.read_bytes() == first
+    country([town, town], out, 3, seed=1)
+    assert out.read_bytes() != first
