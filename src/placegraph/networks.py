@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
-from zipfile import is_zipfile
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 
@@ -43,10 +42,10 @@ def device_for(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and tor
 def load_file(torch: Any, path: Path) -> Any:  # noqa: ANN401
     """What a file of PyTorch holds, tensors and plain values only; nothing in it is run.
 
-    Tensors stay in the file, whose pages are read when they are computed with, unless it is of the
-    old format. Raises whatever PyTorch's parsers do.
+    All of it is read, and nothing mapped: another process that cuts the file short would end this one.
+    Raises whatever PyTorch's parsers do.
     """
-    return torch.load(path, map_location="cpu", weights_only=True, mmap=is_zipfile(path))
+    return torch.load(path, map_location="cpu", weights_only=True)
 
 
 def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: ANN401

@@ -155,7 +155,8 @@ def write_weights(
 def _safetensors(path: Path, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
         with safe_open(path, "pt") as file:
-            state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            # copied: whoever cuts the file short later ends nobody
+            state = {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
             notes = json.loads((file.metadata() or {}).get(NOTES, "{}"))
     except (SafetensorError, ValueError) as error:
         raise InputError(

@@ -1,0 +1,243 @@
+"""Work without end: memory flat, the slowest hundredth no slower, and no file left open.
+
+Each load runs in a process of its own for a share of the time; what is before its first quarter warms up.
+"""
+
+from __future__ import annotations
+
+import os
+from array import array
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph_lab.campaign.outages import Server
+from placegraph_lab.campaign.row import Row
+from placegraph_lab.campaign.writings import prepare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from placegraph_lab.campaign.row import Effort
+
+FLAT = 0.02
+"""Memory may grow by so much of itself after the first quarter."""
+ROUGH = 4e6
+"""And by so much at least: what allocators move to and fro [bytes]."""
+SLOWER = 1.5
+"""So much slower may the slowest hundredth of the last quarter be than that of the second."""
+SEEN = 10
+"""Memory and files are looked at once in so many answers."""
+FEW = 200
+"""From so many answers a quarter on its slowest hundredth is told."""
+LOADS = ("sentences", "localizations", "tracker frames", "a server")
+WORDS = (
+    "bakery",
+    "church",
+    "library",
+    "fountain",
+    "pharmacy",
+    "bank",
+    "hotel",
+    "café",
+    "museum",
+    "zoo",
+)
+SIDES = ("north", "south", "east", "west", "left", "right")
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+@dataclass(frozen=True)
+class Worn:
+    """How a load was borne."""
+
+    count: int
+    milliseconds: tuple[float, float]
+    """The slowest hundredth of the second and of the last quarter, CPU time."""
+    memory: tuple[float, float]
+    """Most bytes held in the second and in the last quarter."""
+    files: tuple[int, int]
+    """Open files, most in the second and in the last quarter."""
+    enough: bool
+    """Whether there were answers enough for the slowest hundredth."""
+
+    @classmethod
+    def of(cls, took: Sequence[float], memory: Sequence[float], files: Sequence[int]) -> Worn:
+        """Figures of each answer [s], and of memory and open files from time to time."""
+        late = [1e3 * float(np.percentile(part, 99)) for part in _quarters(took)]
+        held, there = ([max(part) for part in _quarters(each)] for each in (memory, files))
+        return cls(
+            len(took), (late[0], late[1]), (held[0], held[1]), (int(there[0]), int(there[1])),
+            len(took) >= 4 * FEW,
+        )  # fmt: skip
+
+    @property
+    def faults(self) -> list[str]:
+        """What did not stay as it was."""
+        found, (before, after) = [], self.memory
+        if after - before > max(FLAT * before, ROUGH):
+            found.append("memory")
+        if self.enough and self.milliseconds[1] > SLOWER * self.milliseconds[0]:
+            found.append("slower")
+        if self.files[1] > self.files[0]:
+            found.append("files")
+        return found
+
+    def __str__(self) -> str:
+        late, held = self.milliseconds, self.memory
+        said = f", slowest hundredth {late[0]:.1f} -> {late[1]:.1f} ms" if self.enough else ""
+        return (
+            f"{self.count:,}{said}, memory {held[0] / 1e6:.1f} -> {held[1] / 1e6:.1f} MB "
+            f"({held[1] / max(held[0], 1.0) - 1.0:+.1%}), open files {self.files[0]} -> {self.files[1]}"
+        )
+
+
+def rows(effort: Effort) -> Iterator[Row]:
+    """Rows of this part."""
+    inputs = prepare(effort.folder / "inputs")
+    share = effort.seconds / len(LOADS)
+    for load in LOADS:
+        start = perf_counter()
+        if load == "a server":
+            worn, wrong = asked(inputs, effort, share)
+        else:
+            with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+                worn, wrong = pool.submit(lived, load, inputs, share, effort.seed).result(), 0
+        effort.say(f"{load}: {worn}{'; ' + ', '.join(worn.faults) if worn.faults else ''}")
+        grown = int(bool({"memory", "files"} & set(worn.faults)))
+        late = int("slower" in worn.faults)
+        counts = {
+            "accepted": max(0, worn.count - wrong - grown - late),
+            "untyped": wrong,
+            "hang": late,
+            "memory": grown,
+        }
+        yield Row.counted("soak", load, counts, effort.seed, perf_counter() - start)
+
+
+def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:
+    """Do the work of a load for so long, in this process."""
+    rng = np.random.default_rng(seed)
+    work = {"sentences": sentences, "localizations": localizations, "tracker frames": frames}[load]
+    ask = work(inputs, rng)
+    for _ in range(3):  # what is compiled and kept at first
+        ask()
+    took, memory, files = array("f"), array("d"), array("l")
+    end = perf_counter() + seconds
+    while perf_counter() < end:
+        start = process_time()
+        ask()
+        took.append(process_time() - start)
+        if len(took) % SEEN == 1:
+            memory.append(held(os.getpid()))
+            files.append(len(list(Path("/proc/self/fd").iterdir())))
+    return Worn.of(took, memory, files)
+
+
+def sentences(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
+    """Sentences, each another one, in one map."""
+    from placegraph.outdoor.city import CityMap
+
+    city = CityMap.open(inputs / "town.city")
+    return lambda: city.locate(drawn(rng))
+
+
+def drawn(rng: np.random.Generator) -> str:
+    """One to three sentences about the speaker."""
+    said = [
+        f"A {rng.choice(WORDS)} is {rng.choice(SIDES[:4])} of me, {rng.integers(5, 200)} m away."
+        if rng.random() < 0.5
+        else f"There is a {rng.choice(WORDS)} on my {rng.choice(SIDES[4:])}."
+        for _ in range(rng.integers(1, 4))
+    ]
+    return " ".join(said)
+
+
+def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
+    """Windows of three frames of a film, in one map."""
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.maps import open_scene
+
+    scene, film = open_scene(inputs / "flat.scene"), open_capture(inputs / "walk")
+
+    def ask() -> object:
+        first = int(rng.integers(len(film) - 2))
+        return scene.localize(film, frames=slice(first, first + 3), seed=int(rng.integers(1000)))
+
+    return ask
+
+
+def frames(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
+    """Frames to and fro along a film, in one tracker, with odometry that drifts."""
+    from dataclasses import replace
+
+    from placegraph.formats.capture.capture import open_capture
+    from placegraph.maps import open_scene
+
+    scene, film = open_scene(inputs / "flat.scene"), list(open_capture(inputs / "walk"))
+    live = scene.live(background=False, seed=int(rng.integers(1000)))
+    there = list(range(len(film)))
+    loop = [*there, *there[-2:0:-1]]
+    count = 0
+
+    def ask() -> object:
+        nonlocal count
+        frame = film[loop[count % len(loop)]]
+        count += 1
+        return live.step(replace(frame, stamp=0.2 * count, index=count))
+
+    return ask
+
+
+def asked(inputs: Path, effort: Effort, seconds: float) -> tuple[Worn, int]:
+    """Ask a server for sentences, maps, pages and nonsense; also how many answers were wrong."""
+    import json
+    import shutil
+
+    folder = effort.folder / "served"
+    room = effort.folder / "serving"
+    for each in (folder, room):
+        each.mkdir()
+    shutil.copy(inputs / "town.city", folder)
+    rng, server = np.random.default_rng(effort.seed), Server.start(folder, room)
+    took, memory, files, wrong = array("f"), array("d"), array("l"), 0
+    try:
+        own = [server.process.pid, *server.workers()]
+        end = perf_counter() + seconds
+        while perf_counter() < end:
+            kind = int(rng.integers(8))
+            text = drawn(rng) if kind < 5 else ""
+            body = json.dumps({"text": text, "map": "town"}).encode()
+            wanted, path = (200, "/v1/locate") if kind < 5 else (422, "/v1/locate")
+            start = perf_counter()
+            if kind < 6:
+                status, _ = server.ask("POST", path, body)
+            else:
+                wanted, (status, _) = 200, server.ask("GET", ("/v1/maps", "/")[kind - 6])
+            took.append(perf_counter() - start)
+            wrong += status != wanted and not (wanted == 422 and 400 <= status < 500)
+            if len(took) % SEEN == 1:
+                memory.append(sum(map(held, own)))
+                files.append(sum(len(list(Path(f"/proc/{p}/fd").iterdir())) for p in own))
+    finally:
+        server.end()
+    return Worn.of(took, memory, files), wrong
+
+
+def _quarters(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
+    """The second and the last; all of what are fewer than four."""
+    quarter = len(values) // 4
+    return (values[quarter : 2 * quarter], values[-quarter:]) if quarter else (values, values)
+
+
+def held(process: int) -> float:
+    """What a process holds [bytes], resident; 0 where it is gone."""
+    try:
+        return float(Path(f"/proc/{process}/statm").read_text().split()[1]) * PAGE
+    except OSError:
+        return 0.0

@@ -1,0 +1,228 @@
+"""Commands of placegraph in processes of their own, which something happens to."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+PATIENCE = 120.0
+"""What has neither run nor waited for a processor or a disk for so long hangs [s] ..."""
+MOST = 300.0
+"""... and so does what has taken so much CPU time [s]."""
+LOADED = (
+    "placegraph.outdoor.city", "placegraph.outdoor.network", "placegraph.view", "placegraph.indoor.library",
+    "placegraph.indoor.build", "placegraph.indoor.localize", "placegraph.indoor.mapping.change.update",
+    "placegraph.indoor.mapping.export", "placegraph.cli", "placegraph.compiled", "placegraph.maps",
+    "placegraph.ros.localizer", "osmium", "embreex.rtcore_scene", "PIL.Image",
+)  # fmt: skip
+"""What is imported once, so that a trial is the command's own work; what is not there is passed over."""
+_TICK = 0.0005
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int | None
+    """As of a process: negative for a signal; None where it did not end in its time."""
+    said: str
+    """At its error output."""
+    seconds: float
+    killed: bool
+    """Whether it was we who ended it."""
+
+    @property
+    def outcome(self) -> str:
+        """Of `placegraph_lab.campaign.row.OUTCOMES`, as what nobody interfered with."""
+        if self.code is None:
+            return "hang"
+        if self.code < 0:
+            return "crash"
+        if self.code == 0:
+            return "accepted"
+        typed = self.code in range(3, 14) and "Traceback" not in self.said
+        return "typed" if typed else "untyped"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a command may use."""
+
+    file: int | None = None
+    """Largest file that it may write [bytes]; more is as a full disk."""
+    user: int | None = None
+    """Who it runs as; who started it, if not given."""
+
+
+@dataclass
+class Running:
+    """A command that runs."""
+
+    process: Any
+    errors: Path
+    start: float = field(default_factory=time.perf_counter)
+    killed: bool = False
+
+    def kill(self, *, alone: bool = False) -> None:
+        """End it as a power cut does, with its helpers, or it alone."""
+        self.killed = True
+        with suppress(ProcessLookupError):  # its group has its number, once it has begun
+            (os.kill if alone else os.killpg)(self.process.pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):
+            os.kill(self.process.pid, signal.SIGKILL)
+
+    def end(self) -> Ended:
+        """Wait for its end."""
+        code = ended(self.process)
+        if code is None:
+            self.kill()
+            self.process.join()
+        said = self.errors.read_text(errors="replace") if self.errors.exists() else ""
+        taken = time.perf_counter() - self.start
+        ours = self.killed and code == -signal.SIGKILL
+        return Ended(0 if ours else code, said, taken, ours)
+
+    def helpers(self, seconds: float = 20.0) -> list[int]:
+        """Processes of its group that outlive it by so long; none, where all is well."""
+        end = time.monotonic() + seconds
+        while found := _group(self.process.pid):
+            if time.monotonic() > end:
+                return found
+            time.sleep(0.02)
+        return []
+
+
+class Commands:
+    """Starts commands: each is forked from a process that has imported what commands need."""
+
+    def __init__(self) -> None:
+        self._context: Any = get_context("forkserver")
+        self._context.set_forkserver_preload(list(LOADED))
+
+    def start(
+        self, words: tuple[str, ...], folder: Path, room: Path, limits: Limits | None = None
+    ) -> Running:
+        """Run `placegraph WORDS` in a folder; `room` is for its errors and temporary files."""
+        errors = room / "errors.txt"
+        errors.unlink(missing_ok=True)
+        process = self.process(command, words, folder, room, errors, limits or Limits())
+        return Running(process, errors)
+
+    def process(self, work: Callable[..., None], *given: object) -> Any:  # noqa: ANN401  # its process
+        """Run a function in a process of its own."""
+        process = self._context.Process(target=work, args=given)
+        process.start()
+        return process
+
+
+def command(words: tuple[str, ...], folder: Path, room: Path, errors: Path, limits: Limits) -> None:
+    """Be the command line, in a process group of its own."""
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.chdir(folder)
+    tempfile.tempdir = str(room)
+    nothing, out = os.open(os.devnull, os.O_RDWR), os.open(errors, os.O_CREAT | os.O_WRONLY, 0o666)
+    for given, number in ((nothing, 0), (nothing, 1), (out, 2)):
+        os.dup2(given, number)
+    sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+    if limits.file is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limits.file, resource.RLIM_INFINITY))
+    if limits.user is not None:
+        os.setgroups([])
+        os.setgid(limits.user)
+        os.setuid(limits.user)
+    sys.argv = ["placegraph", *words]
+    from placegraph.cli import main
+
+    main()
+
+
+def when(moment: Callable[[], bool], seconds: float, running: Running) -> bool:
+    """Wait until something is so, the command has ended, or it is too late; whether it is so."""
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end and running.process.exitcode is None:
+        if moment():
+            return True
+        time.sleep(_TICK)
+    return moment()
+
+
+@contextmanager
+def small_disk(folder: Path, size: int) -> Iterator[Path | None]:
+    """A file system of so many bytes; None where none may be mounted."""
+    import subprocess
+
+    folder.mkdir(parents=True, exist_ok=True)
+    words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    if subprocess.run(words, capture_output=True, check=False).returncode:  # noqa: S603
+        yield None
+        return
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], capture_output=True, check=False)  # noqa: S603, S607
+
+
+def read_only(folder: Path) -> None:
+    """Let nobody write to a `small_disk` any more."""
+    import subprocess
+
+    subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)  # noqa: S603, S607
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """Contents of all files of a folder, by their names within it."""
+    found: dict[str, bytes] = {}
+    for path in folder.rglob("*"):
+        with suppress(OSError):  # gone meanwhile
+            if path.is_file():
+                found[str(path.relative_to(folder))] = path.read_bytes()
+    return found
+
+
+def ended(process: Any) -> int | None:  # noqa: ANN401  # of multiprocessing
+    """Exit code of a process that is waited for; None where it hangs, however busy the machine is."""
+    since, before = time.monotonic(), -1.0
+    while process.exitcode is None:
+        process.join(0.5)
+        busy, spent = _at_work(process.pid)
+        if busy or spent != before:
+            since, before = time.monotonic(), spent
+        if spent > MOST or time.monotonic() - since > PATIENCE:
+            return None
+    code: int = process.exitcode
+    return code
+
+
+def _at_work(number: int) -> tuple[bool, float]:
+    """Whether a process or one of its group runs or waits for its turn, and the CPU time of all [s]."""
+    busy, ticks = False, 0
+    for each in {number, *_group(number)}:
+        with suppress(OSError, ValueError, IndexError):
+            stat = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+            busy |= stat[0] in "RD"
+            ticks += int(stat[11]) + int(stat[12])
+    return busy, ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _group(number: int) -> list[int]:
+    """Processes of a group, but those that have ended."""
+    found = []
+    for path in Path("/proc").iterdir():
+        with suppress(OSError, ValueError):
+            state, _, group = (path / "stat").read_text().rpartition(")")[2].split()[:3]
+            if path.name.isdigit() and int(group) == number and state not in "ZX":
+                found.append(int(path.name))
+    return found

@@ -1,0 +1,177 @@
+"""Faults of machines are made, and what became of them is judged."""
+
+import os
+import signal
+from dataclasses import replace
+
+import pytest
+
+from placegraph.errors import InputError
+from placegraph_lab.campaign import changed, faults
+from placegraph_lab.campaign.changed import CHANGES, change
+from placegraph_lab.campaign.kills import Ground, refused, rows_of, tried, worse
+from placegraph_lab.campaign.outages import Load
+from placegraph_lab.campaign.row import Effort
+from placegraph_lab.campaign.trial import Ended, Running, files_in, when
+from placegraph_lab.campaign.writings import OLD, Writing, writings
+
+WRITING = Writing("city build", ("city", "build"), ("a.city", "a.png"), (".a.mcap.*",))
+
+
+@pytest.fixture
+def ground(tmp_path):
+    made = Ground(WRITING, tmp_path, tmp_path / "here", tmp_path / "room")
+    made.folder.mkdir()
+    made.new = {"a.city": b"new", "a.png": b"drawn"}
+    return made
+
+
+def ended(code=0, said="", *, killed=False):
+    return Ended(code, said, 1.0, killed)
+
+
+@pytest.mark.all
+def test_nothing_breaks(tmp_path):
+    found = list(faults.rows(Effort(240.0, 20261123, tmp_path, tmp_path / "none", print)))
+    assert [row for row in found if row.faults] == []
+    assert sum(row.tried for row in found) > 100
+
+
+@pytest.mark.parametrize(
+    ("how", "outcome"),
+    [
+        (ended(), "accepted"),
+        (ended(3, "placegraph: a.city is no map."), "typed"),
+        (ended(4, "Traceback (most recent call last):"), "untyped"),
+        (ended(1, "ValueError"), "untyped"),
+        (ended(-signal.SIGSEGV), "crash"),
+        (ended(None), "hang"),
+    ],
+)
+def test_how_a_command_ended(how, outcome):
+    assert how.outcome == outcome
+    assert worse("accepted") == worse("typed") == "untyped"
+    assert worse("crash") == "crash"
+
+
+def test_a_file_is_the_old_or_the_new_one(ground):
+    old = WRITING.before(ground.inputs, ground.folder)
+    assert old == {"a.city": OLD, "a.png": OLD}
+    assert ground.whole(old) == ""
+    for name in (".a.city.tmp", ".a.png.lock", ".a.mcap.x1"):
+        (ground.folder / name).touch()
+    (ground.folder / "a.city").write_bytes(b"new")
+    assert ground.whole(old) == ""
+    (ground.folder / "a.city").write_bytes(b"ne")
+    assert ground.whole(old) == "a.city is neither the old nor the new one"
+    (ground.folder / "a.city").unlink()
+    assert ground.whole(old) == "a.city is gone"
+    WRITING.before(ground.inputs, ground.folder)
+    (ground.folder / "other").touch()
+    assert ground.whole(old) == "other is left"
+
+
+def test_old_files_are_inputs_bytes_or_none(ground):
+    (ground.inputs / "homes.library").write_bytes(b"homes")
+    kept = replace(WRITING, old="homes.library")
+    assert kept.before(ground.inputs, ground.folder)["a.city"] == b"homes"
+    assert replace(WRITING, old=None).before(ground.inputs, ground.folder) == {}
+    assert files_in(ground.folder) == {}
+
+
+def test_what_cannot_be_written_is_refused_by_name(ground):
+    told = []
+    old = WRITING.before(ground.inputs, ground.folder)
+    refused(ground, old, ended(4, "a.png cannot be written"), told.append, clean=True)
+    assert (dict(ground.counts), told) == ({"typed": 1}, [])
+    refused(ground, old, ended(4, "cannot be written"), told.append, clean=True)
+    (ground.folder / ".a.city.tmp").touch()
+    refused(ground, old, ended(4, "a.png cannot be written"), told.append, clean=False)
+    assert dict(ground.counts) == {"typed": 2, "untyped": 1}
+    refused(ground, old, ended(4, "a.png cannot be written"), told.append, clean=True)
+    refused(ground, old, ended(-11), told.append, clean=True)
+    assert dict(ground.counts) == {"typed": 2, "untyped": 2, "crash": 1}
+    assert "names no file" in told[0]
+    assert ".a.city.tmp is left" in told[1]
+
+
+def test_grounds_are_tried_in_turn_and_told(ground):
+    def once(each):
+        each.count("accepted", "", "", print)
+
+    assert tried([ground, ground], once, 60.0, 5) == 5
+    (row,) = rows_of([ground], "kill -9 of", 7)
+    assert (row.what, row.tried, row.accepted, row.seed) == ("kill -9 of city build", 5, 5, 7)
+    assert list(rows_of([ground], "kill -9 of", 7)) == []
+
+
+class Process:
+    """As one of multiprocessing that is killed when it is waited for."""
+
+    pid, exitcode = 2**22 + 1, None
+
+    def join(self, _seconds=None):
+        self.exitcode = -signal.SIGKILL
+
+
+def test_who_was_killed_by_us_ended_in_order(tmp_path):
+    running = Running(Process(), tmp_path / "none")
+    running.kill()
+    assert running.end().killed
+    assert Running(Process(), tmp_path / "none").end().outcome == "crash"
+    assert when(lambda: True, 1.0, running)
+    assert not when(lambda: False, 1.0, running)
+    assert running.helpers() == []
+
+
+def test_files_are_changed_while_they_are_used(tmp_path, rng):
+    path = tmp_path / "a"
+    for how in CHANGES:
+        path.write_bytes(b"0123456789" * 100)
+        change(path, how, rng)
+        same = path.exists() and path.read_bytes() == b"0123456789" * 100
+        assert same == (how == "older")
+    assert path.stat().st_mtime == 0.0
+
+
+@pytest.mark.parametrize(
+    ("fails", "code"),
+    [(None, 0), (InputError("gone"), changed.TYPED), (OSError("x"), changed.UNTYPED)],
+)
+def test_what_becomes_of_a_changed_file_is_an_exit_code(tmp_path, monkeypatch, fails, code):
+    def use(_path):
+        def ask():
+            if fails:
+                raise fails
+
+        return ask
+
+    (tmp_path / "a.map").write_bytes(b"0123456789")
+    monkeypatch.setitem(changed.USES, "a map", ("*.map", use))
+    codes = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    changed.used("a map", "deleted", tmp_path, 1)
+    assert codes == [code]
+
+
+def test_clients_tell_what_they_saw_of_a_server():
+    answers = [(200, {}), (500, {"code": "worker_died"}), (500, {"code": "internal"}), (-1, None)]
+
+    class Server:
+        def ask(self, *_):
+            status, told = answers.pop(0)
+            if not answers:
+                load.over.set()
+            return status, told
+
+    load = Load(Server())
+    load.ask(lambda _: None)
+    assert dict(load.counts) == {"accepted": 1, "typed": 1, "untyped": 1, "hang": 1}
+
+
+def test_every_command_names_files_that_it_makes(tmp_path):
+    every = writings(tmp_path)
+    assert len({each.what for each in every}) == len(every) == 14
+    for each in every:
+        assert each.words[:2] == tuple(each.what.split())
+        assert each.makes

@@ -1,0 +1,52 @@
+"""Work without end: what grows, slows down or stays open is seen."""
+
+import numpy as np
+import pytest
+
+from placegraph_lab.campaign.row import Effort
+from placegraph_lab.campaign.soak import LOADS, Worn, drawn, lived, rows
+from placegraph_lab.campaign.writings import prepare
+
+MEGABYTE = 1e6
+
+
+def steady(count=2000, **changed):
+    kinds = {"took": 0.01, "memory": 500 * MEGABYTE, "files": 12}
+    return Worn.of(*(changed.get(kind, np.full(count, value)) for kind, value in kinds.items()))
+
+
+def test_what_stays_as_it_is_is_no_fault():
+    assert steady().faults == []
+    assert "memory 500.0 -> 500.0 MB (+0.0%), open files 12 -> 12" in str(steady())
+    assert steady(memory=np.linspace(500, 509, 2000) * MEGABYTE).faults == []
+
+
+def test_what_grows_slows_down_or_stays_open_is_one():
+    assert steady(memory=np.linspace(500, 600, 2000) * MEGABYTE).faults == ["memory"]
+    assert steady(took=np.linspace(0.01, 0.05, 2000)).faults == ["slower"]
+    assert steady(files=np.arange(2000)).faults == ["files"]
+
+
+def test_a_hundredth_of_few_is_not_told():
+    few = Worn.of([0.1, 0.2, 9.0], [MEGABYTE], [3])
+    assert few.faults == []
+    assert "hundredth" not in str(few)
+
+
+def test_sentences_are_drawn_anew(rng):
+    assert len({drawn(rng) for _ in range(50)}) > 40
+
+
+@pytest.mark.all
+def test_sentences_in_a_process_that_is_looked_at(tmp_path):
+    worn = lived("sentences", prepare(tmp_path / "inputs"), 1.0, 7)
+    assert worn.count > 3
+    assert worn.memory[0] > 10 * MEGABYTE
+    assert worn.files[0] >= 3
+
+
+@pytest.mark.all
+def test_nothing_wears_out(tmp_path):
+    found = list(rows(Effort(240.0, 20261123, tmp_path, tmp_path / "none", print)))
+    assert [row.what for row in found] == list(LOADS)
+    assert [row for row in found if row.faults] == []
