@@ -25,7 +25,9 @@ READERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize(
+    "name", ["networks", *(pytest.param(name, marks=pytest.mark.all) for name in list(READERS)[1:])]
+)
 def test_a_file_that_is_cut_short_while_its_weights_are_used_ends_no_process(name, tmp_path):
     torch = pytest.importorskip("torch", reason="needs PyTorch (extra learn)")
     tensors = pytest.importorskip("safetensors.torch", reason="needs safetensors (extra learn)")
