@@ -32,6 +32,7 @@ def disks(
     }
     root = os.geteuid() == 0
     if root:
+        effort.folder.chmod(0o755)  # another user reads the inputs
         faults["a small disk under"] = lambda g: on_disk(g, commands, effort, rng, writable=True)
         faults["a read-only disk under"] = lambda g: on_disk(
             g, commands, effort, rng, writable=False
