@@ -41,7 +41,8 @@ def rows(effort: Effort) -> Iterator[Row]:
     effort.say(f"{len(grounds)} commands are ready after {perf_counter() - start:.0f} s")
     yield from kills(grounds, commands, effort, rng)
     yield from disks(grounds, commands, effort, rng, effort.seconds * SHARES["disks"])
-    shutil.copy(effort.folder / "city-embed/here/a.vectors", inputs / "town.vectors")
+    (made,) = (g.new["a.vectors"] for g in grounds if "a.vectors" in g.new)
+    (inputs / "town.vectors").write_bytes(made)
     yield from changes(inputs, commands, effort, rng)
     yield from endpoints(effort)
 
