@@ -24,7 +24,7 @@ def test_what_is_right_follows_from_distance(pool, harbour):
 
 def test_every_text_has_right_and_wrong_places_none_twice(pool):
     assert (pool.right == 1).any(axis=1).all()
-    assert (pool.right == 0).any(axis=1).mean() > 0.9  # in a small town some have none to see
+    assert (pool.right == 0).any(axis=1).mean() > 0.75  # in a small town some have none to see
     for row in pool.views:
         known = row[row >= 0]
         assert len(set(known.tolist())) == len(known)
