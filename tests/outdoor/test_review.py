@@ -68,3 +68,23 @@ def test_an_unknown_name_is_said_to_be_unknown(town):
 def test_answers_are_made_by_questions(town):
     with pytest.raises(OptionError, match=r"question\.answer"):
         town.locate("a bench", answers=["yes"])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "A bakery is east of me. A tram stop is south of me. A tree is north of me.",
+        "A bench is west of me. A fountain is north-east of me. A café is east of me. I see a tree.",
+        "A church is south of me. There is a park to the west. A road is north of me.",
+    ],
+)
+def test_sentences_in_another_order_say_the_same(town, text):
+    expected = town.locate(text)
+    for said in itertools.permutations(text.split(". ")):
+        found = town.locate(". ".join(s.removesuffix(".") for s in said) + ".")
+        assert found.status is expected.status
+        for mode, other in zip(found.modes, expected.modes, strict=True):
+            assert mode.probability == pytest.approx(other.probability, abs=1e-6)
+            assert (mode.longitude, mode.latitude) == pytest.approx(
+                (other.longitude, other.latitude), abs=1e-7
+            )

@@ -121,6 +121,8 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
         hope -= out[s]
         out[s] = _ratio(statements, s, scene, seen, fits, far[s])
         hope += out[s]
+    if hope + SLACK < least:  # as it would be found on the way, were this statement not the last
+        return HOPELESS
     hope += log_coherence(statements, fits, together)
     if len(served):
         assign(statements, scene, seen, fits, served)
