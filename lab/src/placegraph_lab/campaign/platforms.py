@@ -1,0 +1,187 @@
+"""One seed, one answer on machines of other kinds, and from wheel and sdist in empty environments."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import placegraph
+from placegraph_lab.campaign.processes import differing, pose_apart, told
+from placegraph_lab.campaign.row import Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from placegraph_lab.campaign.row import Effort
+
+PART = "platforms"
+SOURCE = Path(placegraph.__file__).parents[1]
+TURKISH = ("tr_TR.UTF-8", "tr_TR.ISO-8859-9")
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+NUMPY = {"oldest": "numpy==1.26.0", "newest": "numpy"}
+"""The oldest that pyproject allows, on the oldest Python, and the newest that all others take."""
+_PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check", "install")
+_INSTALL = 900.0
+"""An installation is given up after so long [s]."""
+
+
+@dataclass(frozen=True)
+class Platform:
+    """How a process of another kind of machine is started here."""
+
+    name: str
+    words: tuple[str, ...] = ()
+    """For the program of `specimen`."""
+    change: dict[str, str] = field(default_factory=dict)
+    """To its environment."""
+    within: tuple[str, ...] = ()
+    """Command that starts it."""
+
+
+def together(*platforms: Platform) -> Platform:
+    """All of them at once."""
+    words = tuple(w for p in platforms for w in p.words)
+    change = {name: value for p in platforms for name, value in p.change.items()}
+    within = tuple(w for p in platforms for w in p.within)
+    return Platform(" and ".join(p.name for p in platforms), words, change, within)
+
+
+def quick(folder: Path) -> Iterator[Platform]:
+    """Those that need no installation; each takes a few seconds."""
+    yield Platform("no Embree, no PoseLib", ("--hide", "embreex", "poselib"))
+    yield Platform("1 GB of memory", ("--memory", "1024"))
+    plain = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+    yield Platform("locale C, ASCII", change=plain)
+    for name in TURKISH:
+        if made := turkish(folder, name):
+            change = {"LOCPATH": str(made), "LC_ALL": name, "PYTHONUTF8": "0"}
+            yield Platform(f"locale {name}", ("--locale", name), change)
+    yield Platform("TZ far east", change={"TZ": "Pacific/Kiritimati"})
+    if shutil.which("taskset"):
+        yield Platform("one core", within=("taskset", "-c", str(min(os.sched_getaffinity(0)))))
+    if read_only := _read_only():
+        change = {"HOME": "/nonexistent", "TMPDIR": str(folder)}
+        yield Platform("read-only install, no home", change=change, within=read_only)
+
+
+def turkish(folder: Path, name: str) -> Path | None:
+    """Folder with a Turkish locale, made of Debian's `locales`; None where they are not installed."""
+    with suppress(OSError, subprocess.CalledProcessError):
+        command = ["localedef", "-i", "tr_TR", "-f", name.partition(".")[2], str(folder / name)]
+        subprocess.run(command, check=True, capture_output=True)  # noqa: S603  # our own
+        return folder
+    return None
+
+
+def _read_only() -> tuple[str, ...]:
+    """Command within which the sources cannot be written, also by root; empty where that cannot be."""
+    mount = (
+        f'mount --bind "{SOURCE}" "{SOURCE}" && mount -o remount,ro,bind "{SOURCE}" && exec "$@"'
+    )
+    command = ("unshare", "--mount", "--propagation", "private", "sh", "-ec", mount, "sh")
+    with suppress(OSError):
+        done = subprocess.run([*command, "true"], check=False, capture_output=True)  # noqa: S603
+        return () if done.returncode else command
+    return ()
+
+
+def agrees(platform: Platform, first: dict[str, Any]) -> str:
+    """How its answers differ, in words; empty: they do not.
+
+    Without Embree and PoseLib the pose may differ by a centimetre, and what led to it.
+    """
+    found = told(platform.words, change=platform.change, within=platform.within)
+    if "embreex" in platform.words:
+        return pose_apart(first, found)
+    return differing(first, found)
+
+
+def installed(python: str, what: list[str], folder: Path, first: dict[str, Any]) -> str:
+    """Install in an empty environment, answer there, run the demo; what goes wrong, in words."""
+    _run(python, "-m", "venv", str(folder / "venv"))
+    program = str(folder / "venv" / "bin" / "python")
+    _run(program, *_PIP, *what)
+    compiled = str(folder / "compiled")
+    found = told(["--compiled", compiled], program=program, change={"PYTHONPATH": ""})
+    demo = ["-m", "placegraph", "--compiled", compiled, "demo", "--out", str(folder / "demo")]
+    _run(program, "-I", *demo)
+    return pose_apart(first, found)
+
+
+def pythons() -> dict[str, str]:
+    """Interpreters at hand by version: those of the path, and pyenv's."""
+    found: dict[str, str] = {}
+    for version in PYTHONS:
+        own = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
+        at = shutil.which(f"python{version}")
+        candidates = [str(p) for p in own] + ([at] if at else [])
+        for candidate in candidates:
+            with suppress(RuntimeError):
+                if _run(candidate, "--version").startswith(f"Python {version}."):
+                    found[version] = candidate
+    return found
+
+
+def installations(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
+    """Name, interpreter and what is installed, of each environment; builds wheel and sdist first."""
+    root = SOURCE.parent
+    _run(sys.executable, "-m", "hatchling", "build", "-d", str(folder), cwd=root)
+    [wheel], [sdist] = folder.glob("*.whl"), folder.glob("*.tar.gz")
+    found = pythons()
+    for version, python in found.items():
+        yield f"wheel, Python {version}", python, [str(wheel)]
+    oldest = found.get(PYTHONS[0], sys.executable)
+    yield "sdist", oldest, [str(sdist)]
+    for name, numpy in NUMPY.items():
+        yield f"NumPy, {name} allowed", oldest, [str(wheel), numpy]
+
+
+def rows(effort: Effort) -> Iterator[Row]:
+    """One row a platform; installations where there is time for each."""
+    first = told()
+    (effort.folder / "locales").mkdir(parents=True)
+    start = monotonic()
+    for platform in quick(effort.folder / "locales"):
+        yield _row(platform.name, lambda p=platform: agrees(p, first), effort)  # type: ignore[misc]
+    dist = effort.folder / "dist"
+    for number, (name, python, what) in enumerate(installations(dist)):
+        if monotonic() - start > effort.seconds:
+            effort.say(f"{name}: left out, the time is over")
+            continue
+        place = effort.folder / f"installed{number}"
+        place.mkdir()
+        yield _row(name, lambda n=python, w=what, p=place: installed(n, w, p, first), effort)  # type: ignore[misc]
+        shutil.rmtree(place)
+    for version in sorted(set(PYTHONS) - set(pythons())):
+        effort.say(f"Python {version}: left out, it is not on this machine")
+
+
+def _row(name: str, trial: Callable[[], str], effort: Effort) -> Row:
+    start = monotonic()
+    try:
+        broken = trial()
+    except (RuntimeError, subprocess.TimeoutExpired) as error:
+        broken = str(error)
+    if broken:
+        effort.say(f"{name}: {broken}")
+    found = {"untyped" if broken else "accepted": 1}
+    return Row.counted(PART, name, found, effort.seed, monotonic() - start)
+
+
+def _run(program: str, *words: str, cwd: Path | None = None) -> str:
+    """What a program says; `RuntimeError` with its last words where it fails."""
+    done = subprocess.run(  # noqa: S603  # our own
+        [program, *words], cwd=cwd, capture_output=True, text=True, check=False, timeout=_INSTALL
+    )
+    if done.returncode:
+        last = re.sub(r"\s+", " ", done.stderr.strip()[-300:])
+        raise RuntimeError(f"{Path(program).name} {words[0]} ended with {done.returncode}: {last}")
+    return done.stdout

@@ -1,0 +1,122 @@
+"""A program that builds and asks a few maps, and prints what became of it as JSON.
+
+It is run as a file, in processes of every kind, also where placegraph alone is installed; it imports
+nothing else. Two processes that agree print the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib.abc
+import importlib.metadata
+import json
+import locale
+import resource
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+
+TEXTS = (
+    "I am on Speicherweg, and the museum is south of me.",
+    "I AM ON LİMAN CADDESİ. A BAKERY IS NORTH OF ME.",
+    "I am standing on a square. There is a fountain north of me and a café to my east.",
+    "Fırının kuzeyindeyim. Doğuda bir kilise var.",
+    "Ich stehe auf der Hafenstraße, südlich der Kneipe.",
+)
+
+
+class _Hidden(importlib.abc.MetaPathFinder):
+    """Packages that shall seem not to be installed."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = names
+        self._known = importlib.metadata.distribution
+        importlib.metadata.distribution = self.distribution  # type: ignore[assignment]
+
+    def find_spec(self, name: str, path: object = None, target: ModuleType | None = None) -> None:  # noqa: ARG002
+        """No module of theirs."""
+        if name.partition(".")[0] in self.names:
+            raise ImportError(f"{name} is hidden", name=name)
+
+    def distribution(self, name: str) -> importlib.metadata.Distribution:
+        """No distribution of theirs."""
+        if name in self.names:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return self._known(name)
+
+
+def without_times(told: Any) -> Any:  # noqa: ANN401  # JSON
+    """An answer, but for what differs from run to run."""
+    if isinstance(told, dict):
+        return {k: without_times(v) for k, v in told.items() if "seconds" not in k}
+    return [without_times(v) for v in told] if isinstance(told, list) else told
+
+
+def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]:
+    """Maps built of the demo's files, and what they answer."""
+    import placegraph as pg
+    from placegraph.demo.world import FLAT, TOWN, unpack
+    from placegraph.threads import limited, processors
+
+    world = unpack(folder)
+    with limited(threads or processors()):
+        city = pg.build_city(world / f"{TOWN}.osm", world / "town.city")
+        found: dict[str, Any] = {
+            "city": _digest(world / "town.city"),
+            "texts": [_said(city, text) for text in TEXTS],
+        }
+        if frames:
+            scene = pg.build_scene(world / f"{FLAT}.glb", world / "flat.scene")
+            found["scene"] = _digest(world / "flat.scene")
+            walk = pg.open_capture(world / "walk")[:frames]
+            found["pose"] = scene.localize(walk, seed=3).to_dict()
+    told: dict[str, Any] = without_times(found)
+    return told
+
+
+def _said(city: Any, text: str) -> Any:  # noqa: ANN401  # a CityMap, imported late
+    from placegraph.errors import PlacegraphError
+
+    try:
+        return city.locate(text).to_dict()
+    except PlacegraphError as error:
+        return str(error)
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def main() -> None:
+    """Answer, under the conditions that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hide", nargs="*", default=[], help="packages that seem not to be there")
+    parser.add_argument("--locale", help="what the process sets before it begins")
+    parser.add_argument("--memory", type=int, help="bound of the address space [MiB]")
+    parser.add_argument("--threads", type=int)
+    parser.add_argument("--frames", type=int, default=0, help="how many are localized")
+    parser.add_argument("--compiled", help="folder of compiled code")
+    given = parser.parse_args()
+    if given.hide:
+        sys.meta_path.insert(0, _Hidden(given.hide))
+    if given.locale:
+        locale.setlocale(locale.LC_ALL, given.locale)
+    if given.memory:
+        resource.setrlimit(resource.RLIMIT_AS, (given.memory << 20, given.memory << 20))
+    if given.compiled:
+        from placegraph import kept
+
+        kept.use_folder(given.compiled)
+    with TemporaryDirectory() as folder:
+        told = answers(Path(folder), threads=given.threads, frames=given.frames)
+    sys.stdout.write(json.dumps(told, sort_keys=True) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""Properties of answers hold in drawn worlds; a broken one is counted and told."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import InputError
+from placegraph_lab.campaign import (
+    processes,
+    properties,
+    room_properties,
+    specimen,
+    town_properties,
+)
+from placegraph_lab.campaign.properties import PROPERTIES, Property, tried
+from placegraph_lab.campaign.towns import turn
+
+OUTDOORS, INDOORS, OVER_PROCESSES = (
+    list(world[2].items())
+    for world in (town_properties.TOWNS, room_properties.ROOMS, processes.PROCESSES)
+)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    return town_properties.drawn(tmp_path_factory.mktemp("town"))
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    return room_properties.furnished(tmp_path_factory.mktemp("room"))
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory):
+    return processes.Told(tmp_path_factory.mktemp("processes"))
+
+
+@pytest.mark.parametrize(("name", "trial"), OUTDOORS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_outdoors(name, trial, seed, town):
+    assert trial(town, np.random.default_rng((7, seed))) == "", name
+
+
+@pytest.mark.parametrize(("name", "trial"), INDOORS)
+def test_indoors(name, trial, room):
+    assert trial(room, np.random.default_rng((7, 1))) == "", name
+
+
+@pytest.mark.all
+@pytest.mark.parametrize(("name", "trial"), OVER_PROCESSES)
+def test_over_processes(name, trial, said):
+    assert trial(said, np.random.default_rng(7)) == "", name
+
+
+# ------------------------------------------------------------------------------ what they are made of
+
+
+def test_a_broken_property_is_counted_and_told():
+    told = []
+    broken = Property("never", lambda _: None, lambda *_: "it broke")
+    row = tried(broken, None, (3, 1), 0.0, told.append)
+    assert (row.tried, row.untyped, row.faults, row.seed) == (1, 1, 1, 3)
+    assert told == ["never, seed (3, 1, 0): it broke"]
+
+
+def test_an_error_breaks_a_property():
+    def fail(*_):
+        raise InputError("no town")
+
+    assert tried(Property("never", lambda _: None, fail), None, (3, 1), 0.0).untyped == 1
+
+
+def test_rows_are_one_a_property(tmp_path, monkeypatch):
+    holds = Property(
+        "always", lambda folder: folder.is_dir(), lambda there, _: "" if there else "no"
+    )
+    monkeypatch.setattr(properties, "PROPERTIES", (holds, holds))
+    from placegraph_lab.campaign.row import Effort
+
+    effort = Effort(0.0, 5, tmp_path / "room", tmp_path, lambda _: None)
+    found = list(properties.rows(effort))
+    assert [(r.part, r.what, r.tried, r.accepted) for r in found] == [
+        ("properties", "always", 1, 1)
+    ] * 2
+
+
+def test_every_property_has_a_name_of_its_own():
+    assert len({p.name for p in PROPERTIES}) == len(PROPERTIES) == 14
+
+
+def test_turns_are_clockwise_and_mirrors_swap_west_and_east():
+    np.testing.assert_allclose(turn(np.pi / 2) @ (0.0, 1.0), (1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(turn(0.0, mirrored=True) @ (1.0, 2.0), (-1.0, 2.0))
+
+
+def test_times_are_no_part_of_an_answer():
+    told = {"seconds": 1, "stats": [{"seconds_scoring": 2, "rays": 3}]}
+    assert specimen.without_times(told) == {"stats": [{"rays": 3}]}
+
+
+def test_what_differs_is_named():
+    assert processes.differing({"a": 1, "b": 2}, {"a": 1, "b": 3}) == "b differs"
+    assert processes.differing({"a": 1}, {"a": 1}) == ""
