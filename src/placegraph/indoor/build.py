@@ -125,7 +125,7 @@ def build_scene(
 
     with writing(out_path) as write:
         scene = made()
-        write(KIND, VERSION, *columns(scene))
+        write(KIND, VERSION, *columns(scene), ())
     return scene
 
 

@@ -144,19 +144,19 @@ def built(extract: ET.Element, folder: Path) -> CityMap:
 
 def standing(city: CityMap, rng: np.random.Generator) -> int:
     """A viewpoint (row of `city.views`) from which some things can be told."""
-    rich = np.flatnonzero(np.diff(city.views.starts) >= 4)
+    every = np.arange(len(city.views.positions))
+    rich = np.flatnonzero(np.diff(city.in_sight(every).starts) >= 4)
     return int(rng.choice(rich))
 
 
 def true_things(city: CityMap, view: int) -> list[tuple[int, float]]:
     """Things in sight of a viewpoint, and their bearings [rad]: what could be said there."""
-    views = city.views
-    rows = slice(views.starts[view], views.starts[view + 1])
-    away = np.hypot(*views.offsets[rows].T)
+    seen = city.in_sight(np.array([view]))
+    away = np.hypot(*seen.offsets.T)
     near = np.flatnonzero((away < _SEEN) & (away > 2.0))
     return [
         (int(i), float(np.arctan2(*delta) % (2.0 * np.pi)))
-        for i, delta in zip(views.objects[rows][near], views.offsets[rows][near], strict=True)
+        for i, delta in zip(seen.objects[near], seen.offsets[near], strict=True)
     ]
 
 

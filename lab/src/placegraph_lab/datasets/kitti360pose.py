@@ -206,7 +206,7 @@ class Kitti360Pose:
             "scene_bytes": list(self.scene_bytes),
             "grain": GRAIN,
         }
-        write(KIND, VERSION, meta, arrays)
+        write(KIND, VERSION, meta, arrays, ())
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Kitti360Pose:
