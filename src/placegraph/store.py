@@ -197,11 +197,11 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
                 for b in header.blocks
             }
             intact = hashed.result()
-    if not intact:
-        for b in header.blocks:
-            if b.name in windows:
-                _decode(b, _bytes(file, start + b.offset, b.length), path)
-        raise damaged(path, "its checksum does not fit its contents")
+        if not intact:
+            for b in header.blocks:
+                if b.name in windows:
+                    _decode(b, _bytes(file, start + b.offset, b.length), path)
+            raise damaged(path, "its checksum does not fit its contents")
     return MapFile(header, arrays)
 
 
