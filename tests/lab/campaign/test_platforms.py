@@ -48,6 +48,12 @@ def test_what_differs_is_told(first):
     assert "moved by" in pose_apart(first, first | {"pose": first["pose"] | {"status": "LOST"}})
 
 
+def test_the_last_digits_of_another_numpy_are_not_compared(first):
+    last = first | {"texts": [{"p": 2.7049333292252744}]}
+    assert pose_apart(last, first | {"texts": [{"p": 2.7049333292252764}]}) == ""
+    assert pose_apart(last, first | {"texts": [{"p": 2.7049334}]}) == "texts differs"
+
+
 def test_platforms_add_up():
     both = together(
         Platform("a", ("--x",), {"A": "1"}, ("nice",)), Platform("b", change={"B": "2"})

@@ -90,12 +90,25 @@ def rays(world: Told, rng: np.random.Generator) -> str:  # noqa: ARG001  # nothi
 
 
 def pose_apart(one: dict[str, Any], other: dict[str, Any]) -> str:
-    """Which answers are not the same, in words, where poses may be a centimetre apart."""
+    """Which answers are not the same, in words, where poses may be a centimetre apart.
+
+    Of other numbers nine digits are compared: another NumPy rounds its functions otherwise.
+    """
     poses = [np.array(t["pose"]["modes"][0]["map_from_camera"]) for t in (one, other)]
     far = float(np.abs(poses[0] - poses[1]).max())
     if one["pose"]["status"] != other["pose"]["status"] or far > CLOSE:
         return f"the pose moved by {far:.4f}, {other['pose']['status']}"
-    return differing(*({n: v for n, v in t.items() if n != "pose"} for t in (one, other)))
+    rest = ({n: nine_digits(v) for n, v in t.items() if n != "pose"} for t in (one, other))
+    return differing(*rest)
+
+
+def nine_digits(told: Any) -> Any:  # noqa: ANN401  # JSON
+    """JSON whose numbers are rounded."""
+    if isinstance(told, dict):
+        return {k: nine_digits(v) for k, v in told.items()}
+    if isinstance(told, list):
+        return [nine_digits(v) for v in told]
+    return float(f"{told:.9g}") if isinstance(told, float) else told
 
 
 def differing(one: dict[str, Any], other: dict[str, Any]) -> str:
