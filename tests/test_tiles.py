@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
 from placegraph.geometry import LocalPlane
-from placegraph.tiles import bounds, check_zoom, key_at, key_of, reached, tile_of
+from placegraph.tiles import bounds, check_zoom, held, key_at, key_of, reached, tile_of, tiles
 
 places = st.tuples(st.floats(-180.0, 179.999), st.floats(-89.9, 89.9))
 
@@ -20,6 +20,7 @@ def test_a_place_lies_in_the_tile_of_its_key(place, zoom):
     assert box.south - 1e-9 <= place[1] <= box.north + 1e-9
     assert key_of(*tile_of(key)) == key
     assert key.startswith(key_at(*place, zoom - 1))
+    assert held(np.array([place]), key).all()
 
 
 @pytest.mark.parametrize("key", ["4", "01x", "0" * 17, "٣"])
@@ -28,7 +29,7 @@ def test_what_is_no_key(key):
         tile_of(key)
 
 
-@pytest.mark.parametrize("zoom", [0, 17, -1])
+@pytest.mark.parametrize("zoom", [0, 17, -1, 1.5, True, "3"])
 def test_what_is_no_zoom(zoom):
     with pytest.raises(OptionError, match="zoom"):
         check_zoom(zoom)
@@ -46,6 +47,10 @@ def test_keys_are_those_of_web_maps():
     """As Bing's quadkeys of tile 3, 5 of level 3."""
     assert key_of(3, 5, 3) == "213"
     assert key_of(3 + 8, 5, 3) == "213"  # once around the Earth
+    assert key_at(-123.1, 49.25, 3) == "021"
+    assert key_at(180.0, 10.0, 3) == key_at(-180.0, 10.0, 3)
+    assert tiles(np.array([(0.1, 0.1), (-0.1, -0.1)]), 1).tolist() == [[1, 0], [0, 1]]
+    assert not held(np.array([(0.1, 0.1)]), "2").any()
 
 
 @given(places.filter(lambda p: abs(p[1]) < 80), st.integers(8, 15), st.floats(0.0, 3000.0))

@@ -75,6 +75,21 @@ def reached(
     return found
 
 
+def tiles(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.int64]:
+    """Column and row (N, 2) of the tiles that hold positions (N, 2) [deg]."""
+    found = np.floor(columns_rows(lonlat, zoom)).astype(np.int64)
+    found[:, 0] %= 1 << zoom
+    found[:, 1] = np.clip(found[:, 1], 0, (1 << zoom) - 1)
+    return found
+
+
+def held(lonlat: NDArray[np.float64], key: str) -> NDArray[np.bool_]:
+    """Which positions (N, 2) [deg] lie in a tile: each in one tile of a zoom."""
+    column, row, zoom = tile_of(key)
+    found: NDArray[np.bool_] = (tiles(lonlat, zoom) == (column, row)).all(axis=1)
+    return found
+
+
 def key_of(column: int, row: int, zoom: int) -> str:
     """Key of a tile; the column may lie around the Earth."""
     column %= 1 << zoom
@@ -84,8 +99,8 @@ def key_of(column: int, row: int, zoom: int) -> str:
 
 def key_at(longitude: float, latitude: float, zoom: int) -> str:
     """Key of the tile at a position [deg]."""
-    column, row = np.floor(columns_rows(np.array([[longitude, latitude]]), zoom)[0]).astype(int)
-    return key_of(int(column), int(np.clip(row, 0, 2**zoom - 1)), zoom)
+    column, row = tiles(np.array([[longitude, latitude]]), zoom)[0].tolist()
+    return key_of(column, row, zoom)
 
 
 def tile_of(key: str) -> tuple[int, int, int]:
@@ -111,5 +126,5 @@ def bounds(key: str) -> Box:
 
 def check_zoom(zoom: int) -> None:
     """Raise `OptionError` where tiles of a zoom are none."""
-    if not 1 <= zoom <= DEEPEST:
-        raise OptionError(f"zoom is {zoom}; choose between 1 and {DEEPEST}.")
+    if isinstance(zoom, bool) or not isinstance(zoom, int) or not 1 <= zoom <= DEEPEST:
+        raise OptionError(f"zoom is {zoom!r}; choose a whole number from 1 to {DEEPEST}.")

@@ -101,10 +101,11 @@ def test_where_a_damaged_map_lies_is_not_told(maps, tmp_path):
 
 
 def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
-    from placegraph.world.shards import finish, key_of, tiles
+    from placegraph.tiles import key_at
+    from placegraph.world.shards import finish
 
     town = open_map(maps / "hafenstadt.city")
-    key = key_of(tiles((town.plane.longitude, town.plane.latitude), 6), 6)
+    key = key_at(town.plane.longitude, town.plane.latitude, 6)
     (tmp_path / "all" / "shards").mkdir(parents=True)
     shutil.copy(maps / "hafenstadt.city", tmp_path / "all" / "shards" / f"{key}.city")
     finish(tmp_path / "all", 6, 150.0)

@@ -7,10 +7,9 @@ import sys
 
 import pytest
 
-from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.world import build as module
-from placegraph.world import workers
 from placegraph.world.build import BuildOptions, build_world
 
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
@@ -173,19 +172,6 @@ def test_a_cluster_builds_the_same(cluster, extract, tmp_path):
         [extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, scheduler=cluster)
     )
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
-
-
-def test_a_scheduler_of_another_version(cluster, monkeypatch):
-    monkeypatch.setattr("distributed.__version__", "1900.1")
-    with pytest.raises(ServiceError, match=r"runs Dask .* here is 1900\.1"):
-        list(workers.done(len, ["a"], 1, cluster))
-
-
-def test_a_scheduler_that_is_not_there(monkeypatch):
-    pytest.importorskip("distributed", reason="needs Dask (extra scale)")
-    monkeypatch.setattr(workers, "PATIENCE", 0.2)
-    with pytest.raises(ServiceError, match=r"answers at tcp://127\.0\.0\.1:1"):
-        list(workers.done(len, ["a"], 1, "tcp://127.0.0.1:1"))
 
 
 def test_the_command(run, extract, tmp_path):

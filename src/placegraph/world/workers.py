@@ -12,7 +12,8 @@ from itertools import islice
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from placegraph.errors import MapError, MissingExtraError, OptionError, ServiceError
+from placegraph.errors import MapError, OptionError, ServiceError
+from placegraph.world.shards.cluster import connected
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
 TRIES = 3
 """A task is given up when so many of its workers were killed."""
-PATIENCE = 10.0
-"""A scheduler answers within this time [s]."""
 
 
 def done(
@@ -104,8 +103,9 @@ def _on_cluster(
     work: Callable[[Task], Made], tasks: Sequence[Task], scheduler: str
 ) -> Iterator[tuple[int, Made]]:
     """Results from the workers of a Dask scheduler, which gives a killed one's tasks to others."""
-    distributed = _distributed()
-    client = _client(distributed, scheduler)
+    client = connected(scheduler)
+    import distributed
+
     try:
         rest = iter(enumerate(tasks))
         running, numbers = distributed.as_completed(loop=client.loop), {}
@@ -137,43 +137,9 @@ def _result(distributed: Any, future: Any) -> Any:  # noqa: ANN401  # Dask has n
         ) from error
 
 
-def _distributed() -> Any:  # noqa: ANN401  # Dask has no types
-    try:
-        import distributed
-    except ImportError as error:
-        raise MissingExtraError(
-            "A cluster is reached through Dask; install it with `pip install 'placegraph[scale]'`, "
-            "or leave --scheduler away and build with the cores of this machine."
-        ) from error
-    return distributed
-
-
-def _client(distributed: Any, scheduler: str) -> Any:  # noqa: ANN401  # Dask has no types
-    """A client of a scheduler that answers, and that speaks our version."""
-    try:
-        client = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
-        raise ServiceError(
-            f"No scheduler of our version answers at {scheduler} ({_line(error)}); start one with `dask "
-            f"scheduler` of version {distributed.__version__}, or correct --scheduler."
-        ) from error
-    theirs = client.get_versions()["scheduler"]["packages"]["distributed"]
-    if theirs != distributed.__version__:
-        client.close()
-        raise ServiceError(
-            f"The scheduler at {scheduler} runs Dask {theirs}, here is {distributed.__version__}; "
-            "install the same version on both sides."
-        )
-    return client
-
-
 def _killed(task: object, mend: str) -> MapError:
     key = getattr(task, "key", task)
     return MapError(
         f"{key}, or a task beside it: its worker was killed {TRIES} times, as it is where memory is "
         f"short. {mend}, or choose a higher --zoom (smaller tiles); what is finished stays."
     )
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__

@@ -7,6 +7,5 @@ from __future__ import annotations
 
 from placegraph.world.shards.finish import finish
 from placegraph.world.shards.folder import WorldFile, is_world
-from placegraph.world.shards.quadtree import core_of, held, key_of, tile_of, tiles
 
-__all__ = ["WorldFile", "core_of", "finish", "held", "is_world", "key_of", "tile_of", "tiles"]
+__all__ = ["WorldFile", "finish", "is_world"]

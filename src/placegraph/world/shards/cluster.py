@@ -42,7 +42,7 @@ def connected(address: str, patience: float = PATIENCE) -> Client:
         ) from error
     try:
         client = Client(address, timeout=patience, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+    except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
         raise ServiceError(
             f"No scheduler answers at {address!r} ({error}). Start one with `dask scheduler`, or leave "
             "--scheduler out to work in this process."

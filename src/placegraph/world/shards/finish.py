@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError, MapError, OptionError
+from placegraph.tiles import check_zoom, tile_of
 from placegraph.world.shards.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_of
-from placegraph.world.shards.quadtree import checked_zoom, tile_of
 from placegraph.world.shards.table import WordTable, counted
 
 if TYPE_CHECKING:
@@ -48,7 +48,8 @@ def finish(
         `zoom` or `overlap` is out of its range.
 
     """
-    folder, zoom = Path(folder), checked_zoom(zoom)
+    check_zoom(zoom)
+    folder = Path(folder)
     if not 0.0 <= overlap < np.inf:
         raise OptionError(f"overlap is {overlap!r}; give a number of metres from 0 on.")
     paths = sorted((folder / SHARDS).glob("*.city"))

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Self
 from placegraph import files
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.header import DIGEST
-from placegraph.world.shards.quadtree import DEEPEST, core_of
+from placegraph.tiles import DEEPEST, bounds
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from placegraph.world.shards.quadtree import Core
+    from placegraph.tiles import Box
 
 NAME, WORDS, SHARDS = "world.json", "words.table", "shards"
 FORMAT, VERSION = "placegraph world", 1
@@ -40,9 +40,9 @@ class ShardFile:
     """In the core."""
 
     @property
-    def core(self) -> Core:
+    def core(self) -> Box:
         """Ground that it answers for."""
-        return core_of(self.key)
+        return bounds(self.key)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class WorldFile:
         if keys != sorted(set(keys)) or any(len(key) != zoom for key in keys):
             raise ValueError("keys are not in order, or of another zoom")
         for s in shards:
-            core_of(s.key)
+            bounds(s.key)
             if s.file != f"{SHARDS}/{s.key}.city" or min(s.bytes, s.objects, s.viewpoints) < 0:
                 raise ValueError(f"shard {s.key} is {s}")
         return cls(folder, zoom, overlap, str(told["words"]["digest"]), shards)

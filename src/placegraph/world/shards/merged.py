@@ -122,7 +122,7 @@ class Merged:
         with np.errstate(divide="ignore"):
             bounds = np.log(ranked.bounds) + self.asked.query.statements.floor + SLACK
         over = np.maximum.accumulate(bounds < best - MARGIN)
-        return np.where(over | (weights < best - MARGIN - 2.0 * SLACK), -np.inf, scores)
+        return np.where(over | (weights < best - MARGIN - SLACK), -np.inf, scores)
 
     @property
     def weight(self) -> float:

@@ -16,9 +16,9 @@ from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.viewpoints import look_around
 from placegraph.outdoor.search.viewpoints import score as score_of
 from placegraph.outdoor.search.whereabouts import Whereabouts
+from placegraph.tiles import held
 from placegraph.world.shards.asked import Asked, Compared, Proposed
 from placegraph.world.shards.lexicon import Thing
-from placegraph.world.shards.quadtree import held
 from placegraph.world.shards.things import joined
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def gathered(shard: Shard, words: tuple[str, ...]) -> list[Thing]:
             min(1000.0, float(np.hypot(*(np.concatenate(o.parts(i)) - o.center[i]).T).max())),
         )
         for i, center in zip(rows.tolist(), centers, strict=True)
-        if held(center, shard.key)
+        if held(center[None], shard.key)[0]
     ]  # fmt: skip
 
 

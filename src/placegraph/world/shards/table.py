@@ -52,7 +52,7 @@ class Counted(NamedTuple):
 
 def counted(city: City, key: str) -> Counted:
     """Count the words of a shard in its core."""
-    from placegraph.world.shards.quadtree import held
+    from placegraph.tiles import held
 
     views, objects = city.views, city.objects
     n, n_labels = len(objects.labels) + len(objects.names), len(objects.labels)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.outdoor.map.objects import columns_of
-from placegraph.world.shards.quadtree import core_of
+from placegraph.tiles import bounds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +54,7 @@ def joined(
 
 def away(thing: Thing, key: str) -> float:
     """About how far a thing's centre lies from a core [m]; 0 inside."""
-    return float(distance(thing.center[None], np.array([core_of(key)]))[0])
+    return float(distance(thing.center[None], np.array([bounds(key)]))[0])
 
 
 def distance(lonlat: NDArray[np.float64], cores: NDArray[np.float64]) -> NDArray[np.float64]:

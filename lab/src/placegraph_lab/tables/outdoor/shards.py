@@ -11,7 +11,8 @@ from placegraph.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT
-from placegraph.world.shards import WorldFile, core_of, finish, held, key_of, tile_of, tiles
+from placegraph.tiles import bounds, held, key_of, tile_of, tiles
+from placegraph.world.shards import WorldFile, finish
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,8 +48,8 @@ def split_city(city: CityMap, zoom: int, overlap: float) -> Iterator[tuple[str, 
     )
     places = city.plane.to_lonlat(city.views.positions.astype(np.float64))
     for tile in np.unique(tiles(places, zoom), axis=0):
-        key = key_of(tile, zoom)
-        core = core_of(key)
+        key = key_of(*tile.tolist(), zoom)
+        core = bounds(key)
         corners = city.plane.to_plane([[core.west, core.south], [core.east, core.north]])
         box = np.add(corners, [[-overlap], [overlap]])
         rows = np.flatnonzero((high >= box[0]).all(axis=1) & (low <= box[1]).all(axis=1))
@@ -132,9 +133,9 @@ def write_copies(source: Path, folder: Path, copies: int, rng: Generator) -> Wor
     (folder / "shards").mkdir(parents=True, exist_ok=True)
     for shard in old.shards:
         city = CityMap.open(old.path(shard))
-        column, row = tile_of(shard.key)
+        column, row, _ = tile_of(shard.key)
         for k in range(copies):
-            key = key_of(((column + k * wide) % around, row), old.zoom)
+            key = key_of(column + k * wide, row, old.zoom)
             east = (city.plane.longitude + 360.0 * k * wide / around + 180.0) % 360.0 - 180.0
             plane = LocalPlane(east, city.plane.latitude)
             objects = city.objects if k == 0 else shuffled(city.objects, _word(k), rng)
