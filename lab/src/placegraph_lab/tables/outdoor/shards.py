@@ -48,7 +48,8 @@ def split_city(city: CityMap, zoom: int, overlap: float) -> Iterator[tuple[str, 
     )
     places = city.plane.to_lonlat(city.views.positions.astype(np.float64))
     for tile in np.unique(tiles(places, zoom), axis=0):
-        key = key_of(*tile.tolist(), zoom)
+        column, row = tile.tolist()
+        key = key_of(column, row, zoom)
         core = bounds(key)
         corners = city.plane.to_plane([[core.west, core.south], [core.east, core.north]])
         box = np.add(corners, [[-overlap], [overlap]])
