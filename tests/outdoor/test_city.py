@@ -111,6 +111,23 @@ def test_a_map_is_what_open_map_opens(harbour_file):
     assert pg.open_map(harbour_file).locate(TEXT).best is not None
 
 
+def test_an_index_is_stored_where_it_is_worth_it(harbour, tmp_path):
+    harbour.save(tmp_path / "small.city")
+    harbour.save(tmp_path / "quick.city", index=True)
+    small, quick = (CityMap.open(tmp_path / f"{name}.city") for name in ("small", "quick"))
+    assert small.index is None
+    for name, column in harbour.views.arrays().items():
+        np.testing.assert_array_equal(quick.index.arrays()[name], column)
+    assert quick.fingerprint == small.fingerprint
+    assert quick.locate(TEXT).to_dict() == small.locate(TEXT).to_dict()
+
+
+def test_other_objects_have_another_index(harbour, tmp_path):
+    harbour.save(tmp_path / "quick.city", index=True)
+    quick = CityMap.open(tmp_path / "quick.city")
+    assert replace(quick, objects=harbour.objects).index is None
+
+
 def test_opening_twice_and_locating_is_the_same(harbour, harbour_file):
     one, two = (open_map(harbour_file).locate(TEXT) for _ in range(2))
     assert one.to_dict() == two.to_dict() == harbour.locate(TEXT).to_dict()

@@ -15,7 +15,7 @@ from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex
 from placegraph.outdoor.map.index_build import tokens_of
-from placegraph.outdoor.map.index_file import MAPPED, index_in, stored
+from placegraph.outdoor.map.index_file import MAPPED, WORTH, index_in, stored
 from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
@@ -57,8 +57,8 @@ class City(Portable):
     """Name of the file the map was built from."""
     left_out: dict[str, int]
     """What of that file could not be used, by reason."""
-    index: ViewIndex | None = field(default=None, repr=False)
-    """Of its viewpoints, as the map file has it; see `views`."""
+    index: ViewIndex | None = field(default=None, init=False, repr=False)
+    """Of its viewpoints, as the map file has it; see `views`. `replace` leaves it behind."""
 
     @classmethod
     def create(
@@ -80,8 +80,12 @@ class City(Portable):
         cells = Cells(plane, grid, cell_size, edge_distance, occupied)
         return cls(plane, objects, cells, source, left_out)
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the map file (atomically, with checksums)."""
+    def save(self, path: str | PathLike[str], *, index: bool | None = None) -> None:
+        """Write the map file (atomically, with checksums).
+
+        `index`: with the index of its viewpoints, which makes the first question quick; None: where
+        the map is large.
+        """
         objects, cells = self.objects, self.cells
         meta = {
             "origin": [self.plane.longitude, self.plane.latitude],
@@ -91,7 +95,6 @@ class City(Portable):
             "grid": list(cells.grid),
             "source": self.source,
             "left_out": self.left_out,
-            "views": list(self.views.grid),
         }
         arrays: dict[str, NDArray[Any]] = {
             "osm_type": objects.osm_type,
@@ -108,7 +111,10 @@ class City(Portable):
             "names": pack_strings(objects.names),
             "cells": cells.points,
         }
-        write_map(path, KIND, VERSION, meta, arrays | stored(self.views), MAPPED)
+        if len(objects) >= WORTH if index is None else index:
+            meta["views"] = list(self.views.grid)
+            arrays |= stored(self.views)
+        write_map(path, KIND, VERSION, meta, arrays, MAPPED)
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Self:
@@ -150,7 +156,9 @@ class City(Portable):
             left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
             source = str(meta["source"])
             index = index_in(file, len(objects.labels) + len(objects.names))
-        return cls(plane, replace(objects, center=center), cells, source, left_out, index)
+        city = cls(plane, replace(objects, center=center), cells, source, left_out)
+        object.__setattr__(city, "index", index)
+        return city
 
     def graph(self, cell: str) -> SceneGraph:
         """Scene graph of a cell (Eq. 1-8); raises `OptionError` where there is no such cell."""
