@@ -21,6 +21,7 @@ delete Navigator.prototype.geolocation;
 LOST = "navigator.geolocation.watchPosition = (ok, no) => { no({ code: 2 }); return 1; };"
 TURN = """a => dispatchEvent(new DeviceOrientationEvent(
     "deviceorientationabsolute", { alpha: a, beta: 0, gamma: 0, absolute: true }))"""
+ALLOWED = ["geolocation", "accelerometer", "gyroscope", "magnetometer"]
 PHONE = {"has_touch": True, "is_mobile": True, "viewport": {"width": 360, "height": 640}}
 
 
@@ -55,7 +56,7 @@ def test_satellites_and_compass_go_along_only_when_asked(browser, url):
     here = {"latitude": 53.5509, "longitude": 9.9935, "accuracy": 20}
     link = f"{url}#map=hafenstadt&q={SQUARE}"
     asked = []
-    with opened(browser, link, permissions=["geolocation"], geolocation=here, **PHONE) as page:
+    with opened(browser, link, permissions=ALLOWED, geolocation=here, **PHONE) as page:
         page.on(
             "websocket", lambda socket: socket.on("framesent", lambda sent: asked.extend([sent]))
         )
@@ -68,6 +69,7 @@ def test_satellites_and_compass_go_along_only_when_asked(browser, url):
         page.wait_for_url("**near=9.99350%2C53.55090&radius=150**")
         assert '"near":[9.9935,53.5509]' in asked[-1]
         page.tap("#compass")
+        page.wait_for_selector("#compass[aria-pressed=true]")
         page.evaluate(TURN, 270)
         page.wait_for_selector(".chip:has-text('looking east (90°)')")
         page.wait_for_url("**heading=90**")

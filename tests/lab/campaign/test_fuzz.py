@@ -57,7 +57,7 @@ def test_what_becomes_of_an_input_is_told(trials):
 def test_memory_beyond_the_bound_is_told(trials, monkeypatch):
     monkeypatch.setattr(worker, "FREE", 8 << 20)
     kept = []
-    made = trials(lambda *_: kept.append(os.urandom(30 << 20)))
+    made = trials(lambda *_: kept.append(os.urandom(120 << 20)))
     assert made.take(0).outcome == "memory"
     assert "MB" in made.take(1).said
 

@@ -27,7 +27,7 @@ from placegraph.indoor.library.shards import CLOSELY, SceneShards
 from placegraph.indoor.library.signature import BANDS, TURNS, signature_of
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.retrieval.retrieval_scale import Stock
-from placegraph_lab.tables.run import Fresh, Run, Seed, option, table
+from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, option, table
 from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.tables import markdown, number, share
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
@@ -212,8 +212,10 @@ def scene_shards(
     seed: Seed = 1000,
     *,
     fresh: Fresh = False,
+    quick: Quick = False,
 ) -> None:
     """100,000 scenes in shards: which one it is, how fast that is told, and how often rightly."""
+    scenes, queries = (2_000, 5) if quick else (scenes, queries)
     encoders = [encoder("labels"), encoder("appearance")]
     signatures = drawn(run, encoders, seed)
     folder = run.cache / f"scene_shards_{scenes}_{seed}"

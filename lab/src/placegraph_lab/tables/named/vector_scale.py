@@ -25,7 +25,7 @@ from placegraph_lab.tables.named.outdoor_vectors import clustered
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.words_beside import AMONG, hybrid
-from placegraph_lab.tables.run import Run, Seed, option, parts, table
+from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
@@ -183,8 +183,12 @@ def vector_scale(
     ] = "vancouver",
     queries: Annotated[int, option("Queries of each.")] = 100,
     seed: Seed = 0,
+    *,
+    quick: Quick = False,
 ) -> None:
     """Vectors by the million, and words beside them: rows a second, times, recall, bytes."""
+    if quick:
+        files, server, lite, city = "100000", "", "10000", "monaco"
     kinds = [("", embedded, files), ("milvus_lite", on_lite, lite), ("milvus", on_server, server)]
     rows: list[Row] = []
     for module, measure, sizes in kinds:
