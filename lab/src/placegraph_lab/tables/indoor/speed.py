@@ -249,7 +249,7 @@ def localizing(
         "frame_seconds": total["seconds"] / frames,
         "stage_seconds": {stage: seconds / frames for stage, seconds in stages.items()},
         "passes": len(options.run),
-        "particles": total["particles"] / frames,
+        "particles": None if np.isnan(total["particles"]) else total["particles"] / frames,
         "poses_a_frame": total["poses"] / frames,
         "rays_a_frame": total["rays"] / frames,
         "rays_per_second": total["rays"] / total["scoring"],
