@@ -4,11 +4,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from llvmlite.binding import get_host_cpu_name
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import golden
 from golden_answers import differences
+
+FROZEN_ON = "znver5"
+"""Processor that the poses of `few` were written on: another one adds sums in another order."""
 
 
 @pytest.fixture(scope="session")
@@ -20,8 +24,8 @@ def test_town(worlds):
     assert golden.compared("town", worlds) == []
 
 
-@pytest.mark.xfail(
-    reason="written on another processor: sums differ in the last digits", strict=False
+@pytest.mark.skipif(
+    get_host_cpu_name() != FROZEN_ON, reason=f"poses are of {FROZEN_ON}: others round otherwise"
 )
 def test_few(worlds, shared):  # noqa: ARG001  # skips without
     assert golden.compared("few", worlds) == []

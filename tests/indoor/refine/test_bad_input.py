@@ -167,14 +167,15 @@ def with_camera(capture, change):
     return Capture.from_frames(frames)
 
 
-BY_IMAGES = pytest.mark.xfail(reason="OK, and 0.54 m off, on some processors", strict=False)
+BY_IMAGES = 0.6
+"""A fault that is known: images alone, by a focal length 30 % too short, may be OK and so far off [m]."""
 
 
 @pytest.mark.parametrize(
     ("factor", "depth"),
     [
         (0.7, True),
-        pytest.param(0.7, False, marks=BY_IMAGES),
+        (0.7, False),
         pytest.param(1.3, True, marks=SAME),
         pytest.param(1.3, False, marks=SAME),
         (2.0, True),
@@ -186,7 +187,8 @@ def test_a_wrong_focal_length(room, walk, exact, kit, factor, depth):
         walk[:5], lambda c: replace(c, fx=c.fx * factor, fy=c.fy * factor)
     )  # fmt: skip
     options = FilterOptions() if depth else WITHOUT_DEPTH
-    honest(room.localize(wrong, options=options), exact.poses[4], kit)
+    far = BY_IMAGES if factor == 0.7 and not depth else 0.3
+    honest(room.localize(wrong, options=options), exact.poses[4], kit, far)
 
 
 def test_a_swapped_size_is_refused(walk, tmp_path):
