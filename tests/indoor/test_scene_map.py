@@ -14,6 +14,7 @@ import placegraph as pg
 from placegraph.earth import Anchor
 from placegraph.errors import MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import scene_of_model
+from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene_file import columns
 from placegraph.indoor.scene_map import SceneMap
@@ -246,6 +247,15 @@ def test_attributes_and_textures_that_make_no_sense(forge):
     blob = np.frombuffer(b"not an image", np.uint8)
     with pytest.raises(MapError, match=r"texture 0.*Build the map again"):
         pg.open_map(forge(textures=blob, texture_bytes=np.array([len(blob)])))
+
+
+def test_textures_that_would_fill_memory_are_not_decoded(file, monkeypatch):
+    """One colour takes few bytes, in however many pictures."""
+    pg.open_map(file)
+    monkeypatch.setattr(textures, "FREE_PIXELS", 0)
+    monkeypatch.setattr(textures, "PIXELS_A_BYTE", 0)
+    with pytest.raises(MapError, match=r"textures have [\d,]+ texels, in .*Build the map again"):
+        pg.open_map(file)
 
 
 def test_textures_are_png_or_jpeg(forge, tmp_path):

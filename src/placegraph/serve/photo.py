@@ -76,7 +76,7 @@ def read_photo(data: bytes, name: str, options: ServeOptions) -> Photo:
         )  # fmt: skip
     if not data:
         raise InputError(f"{name} is empty; send a JPEG, PNG or WebP.")
-    with opened(BytesIO(data), name) as image:
+    with opened(BytesIO(data), name, bounded=True) as image:
         if image.format not in {"JPEG", "MPO", "PNG", "WEBP"}:
             raise InputError(f"{name} is {image.format}; send a JPEG, PNG or WebP.")
         check_size(image.size, name, options)
@@ -88,7 +88,7 @@ def read_photo(data: bytes, name: str, options: ServeOptions) -> Photo:
 
 def read_depth(data: bytes, name: str, scale: float, options: ServeOptions) -> NDArray[np.float32]:
     """Depth (h, w) [m], NaN: no reading, of a PNG of 16 bits."""
-    with opened(BytesIO(data), name) as image:
+    with opened(BytesIO(data), name, bounded=True) as image:
         if not image.mode.startswith("I"):
             raise InputError(f"{name} has pixels of mode {image.mode!r}; send a PNG of 16 bits.")
         check_size(image.size, name, options)

@@ -50,6 +50,20 @@ def test_more_pixels_than_a_frame_has_are_refused_before_they_are_read(tmp_path,
             read(tmp_path / "a.png", (40, 30))
 
 
+def test_more_pixels_than_bytes_can_hold_are_refused_before_they_are_read(tmp_path, monkeypatch):
+    """Pillow takes memory for what the head promises: 650 MB for 77 bytes of a texture."""
+    monkeypatch.setattr(images, "FREE_PIXELS", 40 * 30 - 90)
+    monkeypatch.setattr(images, "PIXELS_A_BYTE", 1)
+    path = tmp_path / "a.png"
+    Image.new("RGB", (40, 30)).save(path)
+    with pytest.raises(InputError, match=r"a\.png says that it has 40 x 30 pixels, in 83 bytes"):
+        read_rgb(path, (40, 30))
+    path.write_bytes(path.read_bytes() + bytes(9))
+    assert read_rgb(path, (40, 30)).shape == (30, 40, 3)
+    with path.open("rb") as source:
+        assert read_rgb(path, (40, 30), source).shape == (30, 40, 3)
+
+
 @pytest.mark.parametrize("name", ["odometry.tum", "camera.json", "rgb/0.png", "mesh.ply", "a.glb"])
 def test_a_pipe_is_refused_wherever_a_file_belongs(tmp_path, name):
     path = tmp_path / name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import zlib
@@ -25,6 +26,9 @@ ENDINGS = (".png", ".jpg", ".jpeg")
 
 MOST_PIXELS = 1 << 26
 """Of a frame; four times those of a good telephone's."""
+FREE_PIXELS, PIXELS_A_BYTE = 1 << 24, 64
+"""Pixels that an image may have whatever its size, and for each of its bytes: Pillow takes memory for
+all that the head promises before it reads the first, and drawings take an eighth of that."""
 
 WHOLE_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
@@ -37,12 +41,18 @@ _BROKEN = (
 
 
 @contextmanager
-def opened(source: Path | IO[bytes], name: object) -> Iterator[Image]:
-    """Open an image; whatever fails inside the block becomes an `InputError` about `name`."""
+def opened(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> Iterator[Image]:
+    """Open an image; whatever fails inside the block becomes an `InputError` about `name`.
+
+    So does one that says it has far more pixels than its bytes can hold, unless the caller says that
+    it has a bound of its own.
+    """
     from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(regular(source) if isinstance(source, Path) else source) as image:
+            if not bounded and image.width * image.height > FREE_PIXELS:
+                _check_bytes(image, source, name)
             yield image
     except InputError:
         raise
@@ -120,6 +130,20 @@ def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDA
             )
         values: NDArray[Any] = np.asarray(image)
     return values.astype(np.int32)
+
+
+def _check_bytes(image: Image, source: Path | IO[bytes], name: object) -> None:
+    if isinstance(source, Path):
+        held = source.stat().st_size
+    else:
+        at = source.tell()  # from where Pillow reads on
+        held = source.seek(0, os.SEEK_END)
+        source.seek(at)
+    if image.width * image.height > FREE_PIXELS + PIXELS_A_BYTE * held:
+        raise InputError(
+            f"{name} says that it has {image.width} x {image.height} pixels, in {held:,} bytes; it "
+            "is damaged, or so large and empty that it is to be made smaller."
+        )
 
 
 def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import io
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.errors import MapError
-from placegraph.formats.capture.images import opened
+from placegraph.errors import InputError, MapError
+from placegraph.formats.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -110,6 +111,19 @@ def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...
         )
 
 
+def check_texels(blobs: Sequence[bytes], path: object) -> None:
+    """Refuse encoded textures that would fill memory; broken ones are told by `decode`."""
+    texels = 0
+    for blob in blobs:
+        with suppress(InputError), opened(io.BytesIO(blob), path) as image:
+            texels += image.width * image.height
+    if texels > 4 * FREE_PIXELS + PIXELS_A_BYTE * sum(map(len, blobs)):
+        raise MapError(
+            f"{path} says that its textures have {texels:,} texels, in {sum(map(len, blobs)):,} "
+            "bytes; it is damaged, or made to fill memory. Build the map again."
+        )
+
+
 def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64]) -> bytes:
     from PIL import Image
 
@@ -124,7 +138,7 @@ def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64
         image.load()
         if whole and not detail.quality and (factor == 1.0).all() and not any(picture.mirrored):
             return picture.data
-        small = image.convert("RGB")
+        small = image if image.mode == "RGB" else image.convert("RGB")
     if small.size != (width, height):
         small = small.resize((width, height), Image.Resampling.BOX)
     texels = np.asarray(small)
@@ -164,8 +178,6 @@ def _bytes(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  #
 
 
 def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
-    from placegraph.errors import InputError
-
     try:
         with opened(io.BytesIO(blob), name) as image:
             if max(image.size) > _LARGEST or image.format not in KEPT:
