@@ -18,7 +18,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from placegraph.header import MAGIC
-from placegraph_lab.campaign.mutate_bytes import flipped, remarked, reworded
+from placegraph_lab.campaign.mutate_bytes import flipped, remapped, remarked, reworded
 from placegraph_lab.campaign.mutate_json import changed
 from placegraph_lab.campaign.mutate_store import restored
 
@@ -80,14 +80,14 @@ def _rearrange(one: Path, other: Path, rng: Generator) -> None:
 
 def spoiled(data: bytes, name: str, rng: Generator) -> bytes:
     """Bytes of a file of this name, changed."""
-    change = flipped if rng.random() < 0.25 else _fitting(data, name)
+    change = flipped if rng.random() < 0.25 else _fitting(data, name, rng)
     try:
         return change(data, rng)
     except Exception:  # noqa: BLE001  # what a spoiled file may lead to: its bytes are changed instead
         return flipped(data, rng)
 
 
-def _fitting(data: bytes, name: str) -> Change:
+def _fitting(data: bytes, name: str, rng: Generator) -> Change:
     ending = name.rpartition(".")[2].lower()
     told = {
         MAGIC: restored, b"PK": _zip, b"\x89PNG\r\n": _png, b"glTF": _glb,
@@ -102,7 +102,7 @@ def _fitting(data: bytes, name: str) -> Change:
     if ending in JSONS or name == "metadata":
         return _json
     if ending in XMLS:
-        return remarked
+        return remapped if b"<osm" in data[:400] and rng.random() < 0.6 else remarked
     if ending in TEXTS and b"\0" not in data[:4096]:
         return reworded
     return flipped

@@ -21,6 +21,18 @@ WORDS = (
 """What may stand where a number or a word stood."""
 VALUE = re.compile(rb"\"[^\"]*\"|'[^']*'")
 ELEMENT = re.compile(rb"<[^<>?/]*/>")
+TAG, PLACED, NODE = (
+    re.compile(rb" %s=[\"']([^\"']*)[\"']" % key) for key in (b"[kv]", b"l(?:at|on)", b"ref")
+)
+WHOLE = re.compile(rb"(<(?:nd|tag|member) [^>]*/>)")
+"""Of OpenStreetMap: what a tag says, where a node lies, which one it is, and what holds all that."""
+SAID = (
+    b"0", b"1", b"-1", b"0;1", b"-1-3", b"0.5", b"9999", b"-40000", b"door", b"room", b"corridor", b"area",
+    b"yes", b"no", b"stairs", b"elevator", b"level", b"indoor", b"height", b"repeat_on", b"name", b"layer",
+    b"3 m", b"1e9", b"-5", b"10'", b"nan", b"inner", b"outer", b"multipolygon", b"building", b"osmAG:type",
+    b"osmAG:from", b"structure", b"passage", b"\xe2\x80\xae", b"x" * 255, b"",
+)  # fmt: skip
+"""What may stand in a tag."""
 STEERING = re.compile("[\x00-\x08\x0b-\x1f\ufffd]")
 """What XML does not allow."""
 SIZES = ("<B", "<H", "<I", "<Q", ">I", "<q", "<d", "<f")
@@ -81,6 +93,24 @@ def _number(bad: bytearray, rng: Generator) -> None:
 
 def _float(rng: Generator) -> float:
     return float(rng.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, -1e30, 1e-30, 1e6]))
+
+
+def remapped(data: bytes, rng: Generator) -> bytes:
+    """What OpenStreetMap's XML says changed, so that its readers go on: tags, nodes, places."""
+    for _ in range(int(rng.choice([1, 2, 4, 9, 30]))):
+        kind = int(rng.integers(7))
+        found = list((TAG, PLACED, NODE, WHOLE)[kind // 2].finditer(data))
+        if not found:
+            continue
+        one, other = (found[rng.integers(len(found))] for _ in range(2))
+        new = other[1] if kind < 6 else b""
+        if kind == 0:
+            new = SAID[rng.integers(len(SAID))]
+        elif kind in {2, 3}:
+            step = float(rng.choice([1e-7, 1e-5, 1e-3, 0.1])) * rng.normal()
+            new = b"%.7f" % (float(one[1]) + step)
+        data = data[: one.start(1)] + new + data[one.end(1) :]
+    return remarked(data, rng) if rng.random() < 0.1 else data
 
 
 def remarked(data: bytes, rng: Generator) -> bytes:
