@@ -24,6 +24,8 @@ WALL = 0.07
 """Surfaces that are cut and enclose nothing, as in a scan, are drawn this thick [m]."""
 VIVID = 0.5
 """Share of a scan's own colours; the rest is paper, so that marks stand out."""
+BAND = 256
+"""Rows that are coloured at a time: as floats, all of them would take most of the memory."""
 
 
 def paint_room(plan: RoomPlan, frame: Frame, *, dark: bool = False) -> Picture:
@@ -37,20 +39,26 @@ def paint_room(plan: RoomPlan, frame: Frame, *, dark: bool = False) -> Picture:
     view = look_down(plan.scene.mesh.vertices, plan.triangles, plan.lifts(), frame)
     seen = view.triangle >= 0
     owner = np.where(seen, plan.object_of[view.triangle], -1) if seen.any() else view.triangle
-    pixels = _fills(plan, dark=dark)[owner]
-    bare = np.array([*(paint == SCAN for paint in plan.paints), False])[owner]
-    if bare.any():
-        own = plan.colours(view.triangle[bare].astype(np.int64))
-        pixels[bare] = VIVID * own + (1.0 - VIVID) * pixels[bare]
     height = np.where(seen, np.clip(view.height - np.float32(plan.floor), 0.0, CUT), 0.0)
     masks = {paint: _mask(segments, frame, paint) for paint, segments in plan.cuts.items()}
     for paint, mask in masks.items():
         if paint != "curtain":
             height[mask] = CUT
-    pixels *= _light(height.astype(np.float32), owner, frame.scale)[..., None]
+    light = _light(height.astype(np.float32), owner, frame.scale)
+    fills = _fills(plan, dark=dark)
+    scanned = np.array([*(paint == SCAN for paint in plan.paints), False])
+    picture = np.empty((*owner.shape, 3), np.uint8)
+    for top in range(0, len(owner), BAND):
+        rows = slice(top, top + BAND)
+        pixels, bare = fills[owner[rows]], scanned[owner[rows]]
+        if bare.any():
+            own = plan.colours(view.triangle[rows][bare].astype(np.int64))
+            pixels[bare] = VIVID * own + (1.0 - VIVID) * pixels[bare]
+        pixels *= light[rows, :, None]
+        picture[rows] = np.clip(pixels, 0.0, 255.0, out=pixels)
     for paint, mask in masks.items():
-        pixels[mask] = _color(paint, dark=dark)
-    return Picture(np.clip(pixels, 0.0, 255.0).astype(np.uint8), frame.bounds)
+        picture[mask] = _color(paint, dark=dark)
+    return Picture(picture, frame.bounds)
 
 
 def _color(paint: str, *, dark: bool) -> tuple[int, ...]:
@@ -89,10 +97,14 @@ def _light(
 ) -> NDArray[np.float32]:
     """Brightness (rows, columns): slopes to the light, shadows at the feet of things, outlines."""
     down, right = np.gradient(height * np.float32(scale))
-    slope = np.clip(0.06 * (down + right), -0.10, 0.06)
+    down += right
+    down *= 0.06
+    light: NDArray[np.float32] = 1.0 + np.clip(down, -0.10, 0.06, out=down)
     foot = Image.fromarray((height * (255.0 / CUT)).astype(np.uint8))
     around = np.asarray(foot.filter(ImageFilter.GaussianBlur(0.16 * scale))) * np.float32(CUT / 255)
-    light: NDArray[np.float32] = 1.0 + slope - np.clip(0.30 * (around - height), 0.0, 0.22)
+    around -= height
+    around *= 0.30
+    light -= np.clip(around, 0.0, 0.22, out=around)
     outline = np.zeros(height.shape, np.bool_)
     outline[1:] |= owner[1:] != owner[:-1]
     outline[:, 1:] |= owner[:, 1:] != owner[:, :-1]
