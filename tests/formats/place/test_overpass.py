@@ -386,6 +386,8 @@ def test_nominatim_refuses(servers, out, status):
         b"[{}]",
         b"[1]",
         b"null",
+        b"[" * 9000,
+        json.dumps([PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": []}}]).encode(),
         json.dumps([PLACES[1] | {"boundingbox": ["x"]}]).encode(),
         json.dumps([PLACES[1] | {"lat": "north"}]).encode(),
         json.dumps(

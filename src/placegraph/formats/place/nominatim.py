@@ -38,7 +38,7 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
         accept(response, "Nominatim")
         try:
             shapes.extend(found["geojson"]["type"] for found in response.json())
-        except (LookupError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError, RecursionError) as error:
             raise nonsense("Nominatim", response.content[:4096]) from error
 
     hooks = ox.settings.requests_kwargs | {"hooks": {"response": hear}}
@@ -59,6 +59,8 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
                 "outline, or download an extract for `placegraph city build`."
             ) from error
         raise nonsense("Nominatim", repr(error).encode()) from error
+    if outline.is_empty:
+        raise nonsense("Nominatim", b"an outline of nothing")
     area = outline.area * METRES_A_DEGREE**2 * math.cos(math.radians(outline.centroid.y))
     if not area <= ox.settings.max_query_area_size:
         raise InputError(
