@@ -10,6 +10,7 @@ from placegraph.errors import InputError
 from placegraph_lab.campaign import changed, faults
 from placegraph_lab.campaign.changed import CHANGES, change
 from placegraph_lab.campaign.kills import Ground, refused, rows_of, tried, worse
+from placegraph_lab.campaign.outages import Load
 from placegraph_lab.campaign.row import Effort
 from placegraph_lab.campaign.trial import Ended, Running, files_in, when
 from placegraph_lab.campaign.writings import OLD, Writing, writings
@@ -151,6 +152,21 @@ def test_what_becomes_of_a_changed_file_is_an_exit_code(tmp_path, monkeypatch, f
     monkeypatch.setattr(os, "_exit", codes.append)
     changed.used("a map", "deleted", tmp_path, 1)
     assert codes == [code]
+
+
+def test_clients_tell_what_they_saw_of_a_server():
+    answers = [(200, {}), (500, {"code": "worker_died"}), (500, {"code": "internal"}), (-1, None)]
+
+    class Server:
+        def ask(self, *_):
+            status, told = answers.pop(0)
+            if not answers:
+                load.over.set()
+            return status, told
+
+    load = Load(Server())
+    load.ask(lambda _: None)
+    assert dict(load.counts) == {"accepted": 1, "typed": 1, "untyped": 1, "hang": 1}
 
 
 def test_every_command_names_files_that_it_makes(tmp_path):

@@ -12,7 +12,8 @@ import numpy as np
 from placegraph_lab.campaign.changed import CHANGES, TYPED, USES, served_anew, used
 from placegraph_lab.campaign.disks import disks
 from placegraph_lab.campaign.kills import AGAIN, Ground, killed, rows_of, tried
-from placegraph_lab.campaign.outages import endpoints
+from placegraph_lab.campaign.outages import endpoints, kills_under_load
+from placegraph_lab.campaign.resumed import resumed
 from placegraph_lab.campaign.row import Row
 from placegraph_lab.campaign.trial import Commands, ended
 from placegraph_lab.campaign.writings import prepare, writings
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 KILLS = 60
 """A minute of effort; five minutes are 300, where the machine is quick enough."""
-SHARES = {"kills": 0.6, "disks": 0.25, "changed": 0.15}
+SHARES = {"kills": 0.45, "disks": 0.2, "changed": 0.15, "load": 0.15, "resumed": 0.05}
 """Of the time."""
 
 
@@ -45,6 +46,8 @@ def rows(effort: Effort) -> Iterator[Row]:
     (inputs / "town.vectors").write_bytes(made)
     yield from changes(inputs, commands, effort, rng)
     yield from endpoints(effort)
+    yield from kills_under_load(inputs, effort, rng, effort.seconds * SHARES["load"])
+    yield from resumed(inputs, commands, effort, rng, effort.seconds * SHARES["resumed"])
 
 
 def kills(

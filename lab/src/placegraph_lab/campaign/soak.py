@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Row
 from placegraph_lab.campaign.writings import prepare
 
@@ -34,7 +35,7 @@ SEEN = 10
 """Memory and files are looked at once in so many answers."""
 FEW = 200
 """From so many answers a quarter on its slowest hundredth is told."""
-LOADS = ("sentences", "localizations", "tracker frames")
+LOADS = ("sentences", "localizations", "tracker frames", "a server")
 WORDS = (
     "bakery",
     "church",
@@ -102,13 +103,17 @@ def rows(effort: Effort) -> Iterator[Row]:
     share = effort.seconds / len(LOADS)
     for load in LOADS:
         start = perf_counter()
-        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            worn = pool.submit(lived, load, inputs, share, effort.seed).result()
+        if load == "a server":
+            worn, wrong = asked(inputs, effort, share)
+        else:
+            with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+                worn, wrong = pool.submit(lived, load, inputs, share, effort.seed).result(), 0
         effort.say(f"{load}: {worn}{'; ' + ', '.join(worn.faults) if worn.faults else ''}")
         grown = int(bool({"memory", "files"} & set(worn.faults)))
         late = int("slower" in worn.faults)
         counts = {
-            "accepted": max(0, worn.count - grown - late),
+            "accepted": max(0, worn.count - wrong - grown - late),
+            "untyped": wrong,
             "hang": late,
             "memory": grown,
         }
@@ -187,6 +192,41 @@ def frames(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
         return live.step(replace(frame, stamp=0.2 * count, index=count))
 
     return ask
+
+
+def asked(inputs: Path, effort: Effort, seconds: float) -> tuple[Worn, int]:
+    """Ask a server for sentences, maps, pages and nonsense; also how many answers were wrong."""
+    import json
+    import shutil
+
+    folder = effort.folder / "served"
+    room = effort.folder / "serving"
+    for each in (folder, room):
+        each.mkdir()
+    shutil.copy(inputs / "town.city", folder)
+    rng, server = np.random.default_rng(effort.seed), Server.start(folder, room)
+    took, memory, files, wrong = array("f"), array("d"), array("l"), 0
+    try:
+        own = [server.process.pid, *server.workers()]
+        end = perf_counter() + seconds
+        while perf_counter() < end:
+            kind = int(rng.integers(8))
+            text = drawn(rng) if kind < 5 else ""
+            body = json.dumps({"text": text, "map": "town"}).encode()
+            wanted, path = (200, "/v1/locate") if kind < 5 else (422, "/v1/locate")
+            start = perf_counter()
+            if kind < 6:
+                status, _ = server.ask("POST", path, body)
+            else:
+                wanted, (status, _) = 200, server.ask("GET", ("/v1/maps", "/")[kind - 6])
+            took.append(perf_counter() - start)
+            wrong += status != wanted and not (wanted == 422 and 400 <= status < 500)
+            if len(took) % SEEN == 1:
+                memory.append(sum(map(held, own)))
+                files.append(sum(len(list(Path(f"/proc/{p}/fd").iterdir())) for p in own))
+    finally:
+        server.end()
+    return Worn.of(took, memory, files), wrong
 
 
 def _quarters(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
