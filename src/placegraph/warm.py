@@ -8,7 +8,6 @@ is missing is compiled where it is called.
 
 from __future__ import annotations
 
-import os
 import signal
 import warnings
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -16,14 +15,13 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
-from multiprocessing import get_context, parent_process
-from threading import Thread
+from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
 from numba.core import types
 
 from placegraph import kept
-from placegraph.threads import processors
+from placegraph.threads import end_with_parent, processors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
@@ -161,14 +159,7 @@ def _begin(folder: Path | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it at once, without a word
     warnings.simplefilter("ignore")  # the one who asked has been warned
     kept.use_folder(folder)
-    Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    end_with_parent()
 
 
 def _compile(call: str) -> None:

@@ -18,3 +18,11 @@ def once(job):
 
 def always(_job):
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def orphaned(job):
+    """Kill who started it, and be held by nothing but its own end: a pipe is open until then."""
+    held = os.open(os.environ["HELD"], os.O_WRONLY)
+    os.kill(os.getppid(), signal.SIGKILL)
+    os.write(held, b"killed")
+    return build_tile(job)

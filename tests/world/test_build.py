@@ -121,6 +121,44 @@ def test_a_worker_that_is_killed_is_replaced(extract, tmp_path, monkeypatch):
         build_world([extract], tmp_path / "again", options)
 
 
+def test_workers_end_with_who_started_them(extract, tmp_path):
+    held = tmp_path / "held"
+    os.mkfifo(held)
+    code = (
+        "import sys\n"
+        "from tests.world import killers\n"
+        "from placegraph.world import build\n"
+        "build.build_tile = killers.orphaned\n"
+        "options = build.BuildOptions(zoom=15, overlap=100.0, workers=2)\n"
+        "if __name__ == '__main__': build.build_world([sys.argv[1]], sys.argv[2], options)\n"
+    )
+    died = subprocess.Popen(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", code, extract, tmp_path / "w"], env=os.environ | {"HELD": str(held)}
+    )
+    with held.open("rb") as pipe:  # until all who hold its other end are gone
+        assert set(pipe.read().split(b"killed")) == {b""}
+    assert died.wait() == -signal.SIGKILL
+
+
+def test_workers_are_let_go_where_the_journal_cannot_be_written(extract, tmp_path, monkeypatch):
+    gone, real = [], module.done
+
+    def done(*given):
+        try:
+            yield from real(*given)
+        finally:
+            gone.append(given[0])
+
+    def full(*_):
+        raise MapError("journal.jsonl cannot be written: No space left on device.")
+
+    monkeypatch.setattr(module, "done", done)
+    monkeypatch.setattr(module.Journal, "add", full)
+    with pytest.raises(MapError, match="journal"):
+        build_world([extract], tmp_path / "w", SMALL)
+    assert gone[-1] is module.build_tile
+
+
 def test_a_full_disk_says_so(extract, tmp_path, monkeypatch):
     def full(_path):
         raise MapError("x.city cannot be written: No space left on device. Choose another place.")

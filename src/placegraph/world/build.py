@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import shutil
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -203,8 +204,9 @@ class _Build:
             for job in todo:
                 _split(job, self.tell)
         else:
-            for n, _ in enumerate(done(_split, todo, self.workers), 1):
-                self.tell("splitting extracts", n, len(todo))
+            with closing(done(_split, todo, self.workers)) as parts:
+                for n, _ in enumerate(parts, 1):
+                    self.tell("splitting extracts", n, len(todo))
 
     def each(self, work: Callable[[Path], Any], paths: list[Path]) -> list[Any]:
         """Results of a function for all paths, in their order."""
@@ -215,10 +217,10 @@ class _Build:
         """Build the shards that are missing, each as soon as a worker is free."""
         jobs = self._missing() if (self.work / "tiles.json").exists() else self._spread()
         total = len(jobs)
-        built = done(build_tile, jobs, self.workers, self.options.scheduler)
-        for n, (_, made) in enumerate(built, 1):
-            self.journal.add(made)
-            self.tell("building tiles", n, total)
+        with closing(done(build_tile, jobs, self.workers, self.options.scheduler)) as built:
+            for n, (_, made) in enumerate(built, 1):
+                self.journal.add(made)
+                self.tell("building tiles", n, total)
         if not any(made.digest for made in self.journal.done.values()):
             raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
 

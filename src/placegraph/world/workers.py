@@ -13,10 +13,11 @@ from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from placegraph.errors import MapError, OptionError, ServiceError
+from placegraph.threads import end_with_parent
 from placegraph.world.shards.cluster import connected
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
 
     Task = TypeVar("Task")
     Made = TypeVar("Made")
@@ -27,8 +28,8 @@ TRIES = 3
 
 def done(
     work: Callable[[Task], Made], tasks: Sequence[Task], workers: int, scheduler: str | None = None
-) -> Iterator[tuple[int, Made]]:
-    """Numbers and results of all tasks, in the order in which they are done.
+) -> Generator[tuple[int, Made]]:
+    """Numbers and results of all tasks, in the order in which they are done; close it if you leave it.
 
     Parameters
     ----------
@@ -58,19 +59,19 @@ def done(
     if scheduler is not None:
         return _on_cluster(work, tasks, scheduler)
     if workers == 1 or len(tasks) < 2:
-        return enumerate(map(work, tasks))
+        return (pair for pair in enumerate(map(work, tasks)))
     return _in_processes(work, tasks, workers)
 
 
 def _in_processes(
     work: Callable[[Task], Made], tasks: Sequence[Task], workers: int
-) -> Iterator[tuple[int, Made]]:
+) -> Generator[tuple[int, Made]]:
     """Results from processes of this machine; new ones take the place of those that were killed."""
     left, killed = dict(enumerate(tasks)), 0
     while left:
         before = len(left)
         try:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            with ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent) as pool:
                 try:
                     for number, result in _answers(pool, work, left, workers):
                         del left[number]
@@ -101,7 +102,7 @@ def _answers(
 
 def _on_cluster(
     work: Callable[[Task], Made], tasks: Sequence[Task], scheduler: str
-) -> Iterator[tuple[int, Made]]:
+) -> Generator[tuple[int, Made]]:
     """Results from the workers of a Dask scheduler, which gives a killed one's tasks to others."""
     client = connected(scheduler)
     import distributed

@@ -1,6 +1,7 @@
 """Shards say what the library of the same scenes says, and read next to nothing to open."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -118,6 +119,26 @@ def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
         shards.name(SCENES)
     with pytest.raises(InputError, match="no map file"):
         shards.library([0])
+
+
+def test_what_is_unfinished_is_no_library(signatures, tmp_path):
+    scenes, folder = listed(signatures)[:9], tmp_path / "several"
+    assert len(write_shards(folder, scenes, size=3).shards) == 3
+
+    def cut():
+        yield from scenes[:5]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_shards(folder, cut(), size=2)
+    with pytest.raises(InputError, match="no shard of a library"):
+        SceneShards.open(folder)
+    again = write_shards(folder, scenes[:4], size=2)
+    assert (len(again), len(again.shards)) == (4, 2)  # the third is of the library before
+    shutil.rmtree(folder / "00001")
+    shutil.rmtree(folder / "00002")
+    with pytest.raises(InputError, match="holds 1 shards of 2"):
+        SceneShards.open(folder)
 
 
 def test_no_shards(tmp_path):

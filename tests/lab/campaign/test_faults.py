@@ -171,7 +171,7 @@ def test_clients_tell_what_they_saw_of_a_server():
 
 def test_every_command_names_files_that_it_makes(tmp_path):
     every = writings(tmp_path)
-    assert len({each.what for each in every}) == len(every) == 14
+    assert len({each.what for each in every}) == len(every) == 18
     for each in every:
         assert each.words[:2] == tuple(each.what.split())
         assert each.makes

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 LEAST = 2048
 """Smallest disk: the error itself has to be written somewhere [bytes]."""
 PAGE = 4096
-NOBODY = 65534
 
 
 def disks(
@@ -32,14 +31,13 @@ def disks(
     }
     root = os.geteuid() == 0
     if root:
-        effort.folder.chmod(0o755)  # another user reads the inputs
         faults["a small disk under"] = lambda g: on_disk(g, commands, effort, rng, writable=True)
         faults["a read-only disk under"] = lambda g: on_disk(
             g, commands, effort, rng, writable=False
         )
         faults["a folder lost under"] = lambda g: lost(g, commands, effort, rng)
     else:
-        effort.say("disks are not mounted, and users not changed: that takes root")
+        effort.say("disks are not mounted, and nothing is lost: that takes root")
     for fault, once in faults.items():
         tried(grounds, once, seconds / len(faults), 4 * len(grounds))
         yield from rows_of(grounds, fault, effort.seed)
@@ -76,22 +74,22 @@ def on_disk(
 
 
 def lost(ground: Ground, commands: Commands, effort: Effort, rng: Generator) -> None:
-    """Another user runs it, and may no longer write to the folder from some moment on."""
-    for path in ground.folder.iterdir():
-        path.unlink() if path.is_file() else None
+    """From some moment on it may no longer write to the folder."""
     old = ground.writing.before(ground.inputs, ground.folder)
-    for path in ground.folder.iterdir():
-        path.chmod(0o666)
     before = listed(ground.folder)
-    limits = Limits(user=NOBODY)
+    limits = Limits(bound=True)
     running = commands.start(ground.writing.words, ground.folder, ground.room, limits)
     if rng.random() < 0.7:  # just when it writes
         when(lambda: listed(ground.folder) != before, 3.0 * ground.seconds, running)
     else:
         running.process.join(ground.seconds * rng.random())
-    ground.folder.chmod(0o555)
+    folders = [ground.folder, *(ground.folder / n for n in listed(ground.folder))]
+    folders = [path for path in folders if path.is_dir()]
+    for path in folders:
+        path.chmod(0o555)
     try:
         ended = running.end()
         refused(ground, old, ended, effort.say, clean=False)
     finally:
-        ground.folder.chmod(0o777)
+        for path in folders:
+            path.chmod(0o755)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from dataclasses import dataclass, field
 from time import perf_counter, sleep
@@ -46,25 +47,26 @@ class Ground:
         made = cls(writing, inputs, folder / "here", folder / "room")
         made.folder.mkdir(parents=True)
         made.room.mkdir()
-        for path in (folder, made.folder, made.room):
-            path.chmod(0o777)  # others are let try it, too
         writing.before(inputs, made.folder)
         ended = commands.start(writing.words, made.folder, made.room).end()
-        made.new = {name: b for name, b in files_in(made.folder).items() if name in writing.makes}
-        if ended.code or set(made.new) != set(writing.makes):
+        made.new = {name: b for name, b in files_in(made.folder).items() if writing.made(name)}
+        if ended.code or not all((made.folder / name).exists() for name in writing.makes):
             raise RuntimeError(f"{writing.what} ended with {ended.code}: {ended.said[-400:]}")
         made.seconds = ended.seconds
         return made
 
     def whole(self, old: dict[str, bytes]) -> str:
         """What is wrong with the files that are there now; empty where nothing is."""
-        for name, found in files_in(self.folder).items():
-            if name in self.writing.makes:
-                if found not in (old.get(name), self.new[name]):
+        there = files_in(self.folder)
+        for name, found in there.items():
+            if self.writing.made(name):
+                if found not in (old.get(name), self.new.get(name)):
                     return f"{name} is neither the old nor the new one"
             elif not self.writing.allows(name):
                 return f"{name} is left"
-        gone = [name for name in old if not (self.folder / name).exists()]
+        gone = [name for name in old if name not in there]
+        if self.writing.ends in there:
+            gone += [name for name in self.new if name not in there]
         return f"{gone[0]} is gone" if gone else ""
 
     def count(self, outcome: str, why: str, said: str, say: Callable[[str], None]) -> None:
@@ -156,7 +158,7 @@ def refused(
 ) -> None:
     """Judge a command that could not write: a typed error that names the file, all as it was."""
     why = ground.whole(old)
-    there = set(files_in(ground.folder)) - set(ground.writing.makes)
+    there = {name for name in files_in(ground.folder) if not ground.writing.made(name)}
     if clean and not why and (left := {n for n in there if not ground.writing.keeps(n)}):
         why = f"{min(left)} is left"
     if ended.outcome == "typed" and not any(n in ended.said for n in ground.writing.makes):
@@ -179,5 +181,5 @@ def worse(outcome: str) -> str:
 
 
 def listed(folder: Path) -> list[str]:
-    """Names in a folder."""
-    return sorted(path.name for path in folder.iterdir())
+    """Names in a folder, and in those below it."""
+    return sorted(os.path.join(at, n) for at, ds, ns in os.walk(folder) for n in (*ds, *ns))  # noqa: PTH118

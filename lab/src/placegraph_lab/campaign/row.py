@@ -60,6 +60,8 @@ class Row:
     seed: int = 0
     seconds: float = 0.0
     """Wall time of all trials."""
+    said: str = ""
+    """What was measured beside it, in a few words."""
 
     @property
     def faults(self) -> int:
@@ -68,13 +70,21 @@ class Row:
 
     @classmethod
     def counted(
-        cls, part: str, what: str, found: Mapping[str, int], seed: int, seconds: float
+        cls,
+        part: str,
+        what: str,
+        found: Mapping[str, int],
+        seed: int,
+        seconds: float,
+        said: str = "",
     ) -> Row:
         """Row of how often each outcome was seen; `KeyError` where one is none of `OUTCOMES`."""
         counts = {name: found.get(name, 0) for name in OUTCOMES}
         if strange := sorted(set(found) - set(OUTCOMES)):
             raise KeyError(strange[0])
-        return cls(part, what, sum(counts.values()), **counts, seed=seed, seconds=seconds)
+        return cls(
+            part, what, sum(counts.values()), **counts, seed=seed, seconds=seconds, said=said
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON holds it."""
@@ -83,7 +93,15 @@ class Row:
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Row:
         """Row of what `to_dict` gave."""
-        return cls(**{f.name: record[f.name] for f in fields(cls)})
+        return cls(**{f.name: record[f.name] for f in fields(cls) if f.name in record})
+
+
+def merged(before: Iterable[Row], now: Iterable[Row]) -> list[Row]:
+    """Rows written down before, and those of now in the place of the same of the same seed."""
+    new = list(now)
+    there = {(r.part, r.what, r.seed) for r in new}
+    kept = [r for r in before if (r.part, r.what, r.seed) not in there]
+    return sorted([*kept, *new], key=lambda r: PARTS.index(r.part))
 
 
 def total(rows: Iterable[Row], what: str = "all") -> Row:

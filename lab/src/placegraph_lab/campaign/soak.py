@@ -90,9 +90,9 @@ class Worn:
 
     def __str__(self) -> str:
         late, held = self.milliseconds, self.memory
-        said = f", slowest hundredth {late[0]:.1f} -> {late[1]:.1f} ms" if self.enough else ""
+        said = f"slowest hundredth {late[0]:.1f} -> {late[1]:.1f} ms, " if self.enough else ""
         return (
-            f"{self.count:,}{said}, memory {held[0] / 1e6:.1f} -> {held[1] / 1e6:.1f} MB "
+            f"{said}memory {held[0] / 1e6:.1f} -> {held[1] / 1e6:.1f} MB "
             f"({held[1] / max(held[0], 1.0) - 1.0:+.1%}), open files {self.files[0]} -> {self.files[1]}"
         )
 
@@ -108,7 +108,7 @@ def rows(effort: Effort) -> Iterator[Row]:
         else:
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 worn, wrong = pool.submit(lived, load, inputs, share, effort.seed).result(), 0
-        effort.say(f"{load}: {worn}{'; ' + ', '.join(worn.faults) if worn.faults else ''}")
+        effort.say(f"{load}: {worn.count:,}, {worn}; {', '.join(worn.faults)}")
         grown = int(bool({"memory", "files"} & set(worn.faults)))
         late = int("slower" in worn.faults)
         counts = {
@@ -117,7 +117,7 @@ def rows(effort: Effort) -> Iterator[Row]:
             "hang": late,
             "memory": grown,
         }
-        yield Row.counted("soak", load, counts, effort.seed, perf_counter() - start)
+        yield Row.counted("soak", load, counts, effort.seed, perf_counter() - start, str(worn))
 
 
 def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:

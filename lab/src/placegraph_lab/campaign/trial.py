@@ -24,11 +24,16 @@ MOST = 300.0
 LOADED = (
     "placegraph.outdoor.city", "placegraph.outdoor.network", "placegraph.view", "placegraph.indoor.library",
     "placegraph.indoor.build", "placegraph.indoor.localize", "placegraph.indoor.mapping.change.update",
-    "placegraph.indoor.mapping.export", "placegraph.cli", "placegraph.compiled", "placegraph.maps",
+    "placegraph.indoor.mapping.export", "placegraph.cli", "placegraph.world.build",
+    "placegraph.compiled", "placegraph.maps",
     "placegraph.ros.localizer", "osmium", "embreex.rtcore_scene", "PIL.Image",
 )  # fmt: skip
 """What is imported once, so that a trial is the command's own work; what is not there is passed over."""
 _TICK = 0.0005
+POWERS = (1, 2)
+"""CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH: by them root passes where permissions forbid it."""
+_CAPABILITY, _DROP = 0x20080522, 24
+"""Version of the call, and PR_CAPBSET_DROP."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +67,8 @@ class Limits:
 
     file: int | None = None
     """Largest file that it may write [bytes]; more is as a full disk."""
-    user: int | None = None
-    """Who it runs as; who started it, if not given."""
+    bound: bool = False
+    """Whether permissions bind it, though root started it."""
 
 
 @dataclass
@@ -139,14 +144,27 @@ def command(words: tuple[str, ...], folder: Path, room: Path, errors: Path, limi
     sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
     if limits.file is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limits.file, resource.RLIM_INFINITY))
-    if limits.user is not None:
-        os.setgroups([])
-        os.setgid(limits.user)
-        os.setuid(limits.user)
+    if limits.bound:
+        bind()
     sys.argv = ["placegraph", *words]
     from placegraph.cli import main
 
     main()
+
+
+def bind() -> None:
+    """Let permissions bind this process and those it starts, as they bind all but root."""
+    import ctypes
+
+    libc = ctypes.CDLL(None)
+    for power in POWERS:
+        libc.prctl(_DROP, power, 0, 0, 0)
+    head, sets = (ctypes.c_uint32 * 2)(_CAPABILITY, 0), (ctypes.c_uint32 * 6)()
+    libc.capget(head, sets)
+    for k in (0, 1, 2):  # what is in effect, what may be, and what is handed on
+        sets[k] &= ~sum(1 << power for power in POWERS)
+    if libc.capset(head, sets):
+        raise OSError("root cannot be bound here")
 
 
 def when(moment: Callable[[], bool], seconds: float, running: Running) -> bool:

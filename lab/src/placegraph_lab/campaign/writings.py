@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -10,6 +11,7 @@ from placegraph.demo.world import FLAT, TOWN, unpack
 
 TEXT = "A bakery is north of me."
 OLD = b"what was there before"
+RUN = ("--tum", "a.tum", "--png", "a.png", "--overlay", "b.png", "--record", "a.run")
 DRAWN = (
     "colour.png",
     "depth.png",
@@ -29,14 +31,27 @@ class Writing:
     words: tuple[str, ...]
     """Of `placegraph`; files by their names in the folder of the trial."""
     makes: tuple[str, ...]
+    """Files, or one folder."""
     leaves: tuple[str, ...] = ()
     """Patterns of what the docs say that a killed one leaves, beside those of every file."""
     old: str | None = ""
     """Input that is the old file, where the command changes one; else some bytes; None: there is none."""
+    ends: str = ""
+    """File of a folder that is written last: where it is there, all are."""
+
+    def made(self, name: str) -> bool:
+        """Whether it makes a file of this name; what it keeps for itself aside."""
+        return any(name == m or name.startswith(f"{m}/") for m in self.makes) and not self.keeps(
+            name
+        )
 
     def before(self, inputs: Path, folder: Path) -> dict[str, bytes]:
         """Lay the old files into a folder; their contents by name."""
         old: dict[str, bytes] = {}
+        if self.ends:  # what is unfinished is gone on with
+            if (folder / self.ends).exists():
+                shutil.rmtree(folder / self.makes[0])
+            return old
         for name in self.makes:
             path = folder / name
             if self.old is None:
@@ -55,7 +70,7 @@ class Writing:
         last = name.rpartition("/")[2]
         own = [Path(made).name for made in self.makes]
         unfinished = [f".{each}.{end}" for each in own for end in ("tmp", "lock")]
-        return name in self.makes or last in unfinished or self.keeps(name)
+        return self.made(name) or last in unfinished or self.keeps(name)
 
 
 def prepare(folder: Path) -> Path:
@@ -72,7 +87,8 @@ def prepare(folder: Path) -> Path:
     capture = open_capture(folder / "walk")
     scene.diff(capture, scene.localize(capture, seed=0)).save(folder / "changes.json")
     library = SceneLibrary()
-    library.add("home1", folder / "home1.scene")
+    for name in ("home1", "home3"):
+        library.add(name, folder / f"{name}.scene")
     library.save(folder / "homes.library")
     with BagWriter(folder / "walk.mcap") as bag:
         write_capture(bag, open_capture(folder / "window", labels=None), Layout())
@@ -87,8 +103,9 @@ def writings(inputs: Path) -> list[Writing]:
         ("city build", (osm, "-o", "a.city"), ("a.city",)),
         ("city embed", (city, "-o", "a.vectors"), ("a.vectors",)),
         ("city locate", (city, TEXT, "--html", "a.html", "--png", "a.png"), ("a.html", "a.png")),
+        ("city info", (city, "--png", "a.png"), ("a.png",)),
         ("scene build", (inputs / f"{FLAT}.glb", "-o", "a.scene"), ("a.scene",)),
-        ("scene localize", (flat, window, "--tum", "a.tum", "--png", "a.png"), ("a.tum", "a.png")),
+        ("scene localize", (flat, window, *RUN), RUN[1::2]),
         ("scene anchor", (flat, "--pose", "7.4,43.7,10,90", "-o", "a.scene"), ("a.scene",)),
         ("scene diff", (flat, window, "-o", "a.json", "--png", "a.png"), ("a.json", "a.png")),
         ("scene update", (flat, inputs / "changes.json", "-o", "a.scene"), ("a.scene",)),
@@ -100,5 +117,27 @@ def writings(inputs: Path) -> list[Writing]:
     ]  # fmt: skip
     found = [Writing(w, (*w.split(), *map(str, words)), makes) for w, words, makes in every]
     found[-1] = replace(found[-1], leaves=(".a.mcap.*",), old=None)
-    add = ("library", "add", "a.library", str(inputs / "home2.scene"))
-    return [*found, Writing("library add", add, ("a.library",), old="homes.library")]
+    tiles = (osm, "-o", "a.world", "--zoom", "15", "--overlap", "50", "--workers", "2")
+    shards = (inputs / "homes.library", "-o", "a.shards", "--size", "1")
+    homes = {
+        "library add": ("a.library", inputs / "home2.scene"),
+        "library remove": ("a.library", "home1"),
+    }
+    folders = {
+        "world build": (tiles, "a.world", "world.json"),
+        "library shard": (shards, "a.shards", "usual/shard.json"),
+    }
+    return [
+        *found,
+        *(
+            Writing(w, (*w.split(), *map(str, words)), ("a.library",), old="homes.library")
+            for w, words in homes.items()
+        ),
+        *(
+            Writing(
+                w, (*w.split(), *map(str, words)), (name,), (f"{name}/.*", f"{name}/*/.*"),
+                ends=f"{name}/{last}",
+            )
+            for w, (words, name, last) in folders.items()
+        ),
+    ]  # fmt: skip

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.progress import Progress, track
 
 from placegraph.cli.terminal import bare
+from placegraph.files import put
 from placegraph_lab.tables import named
 from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.machine import machine
@@ -119,7 +120,7 @@ class Run:
         head = {"table": self.name, "machine": machine(), "commit": _commit()}
         text = json.dumps(head | self.options | record, indent=1, allow_nan=False, default=str)
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text + "\n", encoding="utf-8")
+        put(out, f"{text}\n".encode())  # in one step: a run may be cut short
 
 
 @dataclass(frozen=True)

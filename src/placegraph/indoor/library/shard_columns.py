@@ -15,7 +15,7 @@ from placegraph.indoor.language.described import units
 from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.shard import Usual
-from placegraph.indoor.library.shard_file import BESIDE, USUAL, packed, write_shard
+from placegraph.indoor.library.shard_file import BESIDE, USUAL, packed, unfinished, write_shard
 from placegraph.indoor.library.signature_file import decoys
 from placegraph.indoor.map.eight_bits import in_8_bits
 
@@ -75,19 +75,18 @@ def write_shards(
     if size < 1:
         raise OptionError(f"size is {size}; a shard holds at least one scene.")
     folder, left = Path(folder), iter(scenes)
-    usual = None
-    for number in itertools.count():
-        some = list(itertools.islice(left, size))
-        if not some:
-            break
+    unfinished(folder)
+    usual, number = None, 0
+    while some := list(itertools.islice(left, size)):
         if usual is None:
             usual = usual_of(some, made)
-            told = {"encoders": [{"name": e.name, "key": e.key} for e in made], **usual.meta}
-            write_shard(folder / USUAL, told, usual.arrays)
-            write_shard(folder / BESIDE, *beside_of(made))
         write_shard(folder / f"{number:05d}", *shard_arrays(some, keys))
+        number += 1
     if usual is None:
         raise OptionError("There is no scene: a library in shards holds at least one.")
+    told = {"encoders": [{"name": e.name, "key": e.key} for e in made], **usual.meta}
+    write_shard(folder / BESIDE, *beside_of(made))
+    write_shard(folder / USUAL, told | {"shards": number}, usual.arrays)  # the last: all is there
     return SceneShards.open(folder, encoders=made)
 
 

@@ -49,6 +49,16 @@ def write_shard(folder: Path, meta: Mapping[str, Any], arrays: Arrays) -> None:
         ) from error
 
 
+def unfinished(folder: Path) -> None:
+    """Let a folder be no library until its shards are written; `MapError` where it cannot be."""
+    try:
+        (folder / USUAL / HEAD).unlink(missing_ok=True)
+    except OSError as error:
+        raise MapError(
+            f"{folder} cannot be written ({error.strerror}); choose another place."
+        ) from error
+
+
 def map_shard(folder: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Metadata and mapped columns of a shard.
 

@@ -98,12 +98,15 @@ class SceneShards:
             )
         keys = [key for _, key in told]
         found = sorted(p for p in folder.iterdir() if p.is_dir() and p.name.isdigit())
-        if not found:
-            raise InputError(f"{folder} holds no shard; make it again.")
+        count = meta.get(
+            "shards", len(found)
+        )  # more are of another library, which lay there before
+        if not (isinstance(count, int) and 0 < count <= len(found)):
+            raise InputError(f"{folder} holds {len(found)} shards of {count}; make it again.")
         usual = Usual(meta, arrays, keys)
         of = partial(Shard, usual=usual)
         return cls(
-            folder, known, usual, tuple(of(*map_shard(p)) for p in found),
+            folder, known, usual, tuple(of(*map_shard(p)) for p in found[:count]),
             of(*map_shard(folder / BESIDE)),
         )  # fmt: skip
 

@@ -2,9 +2,12 @@
 
     placegraph-lab table reliability --minutes 5
     placegraph-lab table reliability --only fuzz --minutes 240 --seed 7
+    placegraph-lab table reliability --minutes 0 --also elsewhere.json
 
-Every part works for so many minutes: mutated inputs, faults, load, properties, platforms. A part that
-is run alone takes the place of its own rows; those of the others stay. Prints Markdown, writes JSON.
+Every part works for so many minutes: mutated inputs, faults, load, properties, platforms. Each row is
+written down as soon as it is there, so that nothing is lost where a run is cut short, and takes the
+place of that of the same name and seed; all others stay. Prints Markdown, writes JSON; no minutes
+print what was written down, here and elsewhere.
 """
 
 from __future__ import annotations
@@ -12,41 +15,54 @@ from __future__ import annotations
 import json
 import tempfile
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, total
+from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, merged, total
 from placegraph_lab.tables.run import LAB, Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
-HEADER = ["", "", "tried", *OUTCOMES, "seed", "minutes"]
+HEADER = ["", "", "tried", *OUTCOMES, "seed", "minutes", "measured"]
 
 
 @table()
 def reliability(
     run: Run,
-    minutes: Annotated[float, option("Of each part.")] = 5.0,
+    minutes: Annotated[float, option("Of each part; 0 prints what was written down.")] = 5.0,
     only: Annotated[str, option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
     seed: Seed = 0,
+    also: Annotated[
+        str, option("JSON files of other runs, with commas, whose rows are taken along.")
+    ] = "",
     *,
     quick: Quick = False,
+    fresh: Annotated[bool, option("Forget what was written down of these parts.")] = False,
 ) -> None:
     """What was done to break placegraph, and what became of it."""
-    made = [part for part in PARTS if find_spec(f"placegraph_lab.campaign.{part}")]
-    rows: list[Row] = []
-    for part in known(parts(only), made, "part"):
+    wanted, path = known(parts(only), PARTS, "part"), run.out or LAB / "results/reliability.json"
+    now = [row for name in parts(also) for row in written(Path(name))]
+    dropped = wanted if fresh else []
+
+    def save() -> list[Row]:  # others may have written meanwhile
+        rows = merged((r for r in written(path) if r.part not in dropped), now)
+        run.save({"rows": [r.to_dict() for r in rows]})
+        dropped.clear()
+        return rows
+
+    seconds = 60.0 * (min(minutes, 1.0) if quick else minutes)
+    for part in wanted if seconds else ():
         with tempfile.TemporaryDirectory(prefix=f"placegraph-{part}-") as name:
-            seconds = 60.0 * (min(minutes, 1.0) if quick else minutes)
             run.say(f"{part}, seed {seed}, {seconds / 60:g} minutes")
             effort = Effort(seconds, seed, Path(name), run.data, run.say)
-            rows += import_module(f"placegraph_lab.campaign.{part}").rows(effort)
-    print(shown(rows))
-    run.save({"rows": [r.to_dict() for r in kept(run, rows) + rows]})
+            for row in import_module(f"placegraph_lab.campaign.{part}").rows(effort):
+                now.append(row)
+                save()
+    rows = save() if now else written(path)
+    print(shown(now if seconds else [row for row in rows if row.part in wanted]))
 
 
 def shown(rows: list[Row]) -> str:
-    """Rows, and the sum of each part."""
+    """Rows, and the sum of each part and of all."""
     told = []
     for part in dict.fromkeys(row.part for row in rows):
         own = [row for row in rows if row.part == part]
@@ -58,13 +74,11 @@ def _cells(row: Row) -> list[str]:
     counts = [number(getattr(row, name)) for name in ("tried", *OUTCOMES)]
     told = [f"**{c}**" if name in FAULTS and c != "0" else c
             for name, c in zip(("tried", *OUTCOMES), counts, strict=True)]  # fmt: skip
-    return [row.part, row.what, *told, str(row.seed), number(row.seconds / 60, 1)]
+    return [row.part, row.what, *told, str(row.seed), number(row.seconds / 60, 1), row.said]
 
 
-def kept(run: Run, rows: list[Row]) -> list[Row]:
-    """Rows of parts that were not run now, as they were written down before."""
-    path = run.out or LAB / "results/reliability.json"
+def written(path: Path) -> list[Row]:
+    """Rows that were written down; none where there is no file."""
     if not path.exists():
         return []
-    before = [Row.from_dict(r) for r in json.loads(path.read_text("utf-8"))["rows"]]
-    return [row for row in before if row.part not in {r.part for r in rows}]
+    return [Row.from_dict(r) for r in json.loads(path.read_text("utf-8"))["rows"]]
