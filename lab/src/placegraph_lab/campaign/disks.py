@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from placegraph_lab.campaign.kills import limited, listed, refused, rows_of, tried
+from placegraph_lab.campaign.row import total
 from placegraph_lab.campaign.trial import Limits, read_only, small_disk, when
 
 if TYPE_CHECKING:
@@ -27,20 +29,19 @@ def disks(
 ) -> Iterator[Row]:
     """Rows of every fault of a disk that can be made here."""
     faults: dict[str, Callable[[Ground], None]] = {
-        "a full disk under": lambda g: full(g, commands, effort, rng),
+        "a full disk": lambda g: full(g, commands, effort, rng),
     }
     root = os.geteuid() == 0
     if root:
-        faults["a small disk under"] = lambda g: on_disk(g, commands, effort, rng, writable=True)
-        faults["a read-only disk under"] = lambda g: on_disk(
-            g, commands, effort, rng, writable=False
-        )
-        faults["a folder lost under"] = lambda g: lost(g, commands, effort, rng)
+        faults["a small disk"] = lambda g: on_disk(g, commands, effort, rng, writable=True)
+        faults["a read-only disk"] = lambda g: on_disk(g, commands, effort, rng, writable=False)
+        faults["a folder lost"] = lambda g: lost(g, commands, effort, rng)
     else:
         effort.say("disks are not mounted, and nothing is lost: that takes root")
     for fault, once in faults.items():
         tried(grounds, once, seconds / len(faults), 4 * len(grounds))
-        yield from rows_of(grounds, fault, effort.seed)
+        rows = list(rows_of(grounds, fault, effort.seed))
+        yield replace(total(rows, fault), said=f"{len(rows)} commands")
 
 
 def full(ground: Ground, commands: Commands, effort: Effort, rng: Generator) -> None:
