@@ -1,8 +1,13 @@
 """Rows of the campaign: counted, summed, written down and read again."""
 
+import json
+from types import SimpleNamespace
+
 import pytest
 
-from placegraph_lab.campaign.row import OUTCOMES, Row, total
+from placegraph_lab.campaign.row import OUTCOMES, Row, merged, total
+from placegraph_lab.tables.named import reliability as module
+from placegraph_lab.tables.run import LAB, Run
 
 FOUND = {"accepted": 3, "typed": 4, "hang": 1}
 
@@ -24,3 +29,72 @@ def test_rows_come_back_and_are_summed():
     both = total([row, row])
     assert (both.tried, both.faults, both.seconds) == (16, 2, 5.0)
     assert total([]).tried == 0
+
+
+def test_rows_take_the_place_of_the_same_of_the_same_seed():
+    old, again = (Row.counted("soak", "tracker", FOUND, 7, seconds) for seconds in (1.0, 2.0))
+    other, first = (
+        Row.counted("soak", "tracker", FOUND, 8, 1.0),
+        Row.counted("fuzz", "GLB", {}, 7, 0.0),
+    )
+    assert merged([other, old], [again, first]) == [first, other, again]
+
+
+class Parts:
+    """As the modules of the campaign; a part may be cut short after its first row."""
+
+    def __init__(self, monkeypatch):
+        self.cut = False
+        monkeypatch.setattr(
+            module, "import_module", lambda name: SimpleNamespace(rows=self.of(name))
+        )
+
+    def of(self, name):
+        def rows(effort):
+            for what in "ab":
+                yield Row.counted(name.rpartition(".")[2], what, FOUND, effort.seed, effort.seconds)
+                if self.cut:
+                    raise KeyboardInterrupt
+
+        return rows
+
+
+def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypatch, capsys):
+    parts, out = Parts(monkeypatch), tmp_path / "r.json"
+    run = Run("reliability", tmp_path, tmp_path, out)
+
+    def asked(**given):
+        module.reliability.measure(run, **given)
+        return [(r.part, r.what, r.seed, r.seconds) for r in module.written(out)]
+
+    assert asked(minutes=1.0, only="soak,fuzz") == [
+        ("fuzz", "a", 0, 60.0), ("fuzz", "b", 0, 60.0), ("soak", "a", 0, 60.0), ("soak", "b", 0, 60.0),
+    ]  # fmt: skip
+    parts.cut = True
+    with pytest.raises(KeyboardInterrupt):
+        asked(minutes=2.0, only="fuzz")
+    assert [row.seconds for row in module.written(out)] == [60.0, 120.0, 60.0, 60.0]
+    there = tmp_path / "there.json"
+    there.write_text(json.dumps({"rows": [Row("soak", "c", 0, seed=3).to_dict()]}))
+    assert len(asked(minutes=0.0, also=str(there))) == 5
+    capsys.readouterr()
+    asked(minutes=0.0, only="soak")
+    assert "fuzz" not in capsys.readouterr().out
+    parts.cut = False
+    assert len(asked(minutes=1.0, only="soak", fresh=True)) == 4
+
+
+def test_page_and_readme_are_those_of_the_rows(tmp_path):
+    rows = module.written(LAB / "results/reliability.json")
+    for name in ("README.md", module.PAGE):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text((LAB.parent / name).read_text("utf-8"), "utf-8")
+    module.publish(rows, tmp_path)
+    for name, text in (("README.md", module.summed(rows)), (module.PAGE, module.shown(rows))):
+        assert text in (LAB.parent / name).read_text("utf-8"), (
+            "table reliability --minutes 0 writes it"
+        )
+        assert (tmp_path / name).read_text("utf-8") == (LAB.parent / name).read_text("utf-8")
+    module.publish([Row.counted("fuzz", "GLB", FOUND, 7, 0.0)], tmp_path)
+    assert "8 trials, 1 faults" in (tmp_path / "README.md").read_text("utf-8")
+    assert "| fuzz | all |" in (tmp_path / module.PAGE).read_text("utf-8")

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
     from pathlib import Path
 
 PARTS = ("fuzz", "faults", "soak", "properties", "platforms")
@@ -96,11 +96,11 @@ class Row:
         return cls(**{f.name: record[f.name] for f in fields(cls) if f.name in record})
 
 
-def merged(before: Iterable[Row], now: Iterable[Row]) -> list[Row]:
-    """Rows written down before, and those of now in the place of the same of the same seed."""
+def merged(before: Iterable[Row], now: Iterable[Row], without: Collection[str] = ()) -> list[Row]:
+    """Rows from before, but of parts left out, and those of now in the place of the same of their seed."""
     new = list(now)
     there = {(r.part, r.what, r.seed) for r in new}
-    kept = [r for r in before if (r.part, r.what, r.seed) not in there]
+    kept = [r for r in before if r.part not in without and (r.part, r.what, r.seed) not in there]
     return sorted([*kept, *new], key=lambda r: PARTS.index(r.part))
 
 

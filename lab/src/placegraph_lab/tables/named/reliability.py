@@ -7,21 +7,27 @@
 Every part works for so many minutes: mutated inputs, faults, load, properties, platforms. Each row is
 written down as soon as it is there, so that nothing is lost where a run is cut short, and takes the
 place of that of the same name and seed; all others stay. Prints Markdown, writes JSON; no minutes
-print what was written down, here and elsewhere.
+print what was written down, here and elsewhere. Where the JSON is that of the lab, its page and README
+are written anew.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
+from placegraph.files import put
 from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, merged, total
 from placegraph_lab.tables.run import LAB, Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
+PAGE = "docs/benchmarks/reliability.md"
+TABLE = re.compile(r"(?m)^\|\s+\|\s+\| +tried \|.*(?:\n\|.*)*")
+SUM = re.compile(r"[\d,]+ trials, [\d,]+ faults")
 HEADER = ["", "", "tried", *OUTCOMES, "seed", "minutes", "measured"]
 
 
@@ -41,13 +47,12 @@ def reliability(
     """What was done to break placegraph, and what became of it."""
     wanted, path = known(parts(only), PARTS, "part"), run.out or LAB / "results/reliability.json"
     now = [row for name in parts(also) for row in written(Path(name))]
-    dropped = wanted if fresh else []
+    dropped = set(wanted) if fresh else set()
 
-    def save() -> list[Row]:  # others may have written meanwhile
-        rows = merged((r for r in written(path) if r.part not in dropped), now)
+    def save() -> None:
+        rows = merged(written(path), now, dropped)  # others may have written meanwhile
         run.save({"rows": [r.to_dict() for r in rows]})
         dropped.clear()
-        return rows
 
     seconds = 60.0 * (min(minutes, 1.0) if quick else minutes)
     for part in wanted if seconds else ():
@@ -57,7 +62,11 @@ def reliability(
             for row in import_module(f"placegraph_lab.campaign.{part}").rows(effort):
                 now.append(row)
                 save()
-    rows = save() if now else written(path)
+    if now and not seconds:
+        save()
+    rows = written(path)
+    if run.out is None and not quick:
+        publish(rows)
     print(shown(now if seconds else [row for row in rows if row.part in wanted]))
 
 
@@ -68,6 +77,19 @@ def shown(rows: list[Row]) -> str:
         own = [row for row in rows if row.part == part]
         told += [_cells(row) for row in [*own, total(own)]]
     return markdown(HEADER, told)
+
+
+def publish(rows: list[Row], root: Path = LAB.parent) -> None:
+    """Write the table into its page, and its sum into README."""
+    for name, pattern, new in ((PAGE, TABLE, shown(rows)), ("README.md", SUM, summed(rows))):
+        before, after = pattern.split((root / name).read_text("utf-8"))
+        put(root / name, f"{before}{new}{after}".encode())
+
+
+def summed(rows: list[Row]) -> str:
+    """What README says of all rows."""
+    whole = total(rows)
+    return f"{whole.tried:,} trials, {whole.faults:,} faults"
 
 
 def _cells(row: Row) -> list[str]:
