@@ -337,6 +337,16 @@ def test_another_schema(tmp_path):
         read(tmp_path)
 
 
+@pytest.mark.parametrize("column", ["names", "categories", "brand", "addresses", "bbox"])
+def test_columns_of_another_type(tmp_path, column):
+    write(tmp_path / "p.parquet", "place", [place(10, 50, 1, "cafe", name="A")])
+    table = pq.read_table(tmp_path / "p.parquet")
+    at = table.schema.get_field_index(column)
+    pq.write_table(table.set_column(at, column, pa.array(["x"])), tmp_path / "p.parquet")
+    with pytest.raises(InputError, match=r"p\.parquet"):
+        read(tmp_path / "p.parquet", box=Box(9, 49, 11, 51))
+
+
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"<osm/>", b"PAR1" + bytes(99) + b"PAR1"])
 def test_no_parquet(content, tmp_path):
     (tmp_path / "p.parquet").write_bytes(content)

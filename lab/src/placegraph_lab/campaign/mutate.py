@@ -9,6 +9,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import io
+import json
 import os
 import shutil
 import struct
@@ -17,10 +18,12 @@ import zlib
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from placegraph.header import MAGIC
+import numpy as np
+
+from placegraph.header import DIGEST, MAGIC
 from placegraph_lab.campaign.mutate_bytes import flipped, remapped, remarked, reworded
 from placegraph_lab.campaign.mutate_json import changed
-from placegraph_lab.campaign.mutate_store import restored
+from placegraph_lab.campaign.mutate_store import changed_column, restored
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,6 +52,16 @@ def spoil(place: Path, rng: Generator) -> None:
     for _ in range(1 + int(rng.integers(3) == 0)):
         among = small if small and rng.random() < 0.7 else files
         _spoil_file(among[rng.integers(len(among))], rng)
+
+
+def spoil_world(folder: Path, rng: Generator) -> None:
+    """Change a world in shards, and let `world.json` tell the digests that its files have now."""
+    spoil(folder, rng)
+    with suppress(OSError, RecursionError, LookupError, TypeError, ValueError, AttributeError):
+        told = json.loads((folder / "world.json").read_bytes())
+        for entry in (told["words"], *told["shards"]):
+            entry["digest"] = (folder / entry["file"]).read_bytes()[-DIGEST:].hex()
+        (folder / "world.json").write_text(json.dumps(told), "utf-8")
 
 
 def _spoil_file(path: Path, rng: Generator) -> None:
@@ -92,7 +105,7 @@ def _fitting(data: bytes, name: str, rng: Generator) -> Change:
     told = {
         MAGIC: restored, b"PK": _zip, b"\x89PNG\r\n": _png, b"glTF": _glb,
         b"SQLite format 3": _database, b"\x1f\x8b": lambda d, g: _packed(d, name, gzip, g),
-        b"BZh": lambda d, g: _packed(d, name, bz2, g),
+        b"\x93NUMPY": _column, b"PAR1": _parquet, b"BZh": lambda d, g: _packed(d, name, bz2, g),
     }  # fmt: skip
     for magic, change in told.items():
         if data.startswith(magic):
@@ -135,6 +148,38 @@ def _png(data: bytes, rng: Generator) -> bytes:
         struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
         for kind, body in chunks
     )
+
+
+def _column(data: bytes, rng: Generator) -> bytes:
+    """A NumPy array with other numbers, more or fewer."""
+    arrays = {"": np.load(io.BytesIO(data))}
+    changed_column(arrays, rng)
+    out = io.BytesIO()
+    np.save(out, arrays[""])
+    return out.getvalue()
+
+
+def _parquet(data: bytes, rng: Generator) -> bytes:
+    """A row of a table changed in its values, or a column of it gone, renamed or of another type."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(io.BytesIO(data))
+    at, kind = int(rng.integers(table.num_columns)), int(rng.integers(8))
+    field, values = table.schema.field(at), table.column(at).to_pylist()
+    row = int(rng.integers(len(values)))
+    if kind == 0:
+        table = table.remove_column(at)
+    elif kind == 1:
+        table = table.set_column(at, field.name, pa.array([str(v) for v in values]))
+    else:
+        held = values[row]
+        values[row] = None if kind == 2 else flipped(held, rng) if isinstance(held, bytes) else (
+            json.loads(changed(json.dumps(held).encode(), rng)))  # fmt: skip
+        table = table.set_column(at, field, pa.array(values, None if kind == 3 else field.type))
+    out = io.BytesIO()
+    pq.write_table(table, out, row_group_size=1 + int(rng.integers(4)))
+    return out.getvalue()
 
 
 def _glb(data: bytes, rng: Generator) -> bytes:

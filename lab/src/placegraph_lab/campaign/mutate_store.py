@@ -35,7 +35,7 @@ def restored(data: bytes, rng: Generator) -> bytes:
         head["meta"] = json.loads(changed(json.dumps(head["meta"]).encode(), rng))
     else:
         for _ in range(1 + int(rng.integers(2))):
-            _column(arrays, rng)
+            changed_column(arrays, rng)
     head["arrays"], body = [], b""
     for name, array in arrays.items():
         block = np.ascontiguousarray(array).tobytes()
@@ -52,7 +52,7 @@ def _sealed(text: bytes, body: bytes, layout: int) -> bytes:
     return whole + hashlib.sha256(whole).digest()
 
 
-def _column(arrays: dict[str, Any], rng: Generator) -> None:
+def changed_column(arrays: dict[str, Any], rng: Generator) -> None:
     """Change numbers, length, type or shape of one column; take it away, or another's for it."""
     name, other = (str(rng.choice(sorted(arrays))) for _ in range(2))
     array, kind = arrays[name].copy(), max(int(rng.integers(20)) - 8, 0)

@@ -13,7 +13,6 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.formats.place.indoor_osm_write import encode_rooms
 from placegraph.geometry import Camera
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.library import library_of
 from placegraph.indoor.options import FilterOptions
 from placegraph.outdoor.city import build_city
 from placegraph_lab.campaign.seeds import Drawn, writer
@@ -202,29 +201,6 @@ def _scene(path: Path, places: Places) -> None:
     places.room.save(path)
 
 
-def _library(folder: Path, places: Places) -> None:
-    folder.mkdir()
-    places.room.save(folder / "room.scene")
-    library = library_of({}, encoders="labels")
-    library.add("room", folder / "room.scene")
-    library.save(folder / "rooms.library")
-
-
-def _world(folder: Path, places: Places) -> None:
-    _library(folder, places)
-    _city(folder / "town.city", places)
-
-
-def _vectors(bits: int) -> Draw:
-    def draw(path: Path, places: Places) -> None:
-        city = places.city(path.parent)
-        city.encoded.keep(path, name="town", bits=bits)
-        for name in ("town.osm", "town.city"):
-            (path.parent / name).unlink()
-
-    return draw
-
-
 def _weights(path: Path, _places: Places) -> None:
     from placegraph.outdoor.network.weights import Weights, write_weights
 
@@ -273,9 +249,6 @@ MAPS: dict[str, dict[str, Draw]] = {
     "SceneGraphFusion": {"out": _fusion},
     ".city": {"town.city": _city},
     ".scene": {"room.scene": _scene},
-    ".library": {"library": _library},
-    "worlds": {"world": _world},
-    ".vectors": {"8.vectors": _vectors(8), "16.vectors": _vectors(16), "32.vectors": _vectors(32)},
     ".weights": {"small.weights": _weights},
     ".run": {"walk.run": _run},
     ".track": {"robot.track": _track},

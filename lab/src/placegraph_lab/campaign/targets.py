@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from placegraph_lab.campaign import asked, serving, uses
-from placegraph_lab.campaign.mutate import spoil
+from placegraph_lab.campaign.mutate import spoil, spoil_world
 from placegraph_lab.campaign.seeds import CAPTURES
 from placegraph_lab.campaign.seeds_maps import MAPS
+from placegraph_lab.campaign.seeds_stores import STORES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,14 +54,19 @@ USES = {
     "ScanNet scan": uses.folder_mesh, "SceneGraphFusion": uses.folder_mesh, ".city": uses.anything,
     ".scene": uses.anything, ".library": uses.library, "worlds": uses.world,
     ".vectors": uses.vectors, ".weights": uses.weights, ".run": uses.run, ".track": uses.track,
-    "changes": uses.changes,
+    "changes": uses.changes, "Overture": uses.overture, ".city with an index": uses.anything,
+    "worlds in shards": uses.world,
 }  # fmt: skip
+SPOILED = {"worlds in shards": spoil_world}
 SLOW = {"OSM .osm", "OSM .osm.pbf", "OSM .osm.gz, .osm.bz2", "OSM of Overpass", "worlds", "changes",
         "MultiScan", "COLMAP"}  # fmt: skip
 TARGETS = {
     target.name: target
     for target in (
-        *(Target(n, seeds, USES[n], slow=n in SLOW) for n, seeds in MAPS.items()),
+        *(
+            Target(n, seeds, USES[n], SPOILED.get(n, spoil), n in SLOW)
+            for n, seeds in {**MAPS, **STORES}.items()
+        ),
         *(Target(n, seeds, uses.capture, slow=n in SLOW) for n, seeds in CAPTURES.items()),
         Target("bags as streams", CAPTURES["bags MCAP"], uses.stream),
         Target("descriptions", {"all.words": asked.texts}, asked.describe, asked.reworded),

@@ -117,6 +117,14 @@ def osm(bench: Bench, path: Path, rng: Generator) -> None:
     use_city(bench, build_city(path, bench.file("built.city")), rng)
 
 
+def overture(bench: Bench, path: Path, rng: Generator) -> None:
+    """Build a city of Overture's tables, of all or of a box."""
+    from placegraph.formats.place.overture import Box, Overture
+
+    box = Box(9.9, 49.9, 10.1, 50.1) if chance(rng, 0.7) else None
+    use_city(bench, build_city(Overture((str(path),), box), bench.file("built.city")), rng)
+
+
 def rooms(bench: Bench, path: Path, rng: Generator) -> None:
     """Build a scene of rooms in an extract."""
     use_scene(bench, build_scene(path, None, reader={"level": int(rng.integers(2))}), rng)

@@ -37,8 +37,9 @@ READ = frozenset(
 )  # fmt: skip
 """Columns that are read, where a file has them."""
 EDGES = ("xmin", "ymin", "xmax", "ymax")
-DAMAGED = (ValueError, TypeError, LookupError, ArithmeticError, MemoryError)
-"""What PyArrow raises where a file's columns contradict each other, beside its own errors."""
+DAMAGED = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError)
+"""What is raised where a file's columns contradict each other or are of other types, beside PyArrow's own
+errors."""
 _TYPE = re.compile(r"[/\\]type=([a-z_]+)[/\\]")
 _STREAM = 1 << 20
 """Bytes of a column fetched at once: a row group of any size is read piece by piece."""
