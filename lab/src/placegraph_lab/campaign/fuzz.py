@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 240.0
 """Wall time in which a worker says something; it is killed then [s]."""
+BUSY = 1.0
+"""CPU time in this by which a worker is waited for on; more than 10 s end it by themselves [s]."""
 STARTING = 900.0
 """The same of a worker that draws seeds and compiles [s]."""
 PROGRAM = ("-m", "placegraph_lab.campaign.worker")
@@ -117,10 +119,13 @@ class Keeper:
     def _hear(self, patience: float) -> dict[str, Any] | None:
         """The worker's next line; None where it died, or was killed as it said nothing."""
         assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018
-        pipe = self._process.stdout.fileno()
+        pipe, worked = self._process.stdout.fileno(), self._worked()
         while b"\n" not in self._heard:
             ready, _, _ = select.select([pipe], [], [], patience)
             if not ready:
+                before, worked = worked, self._worked()
+                if worked > before + BUSY:  # where others have the processor, an input takes long
+                    continue
                 self._process.send_signal(signal.SIGPROF)  # says where it is, and dies
                 return None
             more = os.read(pipe, 1 << 16)
@@ -130,6 +135,13 @@ class Keeper:
         line, _, self._heard = self._heard.partition(b"\n")
         told: dict[str, Any] = json.loads(line)
         return told
+
+    def _worked(self) -> float:
+        """CPU time of the worker [s]."""
+        assert self._process is not None  # noqa: S101
+        told = Path(f"/proc/{self._process.pid}/stat").read_text("utf-8", "replace")
+        user, system = told.rpartition(") ")[2].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
     def _died(self) -> tuple[str, str]:
         """Outcome and place of the input that the worker died of; there is no worker then."""
