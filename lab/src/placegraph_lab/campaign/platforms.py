@@ -9,6 +9,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -109,7 +110,7 @@ def installed(python: str, what: list[str], folder: Path, first: dict[str, Any])
     _run(python, "-m", "venv", str(folder / "venv"))
     program = str(folder / "venv" / "bin" / "python")
     _run(program, *_PIP, *what)
-    compiled = str(folder / "compiled")
+    compiled = str(folder.parent / "compiled")  # what is compiled is told apart by versions
     found = told(["--compiled", compiled], program=program, change={"PYTHONPATH": ""})
     demo = ["-m", "placegraph", "--compiled", compiled, "demo", "--out", str(folder / "demo")]
     _run(program, "-I", *demo)
@@ -132,9 +133,7 @@ def pythons() -> dict[str, str]:
 
 def installations(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
     """Name, interpreter and what is installed, of each environment; builds wheel and sdist first."""
-    root = SOURCE.parent
-    _run(sys.executable, "-m", "hatchling", "build", "-d", str(folder), cwd=root)
-    [wheel], [sdist] = folder.glob("*.whl"), folder.glob("*.tar.gz")
+    [wheel], [sdist] = _built(folder)
     found = pythons()
     for version, python in found.items():
         yield f"wheel, Python {version}", python, [str(wheel)]
@@ -142,6 +141,21 @@ def installations(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
     yield "sdist", oldest, [str(sdist)]
     for name, numpy in NUMPY.items():
         yield f"NumPy, {name} allowed", oldest, [str(wheel), numpy]
+
+
+def _built(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Wheels and sdists in a folder; one of each is built where there is none."""
+    if not folder.exists():
+        command = ("-m", "hatchling", "build", "-d", str(folder))
+        _run(sys.executable, *command, cwd=SOURCE.parent)
+    return list(folder.glob("*.whl")), list(folder.glob("*.tar.gz"))
+
+
+def _checked(folder: Path) -> str:
+    """Nothing, where twine finds nothing wrong; `RuntimeError` with what it says else."""
+    wheels, sdists = _built(folder)
+    _run(sys.executable, "-m", "twine", "check", "--strict", *map(str, wheels + sdists))
+    return ""
 
 
 def rows(effort: Effort) -> Iterator[Row]:
@@ -152,6 +166,8 @@ def rows(effort: Effort) -> Iterator[Row]:
     for platform in quick(effort.folder / "locales"):
         yield _row(platform.name, lambda p=platform: agrees(p, first), effort)  # type: ignore[misc]
     dist = effort.folder / "dist"
+    if find_spec("twine"):
+        yield _row("wheel and sdist, twine check", lambda: _checked(dist), effort)
     for number, (name, python, what) in enumerate(installations(dist)):
         if monotonic() - start > effort.seconds:
             effort.say(f"{name}: left out, the time is over")
