@@ -47,9 +47,28 @@ def test_bounds_are_bounds(query, monaco):
     rows, bounds, _ = promising(query, monaco, np.zeros(0), 2000)
     s = query.statements
     none = np.zeros((len(rows), len(s.op)), np.float32)
-    scores = score_views(
+    scores, _ = score_views(
         s, monaco.columns, monaco.views.columns, query.words(len(monaco.views.share)), rows,
         np.full(len(rows), 1e290), np.zeros(len(rows)), none, 0.0, 1e9,
     )  # fmt: skip
     noise = np.log(s.noise[~s.negated]).sum()
     assert (scores <= np.log(bounds) + noise + SLACK).all()
+
+
+def test_what_is_given_up_does_not_depend_on_the_order(query, monaco, rng):
+    from placegraph.outdoor.likelihood.match_kernels import HOPELESS
+    from placegraph.outdoor.likelihood.score_kernels import score_views
+
+    rows, _, _ = promising(query, monaco, np.zeros(0), 300)
+    s, prior = query.statements, np.log(rng.random(len(rows)))
+
+    def scores(order):
+        return score_views(
+            s, monaco.columns, monaco.views.columns, query.words(len(monaco.views.share)),
+            rows[order], np.full(len(rows), 1e290), prior[order],
+            np.zeros((len(rows), len(s.op)), np.float32), 0.3, 3.0,
+        )[0]  # fmt: skip
+
+    ordered, order = scores(np.arange(len(rows))), rng.permutation(len(rows))
+    np.testing.assert_array_equal(scores(order), ordered[order])
+    assert 0 < (ordered > HOPELESS).sum() < len(rows)

@@ -175,7 +175,7 @@ def scores(city: CityMap, told: Description) -> Floats:
     return score_views(
         asked.query.statements, city.columns, city.views.columns, asked.words, chosen.rows,
         chosen.bounds, np.zeros(len(rows)), chosen.far, TOGETHER, 1e6,
-    ).astype(np.float64)  # fmt: skip
+    )[0].astype(np.float64)  # fmt: skip
 
 
 def apart(

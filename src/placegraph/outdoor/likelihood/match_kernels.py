@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 HOPELESS = -1e9
 """Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""
 SLACK = 1.5
-"""What coherence may add to a sum that looked hopeless [nat]."""
+"""By how much a bound of viewpoints may be short of what statements say [nat]."""
 
 
 SMALL = 25.0
@@ -107,7 +107,8 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
 
     The sum also rewards that one object serves all statements about a mention. `seen` is what is
     `InSight`, `far` (S,) what distant objects add, `together` the prior probability that a mention
-    means one and the same object throughout. Gives up, with `HOPELESS`, once the sum cannot reach `least`.
+    means one and the same object throughout. Gives up, with `HOPELESS`, once the sum without that cannot
+    reach `least`.
     `served` (S, 2) gets the best source and target, -1 for none; leave it empty to skip that.
     """
     fits = _recognise(scene, words, seen, len(statements.op))
@@ -116,12 +117,12 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
         out[s] = _ceiling(statements, s, seen, fits, far[s])
         hope += out[s]
     for s in range(len(statements.op)):
-        if hope + SLACK < least:
+        if hope < least:
             return HOPELESS
         hope -= out[s]
         out[s] = _ratio(statements, s, scene, seen, fits, far[s])
         hope += out[s]
-    if hope + SLACK < least:  # as it would be found on the way, were this statement not the last
+    if hope < least:  # as it would be found on the way, were this statement not the last
         return HOPELESS
     hope += log_coherence(statements, fits, together)
     if len(served):

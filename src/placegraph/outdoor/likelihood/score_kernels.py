@@ -27,14 +27,16 @@ SHARP = 2.0
 
 @kernel(fastmath=True)
 def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
-    """Log-likelihood ratios (K,) of candidates, best bounds first.
+    """Log-likelihood ratios (K,) of candidates, best bounds first, and the hope (K,) of each.
 
-    `relative` (K,) is their log prior, against the largest. Stops where a bound lies more than
-    `margin` [nat] below the best so far: nothing behind it can matter. Rows not reached are
-    `HOPELESS`.
+    `relative` (K,) is their log prior, against the largest. The hope is what statements say one by
+    one, without their coherence, times the prior. Those are `HOPELESS` whose hope lies more than
+    `margin` [nat] below the best hope, in whichever order they come: coherence, of which there is no
+    bound, is not asked. Where that shows early, no more is reckoned.
     """
     n_statements = len(statements.op)
     scores = np.full(len(chosen), HOPELESS, np.float32)
+    hopes = np.full(len(chosen), HOPELESS)
     each = np.empty(n_statements, np.float32)
     nothing = np.empty((0, 2), np.int64)
     noise = 0.0
@@ -62,8 +64,13 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
             each,
             nothing,
         )
-        best = max(best, scores[k] + relative[k])
-    return scores
+        if scores[k] > HOPELESS:
+            hopes[k] = each.sum() + relative[k]
+            best = max(best, hopes[k])
+    for k in range(len(chosen)):
+        if hopes[k] < best - margin:
+            scores[k] = HOPELESS
+    return scores, hopes
 
 
 @kernel(fastmath=True)

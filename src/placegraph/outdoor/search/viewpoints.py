@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""
-MARGIN = 4.0
-"""Viewpoints that must lie this far behind the best are not scored [nat]."""
+MARGIN = 5.5
+"""Viewpoints whose hope (`score_views`) lies so far below the best one are given up [nat]."""
 CLOSER = 8
 """This many of the best viewpoints are looked at more closely ..."""
 SPACING = 6.67
@@ -38,7 +38,9 @@ class Scored(NamedTuple):
     rows: NDArray[np.int32]
     """(K,) rows of `city.views`."""
     scores: NDArray[np.float32]
-    """(K,) log-likelihood ratios."""
+    """(K,) log-likelihood ratios ..."""
+    hopes: NDArray[np.float64]
+    """(K,) ... and what they are without coherence, by which some are given up."""
     log_prior: NDArray[np.float64]
     """(K,)"""
     far: NDArray[np.float32]
@@ -69,7 +71,7 @@ def score(asked: Request, chosen: Candidates) -> Scored:
         highest = float(asked.log_prior.max())
         relative = asked.log_prior[rows] - highest
         share = np.exp(relative + highest).sum()
-    scores = score_views(
+    scores, hopes = score_views(
         statements, asked.city.columns, views.columns, asked.words, rows, bounds, relative, far,
         TOGETHER, MARGIN,
     )  # fmt: skip
@@ -79,8 +81,8 @@ def score(asked: Request, chosen: Candidates) -> Scored:
     unseen = statements.floor + np.log(max(1e-12, 1.0 - share))
     reached = scores > 0.5 * HOPELESS
     return Scored(
-        rows[reached], scores[reached], relative[reached] + highest, far[reached],
-        float(np.logaddexp(unscored, unseen)),
+        rows[reached], scores[reached], (hopes - relative)[reached], relative[reached] + highest,
+        far[reached], float(np.logaddexp(unscored, unseen)),
     )  # fmt: skip
 
 

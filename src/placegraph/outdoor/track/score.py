@@ -58,10 +58,11 @@ def score(query: Query, city: City, weights: Floats) -> Scores:
         return Scores(ratios, nothing, none.astype(np.int64), none.reshape(0, 9, 2), none[:, None])
     prior = np.log(relative[chosen])
     first = slice(MOST_SCORED)
-    found = score_views(
+    found, _ = score_views(
         statements, city.columns, views.columns, asked.words, chosen[first], bounds[first], prior[first],
         far[first], TOGETHER, MARGIN,
-    ).astype(np.float64)  # fmt: skip
+    )  # fmt: skip
+    found = found.astype(np.float64)
     reached = np.flatnonzero(found > 0.5 * HOPELESS)
     last = int(reached[-1]) + 1 if len(reached) else 0
     left = kept((found + prior[first])[:last], bounds[:last]) if last else nothing

@@ -69,5 +69,7 @@ class Compared(NamedTuple):
 
     scores: NDArray[np.float64]
     """(K,) log-likelihood ratios; -inf where one cannot matter in its shard."""
+    hopes: NDArray[np.float64]
+    """(K,) as of `Scored`."""
     positions: NDArray[np.float64]
     """(K, 2) east, north in the shard's plane [m]."""

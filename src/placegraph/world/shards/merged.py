@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from placegraph.outdoor.search.candidates import MOST_CANDIDATES
 from placegraph.outdoor.search.viewpoints import MARGIN, kept
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -26,7 +26,9 @@ class Ranked(NamedTuple):
     shard: NDArray[np.int64]
     """(K,)"""
     at: NDArray[np.int64]
-    """(K,) row among the candidates of that shard."""
+    """(K,) row among the candidates of that shard ..."""
+    of_all: NDArray[np.int64]
+    """(K,) ... and among those of all shards, in order of the shards."""
     bounds: NDArray[np.float64]
     """(K,) on the likelihood ratio, times the prior against the world's largest."""
     log_prior: NDArray[np.float64]
@@ -42,43 +44,39 @@ class Merged:
     asked: Asked
     proposals: dict[int, Proposed] = field(default_factory=dict)
     scores: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    """Of each candidate of a shard; NaN where it was not compared."""
+    """Of each candidate of a shard; -inf where it was not compared, or cannot matter in its shard ..."""
+    hopes: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    """... and its hope."""
     positions: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not compared."""
 
     def add(self, row: int, proposed: Proposed) -> None:
         """What a shard proposes."""
         self.proposals[row] = proposed
-        self.scores[row] = np.full(len(proposed.rows), np.nan)
+        self.scores[row], self.hopes[row] = np.full((2, len(proposed.rows)), -np.inf)
         self.positions[row] = np.full((len(proposed.rows), 2), np.nan)
         self.__dict__.pop("ranked", None)
 
     def dropped(self, rows: Iterable[int]) -> None:
         """Shards that are lost after all."""
         for row in rows:
-            for of in (self.proposals, self.scores, self.positions):
+            for of in (self.proposals, self.scores, self.hopes, self.positions):
                 of.pop(row, None)
         self.__dict__.pop("ranked", None)
 
     @cached_property
     def ranked(self) -> Ranked:
         """Candidates of largest bound among those of all shards."""
-        given = sorted(self.proposals.items())
-        highest = self.highest
-        shard = np.concatenate(
-            [np.zeros(0, np.int64), *(np.full(len(p.rows), r) for r, p in given)]
-        )
-        at = np.concatenate([np.zeros(0, np.int64), *(np.arange(len(p.rows)) for _, p in given)])
+        given, highest = sorted(self.proposals.items()), self.highest
         scale = [np.exp(p.highest - highest) for _, p in given]
-        bounds = np.concatenate(
-            [np.zeros(0), *(p.bounds * s for (_, p), s in zip(given, scale, strict=True))]
-        )
-        prior = np.concatenate([np.zeros(0), *(p.log_prior for _, p in given)])
+        shard = _joined([np.full(len(p.rows), r) for r, p in given], np.int64)
+        at = _joined([np.arange(len(p.rows)) for _, p in given], np.int64)
+        bounds = _joined([p.bounds * s for (_, p), s in zip(given, scale, strict=True)])
         order = np.argsort(-bounds, kind="stable")
         best, others = order[:MOST_CANDIDATES], order[MOST_CANDIDATES:]
         left_out = sum(p.left_out * s for (_, p), s in zip(given, scale, strict=True))
         return Ranked(
-            shard[best], at[best], bounds[best], prior[best],
+            shard[best], at[best], best, bounds[best], _joined([p.log_prior for _, p in given])[best],
             float(left_out + bounds[others].sum()),
         )  # fmt: skip
 
@@ -87,42 +85,34 @@ class Merged:
         """Largest log prior of a viewpoint."""
         return max((p.highest for p in self.proposals.values()), default=-np.inf)
 
-    def unscored(self) -> list[tuple[int, Proposed]]:
-        """Candidates that count and were not compared, by shard."""
-        ranked, found = self.ranked, []
-        for row in np.unique(ranked.shard).tolist():
-            at = np.sort(ranked.at[ranked.shard == row])
-            at = at[np.isnan(self.scores[row][at])]
-            if len(at):
-                found.append((row, self.proposals[row].part(at)))
-        return found
-
-    def scored(self, row: int, compared: Compared) -> None:
-        """What comparing the `unscored` of a shard came to."""
+    def unscored(self) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Shards, and rows among their candidates, that may count and were not compared."""
         ranked = self.ranked
-        at = np.sort(ranked.at[ranked.shard == row])
-        at = at[np.isnan(self.scores[row][at])]
-        self.scores[row][at], self.positions[row][at] = compared
-
-    def values(self) -> NDArray[np.float64]:
-        """Scores (K,) of the ranked, -inf of those that one city would not have compared.
-
-        There it is given up where the bound, and after it the score, falls `MARGIN` below the best.
-        """
-        ranked = self.ranked
-        scores = np.array(
-            [
-                self.scores[s][a]
-                for s, a in zip(ranked.shard.tolist(), ranked.at.tolist(), strict=True)
-            ]
-        )
-        scores = np.where(np.isnan(scores), -np.inf, scores)
-        weights = scores + ranked.log_prior - self.highest
-        best = np.maximum.accumulate(np.concatenate(([-np.inf], weights)))[:-1]
         with np.errstate(divide="ignore"):
             bounds = np.log(ranked.bounds) + self.asked.query.statements.floor + SLACK
-        over = np.maximum.accumulate(bounds < best - MARGIN)
-        return np.where(over | (weights < best - MARGIN - SLACK), -np.inf, scores)
+        counts = bounds >= self._hopes().max(initial=-np.inf) - MARGIN
+        for row in np.unique(ranked.shard[counts]).tolist():
+            at = np.sort(ranked.at[counts & (ranked.shard == row)])
+            at = at[np.isnan(self.positions[row][at, 0])]
+            if len(at):
+                yield row, at
+
+    def scored(self, row: int, at: NDArray[np.int64], compared: Compared) -> None:
+        """What comparing candidates of a shard came to."""
+        self.scores[row][at], self.hopes[row][at], self.positions[row][at] = compared
+
+    def values(self) -> NDArray[np.float64]:
+        """Scores (K,) of the ranked; -inf where the hope lies `MARGIN` below the best, as in one city."""
+        hopes = self._hopes()
+        return np.where(hopes < hopes.max(initial=-np.inf) - MARGIN, -np.inf, self._of(self.scores))
+
+    def _hopes(self) -> NDArray[np.float64]:
+        """Hopes (K,) of the ranked, times the prior against the largest."""
+        return self._of(self.hopes) + self.ranked.log_prior - self.highest
+
+    def _of(self, columns: dict[int, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """A column (K,) of the ranked."""
+        return _joined([columns[row] for row in sorted(columns)])[self.ranked.of_all]
 
     @property
     def weight(self) -> float:
@@ -141,3 +131,7 @@ class Merged:
         share = float(np.exp(ranked.log_prior).sum())
         unseen = query.statements.floor + np.log(max(1e-12, 1.0 - share))
         return float(np.logaddexp(unscored, unseen))
+
+
+def _joined(parts: list[NDArray[Any]], kind: type = np.float64) -> NDArray[Any]:
+    return np.concatenate([np.zeros(0, kind), *parts])

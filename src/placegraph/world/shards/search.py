@@ -87,10 +87,11 @@ class Search:
             for row, proposed in self.each("propose", ((r, (asked,)) for r in rows)):
                 found.add(row, proposed)
                 self.searched.add(row)
-            scoring = found.unscored()
-            for row, compared in self.each("compare", ((r, (asked, p)) for r, p in scoring)):
-                found.scored(row, compared)
-            found.dropped(r for r, _ in scoring if r in self.lost)
+            scoring = dict(found.unscored())
+            told = ((r, (asked, found.proposals[r].part(at))) for r, at in scoring.items())
+            for row, compared in self.each("compare", told):
+                found.scored(row, scoring[row], compared)
+            found.dropped(self.lost.keys() & scoring)
             first, size = first + size, 2 * size
         return found
 

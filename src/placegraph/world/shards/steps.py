@@ -180,10 +180,11 @@ def compared(shard: Shard, asked: Asked, chosen: Proposed) -> Compared:
     """Scores of candidates."""
     request = requested(shard, asked)
     found = score_of(request, Candidates(chosen.rows, chosen.bounds, chosen.far, 0.0))
-    scores = np.full(len(chosen.rows), -np.inf)
+    scores, hopes = np.full((2, len(chosen.rows)), -np.inf)
     where = {row: k for k, row in enumerate(chosen.rows.tolist())}
-    scores[[where[row] for row in found.rows.tolist()]] = found.scores
-    return Compared(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
+    at = [where[row] for row in found.rows.tolist()]
+    scores[at], hopes[at] = found.scores, found.hopes
+    return Compared(scores, hopes, shard.city.views.positions[chosen.rows].astype(np.float64))
 
 
 def looked(

@@ -1,6 +1,6 @@
 """A world in shards: whether it answers as one map, and what texts take as it grows.
 
-    placegraph-lab table world_shards --copies 1,4,16,32
+    placegraph-lab table world_shards --copies 2,4,8,19 --worlds FOLDER
 
 One city is cut into shards and asked both ways. Then copies of its shards, with other labels, make
 larger worlds, for which a model of time and size is fitted to all but the last, and checked on that.
@@ -10,9 +10,9 @@ Milliseconds are of the processor, so that other load counts less.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -20,13 +20,11 @@ import numpy as np
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
-from placegraph_lab.tables.outdoor.shards import write_copies, write_shards
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.outdoor.shards import copies_of, write_copies, write_shards
+from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph_lab.tables.outdoor.queries import Query
 
 KINDS = {
@@ -36,8 +34,6 @@ KINDS = {
     "everyday words": "synonyms",
 }
 """Kinds of text, and the setting of `make_queries` that makes them."""
-MARGIN, EXACT = 4.0, 30.0
-"""What a city gives up [nat], and what leaves out nothing that matters."""
 NEAR = 500.0
 """Radius of the fix of texts of the kind "with a fix" [m]."""
 PLANET = 1.5e9
@@ -51,18 +47,9 @@ def told(reason: str) -> int:
     return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
 
 
-def compared(city: Path, world: Path, texts: Texts, margin: float) -> list[dict[str, Any]]:
-    """One map against its shards, text by text.
-
-    Both give up candidates that fall `margin` [nat] behind the best so far, each in its own order: only
-    where nothing that matters is given up can they agree in all digits.
-    """
+def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
+    """One map against its shards, text by text."""
     import placegraph as pg
-    from placegraph.outdoor.search import viewpoints
-    from placegraph.world.shards import merged
-
-    for module in (viewpoints, merged):
-        vars(module)["MARGIN"] = margin
 
     whole, planet, rows = pg.CityMap.open(city), pg.open_world(world), []
     for kind, queries in texts.items():
@@ -151,9 +138,14 @@ def together(
 def world_shards(
     run: Run,
     city: Annotated[str, option("City that is cut and copied.")] = "vancouver",
-    zoom: Annotated[int, option("Level of the quadtree.")] = 13,
-    copies: Annotated[str, option("Numbers of copies with commas.")] = "1,4,16,32",
-    queries: Annotated[int, option("Queries of a kind.")] = 50,
+    zoom: Annotated[int, option("Level of the quadtree.")] = 12,
+    copies: Annotated[
+        str, option("Numbers of copies with commas; the last is predicted.")
+    ] = "2,4,8,19",
+    queries: Annotated[int, option("Queries of a kind.")] = 30,
+    worlds: Annotated[
+        Path | None, option("Folder of worlds; what is there already is not built again.")
+    ] = None,
     seed: Seed = 0,
     *,
     quick: Quick = False,
@@ -163,44 +155,55 @@ def world_shards(
 
     if quick:
         copies, queries = "1,2", 6
-    run.cache.mkdir(parents=True, exist_ok=True)
-    osm, map_file, base = run.osm / EXTRACTS[city], run.cache / "whole.city", run.cache / "shards_1"
-    run.say("cutting")
+    folder = Path(worlds or run.cache / "worlds")
+    folder.mkdir(parents=True, exist_ok=True)
+    osm, map_file, numbers = run.osm / EXTRACTS[city], folder / "whole.city", parts(copies)
+    run.say("building")
     if not map_file.exists():
         pg.build_city(osm, map_file)
-    shutil.rmtree(base, ignore_errors=True)
-    write_shards(pg.CityMap.open(map_file), base, zoom)
+    made = built(map_file, folder, zoom, [int(n) for n in numbers], seed)
+    base = made.pop(0)
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
     run.say("asking both")
-    rows = {m: apart(compared, map_file, base, texts, m) for m in (MARGIN, EXACT)}
-    for m, found in rows.items():
-        print(f"\nCandidates {m:g} nat behind the best are given up:\n")
-        print(markdown(EQUAL, [equal(row) for row in found]))
+    rows = apart(compared, map_file, base, texts)
+    print(markdown(EQUAL, [equal(row) for row in rows]))
     kept = {k: texts[k] for k in ("common words", "names")} | {"with a fix": texts["common words"]}
     grown = []
-    for n in (int(c) for c in copies.split(",")):
+    for n, world in zip(numbers, made, strict=True):
         run.say(f"{n} copies")
-        folder, start = run.cache / f"shards_{n}", time.process_time()
-        if n > 1:
-            shutil.rmtree(folder, ignore_errors=True)
-            write_copies(base, folder, n, np.random.default_rng(seed))
-        seconds = time.process_time() - start
-        grown.append({"copies": n, "build_s": seconds} | sizes(folder) | apart(asked, folder, kept))
+        grown.append({"copies": int(n)} | sizes(world) | apart(asked, world, kept))
         print(markdown(GROWN, [line(grown[-1], kind) for kind in kept]))
-    big = run.cache / f"shards_{max(int(c) for c in copies.split(',')[:2])}"
-    said = [q.text for q in texts["common words"][: min(20, queries)]]
-    crew = {n: apart(together, big, said, n) for n in (1, 2)}
-    killed = apart(_killed, big, said)
+    run.say("workers")
+    said = [q.text for q in texts["common words"][:20]]
+    crew = {n: apart(together, made[1], said, n) for n in (1, 2)}
+    killed = apart(_killed, made[1], said)
     same = killed["answers"] == crew[2]["answers"] == crew[1]["answers"]
     print(f"\nWorkers: 1 {crew[1]['seconds']:.1f} s, 2 {crew[2]['seconds']:.1f} s, ", end="")
     print(f"2 of which one was killed {killed['seconds']:.1f} s; the same answers: {same}.")
-    made = model(grown)
-    print(markdown(["", "model", "measured"], made["check"]))
-    print("\n".join(made["planet"]))
+    capacity = model(grown)
+    print(markdown(["", "model", "measured", "planet, extrapolated"], capacity))
     run.save({
-        "rows": rows, "grown": grown, "model": made, "workers_answer_alike": same,
+        "rows": rows, "grown": grown, "model": capacity, "workers_answer_alike": same,
         "seconds": {"1": crew[1]["seconds"], "2": crew[2]["seconds"], "killed": killed["seconds"]},
     })  # fmt: skip
+
+
+def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> list[Path]:
+    """Folders of a city's shards and of worlds of copies of them; those that are finished stay."""
+    import placegraph as pg
+    from placegraph.world.shards import finish, is_world
+
+    base, large = folder / "base", folder / "large"
+    if not is_world(base):
+        write_shards(pg.CityMap.open(city), base, zoom)
+    made = [folder / f"shards_{n}" for n in copies]
+    if not all(map(is_world, made)):
+        write_copies(base, large, max(copies), seed)
+    for n, world in zip(copies, made, strict=True):
+        if not is_world(world):
+            copies_of(base, large, world, n)
+            finish(world, zoom, 150.0)
+    return [base, *made]
 
 
 def _killed(world: Path, texts: list[str]) -> dict[str, Any]:
@@ -267,24 +270,26 @@ def line(row: dict[str, Any], kind: str) -> list[str]:
     ]  # fmt: skip
 
 
-def model(grown: list[dict[str, Any]]) -> dict[str, Any]:
-    """Lines in the number of cells, fitted to all worlds but the last, and what they say of the planet."""
+def model(grown: list[dict[str, Any]]) -> list[list[str]]:
+    """Lines in the number of cells, fitted to all worlds but the last, checked on that, and the planet's."""
     cells = np.array([row["cells"] for row in grown], float)
     measured = {
+        "shards": [row["shards"] for row in grown],
         "disk [MB]": [1e-6 * (row["bytes"] + row["words_bytes"]) for row in grown],
         "table of words [MB]": [1e-6 * row["words_bytes"] for row in grown],
-        "common words, mean [core ms]": [
-            float(np.mean(row["common words"]["ms"])) for row in grown
-        ],
-        "names, mean [core ms]": [float(np.mean(row["names"]["ms"])) for row in grown],
+        "common words, p95 [core ms]": _p95(grown, "common words"),
+        "names, p95 [core ms]": _p95(grown, "names"),
+        "with a fix, p95 [core ms]": _p95(grown, "with a fix"),
     }
-    check, planet = [], []
+    rows = []
     for name, values in measured.items():
-        fitted = (
-            np.polyfit(cells[:-1], values[:-1], 1)
-            if len(cells) > 2
-            else (values[0] / cells[0], 0.0)
-        )
-        check.append([name, number(float(np.polyval(fitted, cells[-1])), 1), number(values[-1], 1)])
-        planet.append(f"planet, extrapolated: {name} {float(np.polyval(fitted, PLANET)):,.0f}")
-    return {"check": check, "planet": planet}
+        fitted = np.polyfit(cells[:-1], values[:-1], 1 if len(cells) > 2 else 0)
+        rows.append([
+            name, *(f"{x:,.1f}" for x in (np.polyval(fitted, cells[-1]), values[-1])),
+            f"{np.polyval(fitted, PLANET):,.0f}",
+        ])  # fmt: skip
+    return rows
+
+
+def _p95(grown: list[dict[str, Any]], kind: str) -> list[float]:
+    return [float(np.quantile(row[kind]["ms"], 0.95)) for row in grown]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,6 @@ from placegraph.world.shards import WorldFile, finish
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from numpy.random import Generator
     from numpy.typing import NDArray
@@ -122,27 +122,46 @@ def _taken(
     return np.arange(kept[-1]) + np.repeat(starts[rows] - kept[:-1], sizes), kept
 
 
-def write_copies(source: Path, folder: Path, copies: int, rng: Generator) -> WorldFile:
-    """A larger world: copies of one side by side, to the east, their labels shuffled.
+def write_copies(source: Path, folder: Path, copies: int, seed: int = 0) -> None:
+    """The shards of a larger world: copies of one side by side, to the east, their labels shuffled.
 
     The first keeps its labels. In every other one labels and names are exchanged among the things of
-    a kind of geometry in a shard, and names get a word of their own before them.
+    a kind of geometry in a shard, and names get a word of their own before them. What is there already
+    is taken as it is, so that one goes on where one was stopped; `copies_of` links the first of them.
     """
     old = WorldFile.read(source)
-    columns = [tile_of(shard.key)[0] for shard in old.shards]
-    wide, around = max(columns) - min(columns) + 1, 1 << old.zoom
     (folder / "shards").mkdir(parents=True, exist_ok=True)
-    for shard in old.shards:
+    for i, shard in enumerate(old.shards):
         city = CityMap.open(old.path(shard))
-        column, row, _ = tile_of(shard.key)
-        for k in range(copies):
-            key = key_of(column + k * wide, row, old.zoom)
-            east = (city.plane.longitude + 360.0 * k * wide / around + 180.0) % 360.0 - 180.0
+        for k, key in enumerate(keys_of_copies(old, i, copies)):
+            path = folder / "shards" / f"{key}.city"
+            if path.exists():
+                continue
+            turn = 360.0 * (tile_of(key)[0] - tile_of(shard.key)[0]) / (1 << old.zoom)
+            east = (city.plane.longitude + turn + 180.0) % 360.0 - 180.0
             plane = LocalPlane(east, city.plane.latitude)
+            rng = np.random.default_rng([seed, i, k])
             objects = city.objects if k == 0 else shuffled(city.objects, _word(k), rng)
-            cells = replace(city.cells, plane=plane)
-            CityMap(plane, objects, cells, city.source, {}).save(folder / "shards" / f"{key}.city")
-    return finish(folder, old.zoom, old.overlap)
+            CityMap(plane, objects, replace(city.cells, plane=plane), city.source, {}).save(path)
+
+
+def keys_of_copies(world: WorldFile, shard: int, copies: int) -> list[str]:
+    """Keys of the copies of a shard: as many columns apart as the world is wide."""
+    columns = [tile_of(s.key)[0] for s in world.shards]
+    wide = max(columns) - min(columns) + 1
+    column, row, zoom = tile_of(world.shards[shard].key)
+    return [key_of((column + k * wide) % (1 << zoom), row, zoom) for k in range(copies)]
+
+
+def copies_of(source: Path, large: Path, folder: Path, copies: int) -> None:
+    """Shards of the first `copies` of what `write_copies` wrote into `large`, as links to its files."""
+    old = WorldFile.read(source)
+    (folder / "shards").mkdir(parents=True, exist_ok=True)
+    for i in range(len(old.shards)):
+        for key in keys_of_copies(old, i, copies):
+            name = Path("shards") / f"{key}.city"
+            (folder / name).unlink(missing_ok=True)
+            (folder / name).hardlink_to(large / name)
 
 
 def shuffled(objects: CityObjects, word: str, rng: Generator) -> CityObjects:
