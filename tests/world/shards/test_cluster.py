@@ -14,9 +14,8 @@ distributed = pytest.importorskip("distributed")
 
 
 def local(**options):
-    return distributed.LocalCluster(
-        threads_per_worker=1, dashboard_address=":0", scheduler_port=0, **options
-    )
+    given = {"threads_per_worker": 1, "dashboard_address": ":0", "scheduler_port": 0} | options
+    return distributed.LocalCluster(**given)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +67,25 @@ def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
         pg.open_world(sharded, scheduler="tcp://127.0.0.1:1")
 
 
+def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypatch):
+    monkeypatch.setattr(cluster, "PATIENCE", 1.0)
+    options = {"n_workers": 1, "processes": False, "protocol": "tcp"}
+    with local(**options) as found:
+        address = found.scheduler_address
+        planet = pg.open_world(sharded, scheduler=address)
+        before = planet.locate(TEXTS[0]).to_dict()
+    for _ in range(2):
+        with pytest.raises(ServiceError, match=r"went away|No scheduler answers"):
+            planet.locate(TEXTS[0])
+    with local(**options | {"scheduler_port": int(address.rpartition(":")[2])}):
+        assert planet.locate(TEXTS[0]).to_dict() == before
+        planet.close()
+
+
 @pytest.mark.all
-def test_a_worker_killed_in_between_loses_nothing(sharded):
-    with local(n_workers=2, processes=True) as found:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
+    with local(n_workers=workers, processes=True) as found:
         alone = pg.open_world(sharded)
         planet = pg.open_world(sharded, scheduler=found.scheduler_address)
         planet.locate(TEXTS[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from time import monotonic
@@ -14,12 +15,14 @@ from placegraph.world.shards.workers import Holder, Lost
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from distributed import Client
+    from distributed import Client, Future
 
     from placegraph.world.shards.workers import Task
 
 PATIENCE = 10.0
 """A scheduler that does not answer for so long is not there [s]."""
+LOOK = 2.0
+"""Where no task was done for so long, it is looked whether all workers are there [s]."""
 _HOLDER = "_placegraph_shards"
 
 
@@ -83,29 +86,45 @@ class Cluster:
     @classmethod
     def at(cls, address: str) -> Self:
         """Cluster of a scheduler; raises as `connected`."""
-        return cls(connected(address), address)
+        return cls(connected(address, PATIENCE), address)
 
     def each(
         self, step: str, tasks: Sequence[Task], deadline: float | None = None
     ) -> Iterator[tuple[int, Any]]:
-        """Row and result of tasks, as they are done."""
+        """Row and result of tasks, as they are done; `ServiceError` where the scheduler is gone."""
         from distributed import as_completed
 
-        workers = sorted(self.client.scheduler_info(n_workers=-1)["workers"])
-        futures = {
-            self.client.submit(
-                _done, step, task, pure=False, retries=1, **_favourite(task.source.key, workers),
-            ): row
-            for row, task in enumerate(tasks)
-        }  # fmt: skip
-        left = None if deadline is None else max(0.0, deadline - monotonic())
+        if self.client.status == "closed":  # the scheduler went away, and may have come again
+            self.client = connected(self.address, PATIENCE)
+        there = self._workers()
+        asked = {self._sent(step, task, there): row for row, task in enumerate(tasks)}
         try:
-            for future in as_completed(list(futures), loop=self.client.loop, timeout=left):
-                yield futures[future], _result(future)
-        except TimeoutError:
-            return
+            while asked:
+                left = LOOK if deadline is None else min(LOOK, deadline - monotonic())
+                with suppress(TimeoutError):
+                    for future in as_completed(
+                        [*asked], loop=self.client.loop, timeout=max(left, 0.0)
+                    ):
+                        result = _result(future, self.address)
+                        yield asked.pop(future), result
+                if deadline is not None and monotonic() > deadline:
+                    return
+                if asked and there != (there := self._workers()):  # what waits for one that is gone
+                    self.client.cancel([*asked])
+                    asked = {self._sent(step, tasks[row], there): row for row in asked.values()}
         finally:
-            self.client.cancel([f for f in futures if not f.done()])
+            if self.client.status == "running":
+                self.client.cancel([*asked])
+
+    def _workers(self) -> list[str]:
+        """Addresses of all workers that are there now."""
+        with _answering(self.address):
+            return sorted(self.client.scheduler_info(n_workers=-1)["workers"])
+
+    def _sent(self, step: str, task: Task, workers: Sequence[str]) -> Future[Any]:
+        favourite = _favourite(task.source.key, workers)
+        with _answering(self.address):
+            return self.client.submit(_done, step, task, pure=False, retries=1, **favourite)
 
     def close(self) -> None:
         """Leave the cluster; its workers stay."""
@@ -132,13 +151,30 @@ def _done(step: str, task: Task) -> Any:  # noqa: ANN401
     return holder.do(step, task)
 
 
-def _result(future: Any) -> Any:  # noqa: ANN401
-    """What came of a task; `Lost` where all its workers ended, as one does that is out of memory."""
-    from distributed import KilledWorker
+@contextmanager
+def _answering(address: str) -> Iterator[None]:
+    """Within it, a scheduler is asked that may have gone: `ServiceError`."""
+    from distributed import CancelledError
 
-    error = future.exception()
-    if error is None:
-        return future.result()
+    try:
+        yield
+    except (OSError, RuntimeError, LookupError, CancelledError) as error:
+        raise ServiceError(
+            f"The scheduler at {address} went away ({type(error).__name__}: {error}); start it and ask "
+            "again."
+        ) from error
+
+
+def _result(future: Future[Any], address: str) -> Any:  # noqa: ANN401
+    """What came of a task; `Lost` where all its workers ended, as one does that is out of memory."""
+    from distributed import CancelledError, KilledWorker
+
+    with _answering(address):
+        error = future.exception()
+        if error is None:
+            return future.result()
+        if isinstance(error, CancelledError):
+            raise error
     if isinstance(error, KilledWorker | MemoryError):
         return Lost(
             f"every worker that opened it ended ({type(error).__name__}); give workers more memory."
