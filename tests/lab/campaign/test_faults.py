@@ -12,6 +12,7 @@ from placegraph_lab.campaign.changed import CHANGES, change
 from placegraph_lab.campaign.kills import Ground, refused, rows_of, tried, worse
 from placegraph_lab.campaign.outages import Load
 from placegraph_lab.campaign.row import Effort
+from placegraph_lab.campaign.services import judged
 from placegraph_lab.campaign.trial import Ended, Running, files_in, when
 from placegraph_lab.campaign.writings import OLD, Writing, writings
 
@@ -167,6 +168,44 @@ def test_clients_tell_what_they_saw_of_a_server():
     load = Load(Server())
     load.ask(lambda _: None)
     assert dict(load.counts) == {"accepted": 1, "typed": 1, "untyped": 1, "hang": 1}
+
+
+def test_what_a_service_says_is_judged(tmp_path):
+    told = []
+    effort = Effort(1.0, 7, tmp_path, tmp_path, told.append)
+
+    def gone():
+        raise InputError("gone")
+
+    def broken():
+        raise KeyError("workers")
+
+    assert [judged(lambda: 3, wanted, effort) for wanted in (3, 4, None)] == [
+        "accepted", "untyped", "untyped",
+    ]  # fmt: skip
+    assert [judged(gone, wanted, effort) for wanted in (None, 3)] == ["typed", "untyped"]
+    assert judged(broken, None, effort) == "untyped"
+    assert told == ["a service: another answer"] * 2 + [
+        "a service: gone",
+        "a service: KeyError: 'workers'",
+    ]
+
+
+def test_a_folder_is_unfinished_until_its_last_file_is_there(ground):
+    made = Writing("world build", (), ("w",), ("w/.*",), ends="w/world.json")
+    ground = replace(ground, writing=made, new={"w/a.city": b"new", "w/world.json": b"told"})
+    (ground.folder / "w/.build").mkdir(parents=True)
+    (ground.folder / "w/.build/journal").touch()
+    (ground.folder / "w/a.city").write_bytes(b"new")
+    assert made.before(ground.inputs, ground.folder) == {}
+    assert ground.whole({}) == ""
+    (ground.folder / "w/a.city").unlink()
+    (ground.folder / "w/world.json").write_bytes(b"told")
+    assert ground.whole({}) == "w/a.city is gone"
+    (ground.folder / "w/a.city").write_bytes(b"ne")
+    assert ground.whole({}) == "w/a.city is neither the old nor the new one"
+    made.before(ground.inputs, ground.folder)
+    assert not (ground.folder / "w").exists()
 
 
 def test_every_command_names_files_that_it_makes(tmp_path):

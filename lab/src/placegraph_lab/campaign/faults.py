@@ -12,9 +12,10 @@ import numpy as np
 from placegraph_lab.campaign.changed import CHANGES, TYPED, USES, served_anew, used
 from placegraph_lab.campaign.disks import disks
 from placegraph_lab.campaign.kills import AGAIN, Ground, killed, rows_of, tried
-from placegraph_lab.campaign.outages import endpoints, kills_under_load
+from placegraph_lab.campaign.outages import kills_under_load
 from placegraph_lab.campaign.resumed import resumed
 from placegraph_lab.campaign.row import Row
+from placegraph_lab.campaign.services import services
 from placegraph_lab.campaign.trial import Commands, ended
 from placegraph_lab.campaign.writings import prepare, writings
 
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 
 KILLS = 60
 """A minute of effort; five minutes are 300, where the machine is quick enough."""
-SHARES = {"kills": 0.45, "disks": 0.2, "changed": 0.15, "load": 0.15, "resumed": 0.05}
+SHARES = {
+    "kills": 0.4, "disks": 0.2, "changed": 0.15, "services": 0.05, "load": 0.15, "resumed": 0.05,
+}  # fmt: skip
 """Of the time."""
 
 
@@ -45,7 +48,7 @@ def rows(effort: Effort) -> Iterator[Row]:
     (made,) = (g.new["a.vectors"] for g in grounds if "a.vectors" in g.new)
     (inputs / "town.vectors").write_bytes(made)
     yield from changes(inputs, commands, effort, rng)
-    yield from endpoints(effort)
+    yield from services(inputs, effort, effort.seconds * SHARES["services"])
     yield from kills_under_load(inputs, effort, rng, effort.seconds * SHARES["load"])
     yield from resumed(inputs, commands, effort, rng, effort.seconds * SHARES["resumed"])
 
