@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -186,23 +187,20 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
                 f"{max_version}; update placegraph, or build the map again with this one."
             )
         start = file.tell()
-        windows = {b.name for b in header.blocks if b.name in mapped and _lies_there(b, start)}
-        with ThreadPoolExecutor(1) as pool:
+        windows = [b for b in header.blocks if b.name in mapped and _lies_there(b, start)]
+        plain = sorted((b for b in header.blocks if b not in windows), key=lambda b: -b.length)
+        with ThreadPoolExecutor(2) as pool:
             hashed = pool.submit(_intact, file, header.file_size)
             # The blocks' own checksums come first: they name the damaged column.
-            arrays = {
-                b.name: _window(file, b, start)
-                if b.name in windows
-                else _decode(b, _bytes(file, start + b.offset, b.length), path)
-                for b in header.blocks
-            }
+            decoded = pool.map(partial(_read, file, start, path), plain)
+            found = dict(zip(plain, decoded, strict=True))
             intact = hashed.result()
+        found |= {b: _window(file, b, start) for b in windows}
         if not intact:
-            for b in header.blocks:
-                if b.name in windows:
-                    _decode(b, _bytes(file, start + b.offset, b.length), path)
+            for b in windows:
+                _read(file, start, path, b)
             raise damaged(path, "its checksum does not fit its contents")
-    return MapFile(header, arrays)
+    return MapFile(header, {b.name: found[b] for b in header.blocks})
 
 
 @contextmanager
@@ -224,7 +222,7 @@ def _encode(
     meta: Mapping[str, Any],
     arrays: Mapping[str, NDArray[Any]],
     mapped: Collection[str],
-) -> tuple[bytes, list[bytes]]:
+) -> tuple[bytes, list[bytes | memoryview]]:
     """Prefix and header, and the blocks. zlib and lzma work outside the interpreter's lock."""
     plain = {name: columns.plain(name, a) for name, a in arrays.items()}
     large = {name for name, a in plain.items() if name in mapped and a.nbytes >= PAGE}
@@ -288,9 +286,9 @@ def _window(file: BinaryIO, block: Block, start: int) -> NDArray[Any]:
     return np.asarray(window)
 
 
-def _decode(block: Block, data: memoryview, path: Path_) -> NDArray[Any]:
-    """Array of a block; `data` starts where the block does."""
-    stored = data[: block.length]
+def _read(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray[Any]:
+    """Array of a block of a file whose blocks begin at `start`."""
+    stored = _bytes(file, start + block.offset, block.length)
     if zlib.crc32(stored) != block.crc32:
         raise damaged(path, f"column {block.name!r} does not fit its checksum")
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from placegraph import __version__
+from placegraph import __version__, open_map
 from placegraph.store import writing
 from placegraph_lab.worlds.town.town import Town
 
@@ -118,6 +118,16 @@ def test_build_as_json(run, osm, tmp_path):
     told = result.json
     assert told["bytes"] == out.stat().st_size
     assert (told["objects"], told["cells"], told["left_out"]) == (222, 158, {})
+
+
+@pytest.mark.parametrize("option", [(), ("--no-index",)])
+def test_build_of_a_large_map_with_and_without_its_index(run, osm, tmp_path, monkeypatch, option):
+    monkeypatch.setattr("placegraph.outdoor.map.city.WORTH", 100)
+    out = tmp_path / "a.city"
+    assert run("city", "build", osm, "-o", out, *option, "--quiet").code == 0
+    city = open_map(out)
+    assert (city.index is None) == bool(option)
+    assert city.locate("A bench is north of me.").modes
 
 
 def test_build_in_silence(run, osm, tmp_path):

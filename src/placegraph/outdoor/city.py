@@ -157,6 +157,7 @@ def build_city(
     stride: float | None = None,
     edge_distance: float | None = None,
     vocabulary: Vocabulary | None = None,
+    index: bool | None = None,
     progress: Progress | None = None,
 ) -> CityMap:
     """Build a city map from an OpenStreetMap extract, or from Overture, and write it to `out_path`.
@@ -175,6 +176,9 @@ def build_city(
         Objects of a cell nearer than this are joined by an edge [m]; the cell size where not given.
     vocabulary
         Which tags are worth naming; the shipped one where not given.
+    index
+        Whether the file holds the index of viewpoints, which makes it ten times as large and the first
+        question quick; where not given, that of a large map does.
     progress
         Is told how far the build is.
 
@@ -205,5 +209,5 @@ def build_city(
         plane, objects, cell_size=cell_size, stride=stride, edge_distance=edge_distance,
         source=", ".join(Path(path).name for path in paths), left_out=left_out,
     )  # fmt: skip
-    city.save(out_path)
+    city.save(out_path, index=index)
     return city

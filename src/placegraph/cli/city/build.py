@@ -43,6 +43,14 @@ def build(
         Option(help="Least probability of a place to exist.", panel=OVERTURE),
     ] = CONFIDENCE,
     vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
+    no_index: Annotated[
+        bool,
+        Option(
+            "--no-index",
+            help="A small file, though the map is large: the index of places is derived anew for the first "
+            "question each time.",
+        ),
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -62,7 +70,7 @@ def build(
         tell("reading")
         city = build_city(
             source, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
-            progress=lambda step, n: tell(f"{step} {n:,} elements"),
+            index=False if no_index else None, progress=lambda step, n: tell(f"{step} {n:,} elements"),
         )  # fmt: skip
     seconds = perf_counter() - start
     size = out.stat().st_size

@@ -130,7 +130,10 @@ class City(Portable):
             name_values = file.array("name_values", "<i4")
             part_starts = _starts(file.array("part_counts", "<u2"))
             point_starts = _starts(file.array("point_counts", "<u4"))
-            points = (file.array("points", "<i4", 2) * grain).astype(np.float32)
+            steps = file.array("points", "<i4", 2)
+            points = np.multiply(
+                steps, grain, out=np.empty(steps.shape, np.float32), casting="unsafe"
+            )
             objects = CityObjects(
                 osm_type=file.array("osm_type", "u1"),
                 osm_id=file.array("osm_id", "<i8"),

@@ -192,7 +192,7 @@ def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, ND
     """Bands put one after the other; runs by token, and within a token by tile."""
     for part, tiles in zip(parts, np.cumsum([0, *(len(p["tiles"]) for p in parts)]), strict=False):
         part["run_tiles"] = part["run_tiles"] + np.uint32(tiles)
-    columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+    columns = {name: np.concatenate([p.pop(name) for p in parts]) for name in list(parts[0])}
     token, size = columns.pop("token"), columns.pop("size")
     first = np.cumsum(size, dtype=np.int64) - size
     order = np.argsort(token, kind="stable")

@@ -42,9 +42,8 @@ def ones(x):
     x = x - ((x >> 1) & 0x5555555555555555)
     x = (x & 0x3333333333333333) + ((x >> 2) & 0x3333333333333333)
     x = (x + (x >> 4)) & 0x0F0F0F0F0F0F0F0F
-    x = x + (x >> 8)
-    x = x + (x >> 16)
-    return (x + (x >> 32)) & 0x7F
+    # written so that compilers make one instruction of it
+    return ((x * 0x0101010101010101) >> 56) & 0x7F
 
 
 @kernel(inline="always")

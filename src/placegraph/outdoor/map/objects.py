@@ -83,7 +83,7 @@ class CityObjects(Portable):
         starts_of_all = (self.label_starts, self.part_starts, self.point_starts)
         if not n or any(np.diff(starts).min(initial=1) < 1 for starts in starts_of_all):
             raise ValueError("there is no object, or one lacks a label or a point")
-        if not (np.abs(self.points) <= FARTHEST).all():
+        if not -FARTHEST <= self.points.min() <= self.points.max() <= FARTHEST:
             raise ValueError("a point lies beyond the Earth")
         if max(self.kind.max(), self.osm_type.max()) > 2:
             raise ValueError("an object is of no known kind")

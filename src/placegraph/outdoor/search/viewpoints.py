@@ -61,8 +61,8 @@ def search(asked: Request) -> Posterior:
     return closer(asked, found, DENSE_REACH if asked.matching.way == "dense" else 1.0)
 
 
-def score(asked: Request, chosen: Candidates) -> Scored:
-    """Score candidates; those that cannot matter are left out, and counted in `rest`."""
+def score(asked: Request, chosen: Candidates, margin: float = MARGIN) -> Scored:
+    """Score candidates; what must lie `margin` [nat] behind the best is left out."""
     statements, views = asked.query.statements, asked.city.views
     rows, bounds, far, left_out = chosen
     highest = -float(np.log(len(views)))
@@ -73,7 +73,7 @@ def score(asked: Request, chosen: Candidates) -> Scored:
         share = np.exp(relative + highest).sum()
     scores, hopes = score_views(
         statements, asked.city.columns, views.columns, asked.words, rows, bounds, relative, far,
-        TOGETHER, MARGIN,
+        TOGETHER, margin,
     )  # fmt: skip
     unscored = -np.inf
     if left_out > 0.0 and not asked.query.far:
