@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.locate import Hints, understand
+from placegraph.outdoor.search.candidates import Candidates
 from placegraph.outdoor.search.posterior import modes
-from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.search.viewpoints import FINE, search
+from placegraph.outdoor.search.request import Matching, Request
+from placegraph.outdoor.search.viewpoints import FINE, closer, search
+from placegraph.outdoor.search.viewpoints import score as scored
 
 BENCH, TREE, FOUNTAIN, BAKERY = "amenity=bench", "natural=tree", "amenity=fountain", "shop=bakery"
 CHURCH, SQUARE, ROAD = "amenity=place_of_worship", "place=square", "highway=residential"
@@ -61,6 +64,28 @@ def test_probabilities_are_those_of_looking_everywhere(name, harbour, said, scor
         near = np.hypot(*(positions - mode.position).T) <= 50.0
         assert mode.probability == pytest.approx(left[near].sum(), abs=0.15)
         left[near] = 0.0
+
+
+TOLD = (
+    "A bakery is north of me. A bench is east of me.",
+    "There is a tree to my south. There is a bench to my west. There is no fountain near me.",
+    "A restaurant is north of the footway. The footway is south of the bench. A tree is near the bench.",
+    "I am between a restaurant and a bus stop. A hotel is west of me.",
+    "I am on Boulevard des Moulins. A bank is north of me.",
+    "A church is east of me and a parking is to the south.",
+)
+
+
+@pytest.mark.parametrize("text", TOLD)
+def test_the_best_of_few_is_the_best_of_all(text, monaco):
+    """Its probability is off by what is estimated of the rest, and by what lies 4 nat behind."""
+    _, asked = understand(monaco, text, Hints(), Matching())
+    every = Candidates.given(asked, np.arange(len(monaco.views)))
+    few, all_ = (
+        modes(p, 5, 6.67)[0] for p in (search(asked), closer(asked, scored(asked, every, 30.0)))
+    )
+    assert np.hypot(*(few.position - all_.position)) < 1.0
+    assert few.probability == pytest.approx(all_.probability, abs=0.05)
 
 
 def test_a_thing_out_of_sight_is_found(harbour, said, hafenstadt):

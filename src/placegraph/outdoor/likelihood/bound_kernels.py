@@ -15,6 +15,8 @@ HERE = 8.0
 """The speaker may stand so far to each side of a viewpoint [m]."""
 HIGHEST = 1e290
 """Bounds are cut here: texts of a hundred statements must not overflow."""
+NOWHERE = 1e9
+"""West and south end of a box of nothing; its east and north end are as far the other way [m]."""
 MASS, WEST, SOUTH, EAST, NORTH = range(5)
 """How much of a mention is in sight, and the ends of the box that it lies in [m]."""
 
@@ -22,7 +24,9 @@ MASS, WEST, SOUTH, EAST, NORTH = range(5)
 @kernel
 def blank(n_mentions):
     """Room for what the viewpoints of `TILES` tiles have of each mention in sight, and of the speaker."""
-    seen = np.zeros((n_mentions + 1, 5, TILES * SLOTS), np.float32)
+    seen = np.empty((n_mentions + 1, 5, TILES * SLOTS), np.float32)
+    for m in range(n_mentions):
+        _forget(seen[m])
     seen[ME] = HERE  # the last row is the speaker's
     seen[ME, MASS] = 1.0
     seen[ME, WEST : SOUTH + 1] = -HERE
@@ -43,8 +47,16 @@ def bounds_of(statements, mentions, views, tiles, at, seen, there, bound):
     worth = _bound(statements, seen, there, views, tiles, bound[:n])
     for m in range(len(mentions.starts) - 1):
         if there[m]:
-            seen[m, MASS] = 0.0
+            _forget(seen[m])
     return worth
+
+
+@kernel(inline="always")
+def _forget(seen):
+    """Make a mention's masses nothing, and its boxes such that any box makes them its own."""
+    seen[MASS] = 0.0
+    seen[WEST : SOUTH + 1] = NOWHERE
+    seen[EAST : NORTH + 1] = -NOWHERE
 
 
 @kernel(fastmath=True, _nrt=False)
@@ -92,13 +104,10 @@ def _unfold(seen, views, p, base, present, weight):
     while bits != 0 and q < len(views.postings):
         i = base + slot_of(bits)
         grade, west, south, east, north = unpack(np.int64(views.postings[q]))
-        if seen[MASS, i] == 0.0:
-            seen[WEST, i], seen[SOUTH, i], seen[EAST, i], seen[NORTH, i] = west, south, east, north
-        else:
-            seen[WEST, i] = min(seen[WEST, i], west)
-            seen[SOUTH, i] = min(seen[SOUTH, i], south)
-            seen[EAST, i] = max(seen[EAST, i], east)
-            seen[NORTH, i] = max(seen[NORTH, i], north)
+        seen[WEST, i] = min(seen[WEST, i], west)
+        seen[SOUTH, i] = min(seen[SOUTH, i], south)
+        seen[EAST, i] = max(seen[EAST, i], east)
+        seen[NORTH, i] = max(seen[NORTH, i], north)
         seen[MASS, i] += weight * views.levels[grade]
         bits &= bits - 1
         q += 1

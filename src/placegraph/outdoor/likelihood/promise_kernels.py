@@ -17,7 +17,8 @@ from placegraph.outdoor.likelihood.fit_kernels import ME
 from placegraph.outdoor.map.index_kernels import SLOTS, below
 
 FIRST = 64
-"""So many tiles of largest bound are looked at first: what they hold tells which others may matter."""
+"""So many tiles of largest bound are looked at first, then four times as many, and so on: what they
+hold tells which others may matter."""
 DRAWN = 512
 """About so many of the tiles that cannot matter tell what all of these weigh together."""
 NOTHING = 1e-4
@@ -50,14 +51,16 @@ def promising_views(statements, mentions, views, weights, most):
     bounds = np.empty(len(chosen))
     n, least, total = 0, 0.0, 0.0
     share = np.ones(len(promise))
-    every = np.flatnonzero(promise > 0.0)
-    if len(every) > FIRST:
-        bar = np.partition(promise[every], len(every) - FIRST)[len(every) - FIRST]
-        first, every = every[promise[every] > bar], every[promise[every] <= bar]
+    every, size = np.flatnonzero(promise > 0.0), FIRST
+    while len(every) > size:
+        bar = np.partition(promise[every], len(every) - size)[len(every) - size]
+        first = every[promise[every] > bar]
         n, least, total = _visit(
             statements, mentions, views, weights, first, promise, share, most,
             chosen, bounds, n, least, total,
         )  # fmt: skip
+        every = every[(promise[every] > least) & (promise[every] > 0.0)]
+        size *= 4
     n, least, total = _visit(
         statements, mentions, views, weights, every, promise, share, most,
         chosen, bounds, n, least, total,

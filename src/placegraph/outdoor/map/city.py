@@ -219,10 +219,10 @@ class City(Portable):
         return counts, len(self.objects)
 
     @cached_property
-    def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Objects by token (label, then name), as CSR: starts and rows, ascending within a token."""
         token_starts, values, _ = self.tokens
-        owner = np.repeat(np.arange(len(self.objects)), np.diff(token_starts))
+        owner = np.repeat(np.arange(len(self.objects), dtype=np.int32), np.diff(token_starts))
         order = np.argsort(values, kind="stable")
         counts = np.bincount(values, minlength=len(self.objects.labels) + len(self.objects.names))
         return np.concatenate(([0], np.cumsum(counts))), owner[order]
@@ -239,7 +239,7 @@ class City(Portable):
     def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
         """Rows of the objects that bear each of these tokens, ascending."""
         starts, rows = self.token_objects
-        return [rows[starts[t] : starts[t + 1]] for t in tokens]
+        return [rows[starts[t] : starts[t + 1]].astype(np.int64) for t in tokens]
 
     @cached_property
     def columns(self) -> CityColumns:

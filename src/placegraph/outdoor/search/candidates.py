@@ -40,7 +40,7 @@ class Candidates(NamedTuple):
     far: NDArray[np.float32]
     """(K, S) what things out of sight add."""
     left_out: float
-    """Sum of the bounds of what is not scored."""
+    """Sum of the bounds of what is not scored: an estimate, no bound, where tiles were passed over."""
 
     @classmethod
     def given(cls, asked: Request, rows: NDArray[np.int64]) -> Candidates:

@@ -46,7 +46,8 @@ class Scored(NamedTuple):
     far: NDArray[np.float32]
     """(K, S) what things out of sight add."""
     rest: float
-    """Log of what all other viewpoints weigh together."""
+    """Log of what all other viewpoints weigh together, as estimated: bounds of some of them, lowered as
+    those of the scored were."""
 
 
 def search(asked: Request) -> Posterior:
