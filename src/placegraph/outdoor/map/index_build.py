@@ -59,15 +59,15 @@ def tokens_of(
     """Tokens of every object as CSR (starts, values, weights): its labels, then its names."""
     n_labels, n_names = np.diff(objects.label_starts), np.diff(objects.name_starts)
     starts = np.concatenate(([0], np.cumsum(n_labels + n_names))).astype(np.int32)
-    owner_label = np.repeat(np.arange(len(objects)), n_labels)
-    owner_name = np.repeat(np.arange(len(objects)), n_names)
-    rank = np.arange(len(owner_label)) - objects.label_starts[owner_label]
+    row = np.arange(len(objects), dtype=np.int32)
+    owner_label, owner_name = np.repeat(row, n_labels), np.repeat(row, n_names)
+    rank = np.arange(len(owner_label), dtype=np.int32) - objects.label_starts[owner_label]
     values = np.empty(starts[-1], np.int32)
     weights = np.ones(starts[-1], np.float32)
     at_label = starts[owner_label] + rank
     values[at_label] = objects.label_values
     weights[at_label] = np.array(SECOND_LABEL, np.float32)[np.minimum(rank, len(SECOND_LABEL) - 1)]
-    rank = np.arange(len(owner_name)) - objects.name_starts[owner_name]
+    rank = np.arange(len(owner_name), dtype=np.int32) - objects.name_starts[owner_name]
     values[starts[owner_name] + n_labels[owner_name] + rank] = objects.name_values + len(
         objects.labels
     )
