@@ -7,12 +7,14 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+from weakref import finalize
 
 from placegraph import locks
 from placegraph.errors import InputError, MapError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from typing import BinaryIO
 
     Chunks = Iterable[bytes | memoryview]
 
@@ -118,3 +120,27 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+class Watch:
+    """A file that columns are windows on: whether it is as it was when it was opened."""
+
+    def __init__(self, file: BinaryIO, path: str | os.PathLike[str]) -> None:
+        self._path, self._file = path, os.dup(file.fileno())
+        finalize(self, os.close, self._file)
+        self._was = self._now()
+
+    def _now(self) -> tuple[int, int]:
+        told = os.fstat(self._file)
+        return told.st_size, told.st_mtime_ns
+
+    def check(self) -> None:
+        """Raise `MapError` where it was written to or cut short: what is read of it then may be anything."""
+        if self._now() != self._was:
+            raise MapError(
+                f"{self._path} was changed while it was open; open it again, and let a new file take its "
+                "place, as `save` does."
+            )
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        return type(None), ()  # other processes get the columns themselves

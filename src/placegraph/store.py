@@ -74,6 +74,7 @@ class MapFile:
 
     header: Header
     arrays: dict[str, NDArray[Any]]
+    watch: files.Watch | None = None  # of a file that arrays are windows on
 
     @property
     def meta(self) -> dict[str, Any]:
@@ -163,9 +164,8 @@ def writing(path: Path_) -> Iterator[Write]:
 def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] = ()) -> MapFile:
     """Read a map file and check all of it.
 
-    Columns of the names `mapped` that are stored as they are are not read into memory: their arrays
-    are windows on the file, of which the system brings in the pages that are looked at. Whoever
-    shortens the file meanwhile, instead of replacing it, ends the process.
+    Columns of the names `mapped` that are stored as they are are windows on the file. Whoever shortens
+    it, instead of replacing it, ends the process that looks at them: `watch` tells before.
 
     Raises
     ------
@@ -200,7 +200,8 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
             for b in windows:
                 _read(file, start, path, b)
             raise damaged(path, "its checksum does not fit its contents")
-    return MapFile(header, {b.name: found[b] for b in header.blocks})
+        watch = files.Watch(file, path) if windows else None
+    return MapFile(header, {b.name: found[b] for b in header.blocks}, watch)
 
 
 @contextmanager

@@ -288,6 +288,6 @@ def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
         raw = rng.integers(0, 256, columns[name].nbytes, np.uint8)
         columns[name] = raw.view(columns[name].dtype)
     forged = replace(harbour)
-    forged.__dict__["views"] = ViewIndex.of(columns, harbour.views.grid)
+    forged.__dict__["_views"] = ViewIndex.of(columns, harbour.views.grid)
     forged.locate(said(("amenity=bench", "near", "me"), ("natural=tree", "north", "amenity=bench")))
     forged.locate(said(("amenity=bench", "near", "me")), near=(0.0, 0.0), radius=1e7)

@@ -102,6 +102,7 @@ def weights(path: Path) -> Callable[[], Any]:
 
 USES: dict[str, tuple[str, Callable[[Path], Callable[[], Any]]]] = {
     "a city's map": ("town.city", city),
+    "a city's map that is mapped": ("indexed.city", city),
     "a scene's map": ("flat.scene", scene),
     "a map of a library": ("home1.scene", library),
     "vectors": ("town.vectors", vectors),

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
+from unittest.mock import patch
 
 from placegraph.demo.world import FLAT, TOWN, unpack
 
@@ -82,7 +83,9 @@ def prepare(folder: Path) -> Path:
     from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
     unpack(folder)
-    build_city(folder / f"{TOWN}.osm", folder / "town.city")
+    town = build_city(folder / f"{TOWN}.osm", folder / "town.city")
+    with patch("placegraph.store.PAGE", 1):  # as in the map of a large city
+        town.save(folder / "indexed.city", index=True)
     scene = build_scene(folder / f"{FLAT}.glb", folder / "flat.scene")
     capture = open_capture(folder / "walk")
     scene.diff(capture, scene.localize(capture, seed=0)).save(folder / "changes.json")

@@ -167,9 +167,18 @@ class City(Portable):
         """Scene graph of a cell (Eq. 1-8); raises `OptionError` where there is no such cell."""
         return cell_graph(self.objects, self.cells, cell)
 
-    @cached_property
+    @property
     def views(self) -> ViewIndex:
-        """What is seen from where: as the map file has it, or derived on first use where it has not."""
+        """What is seen from where: as the map file has it, or derived on first use where it has not.
+
+        Raises `MapError` where the file was written to since it was opened, instead of replaced.
+        """
+        if self.index is not None and self.index.watch is not None:
+            self.index.watch.check()
+        return self._views
+
+    @cached_property
+    def _views(self) -> ViewIndex:
         return self.index or ViewIndex.build(self.objects)
 
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.files import Watch
     from placegraph.outdoor.map.objects import CityObjects
 
 POINT, AREA = 0, 2
@@ -96,6 +97,8 @@ class ViewIndex:
     columns: ViewColumns
     share: NDArray[np.float64]
     """(tokens,) share of each in all that is in sight of all viewpoints."""
+    watch: Watch | None = None
+    """Of the map file that columns are windows on."""
 
     @classmethod
     def build(cls, objects: CityObjects) -> Self:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from placegraph.outdoor.map.index import ViewIndex
@@ -46,6 +47,7 @@ def index_in(file: MapFile, words: int) -> ViewIndex | None:
     columns = {name: file.array(_PREFIX + name, dtype) for name, dtype in _DTYPES.items()}
     east, north, width = file.meta["views"]
     index = ViewIndex.of(columns, (float(east), float(north), int(width)))
+    index = replace(index, watch=file.watch)
     if len(index.share) != words:
         raise ValueError("the index of viewpoints is of other words")
     return index

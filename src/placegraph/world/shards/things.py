@@ -96,7 +96,7 @@ def _with(city: City, things: Sequence[Thing]) -> City:
         names=(*o.names, *(t.name for t in things if t.name)),
     )  # fmt: skip
     made = replace(city, objects=objects)
-    made.__dict__["views"] = city.views
+    made.__dict__["_views"] = city.views
     made.__dict__["columns"] = columns_of(objects, city.tokens)
     return made
 
