@@ -8,7 +8,8 @@ from tests.world.shards.test_planet import TEXTS
 
 import placegraph as pg
 from placegraph.errors import MissingExtraError, ServiceError
-from placegraph.world.shards import cluster
+from placegraph.estimate import Status
+from placegraph.world.shards import cluster, workers
 
 distributed = pytest.importorskip("distributed")
 
@@ -80,6 +81,36 @@ def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypa
     with local(**options | {"scheduler_port": int(address.rpartition(":")[2])}):
         assert planet.locate(TEXTS[0]).to_dict() == before
         planet.close()
+
+
+def test_a_worker_out_of_memory_is_a_shard_that_does_not_answer(scheduler, sharded, monkeypatch):
+    small = next(iter(pg.open_world(sharded).sources)).path
+
+    def full(self, source, known=workers.Holder.shard):
+        if source.path == small:
+            raise MemoryError
+        return known(self, source)
+
+    monkeypatch.setattr(workers.Holder, "shard", full)  # workers are threads of this process
+    planet = pg.open_world(sharded, scheduler=scheduler)
+    found = planet.locate("A bench is north of me. A tree is east of me.")
+    planet.close()
+    assert len(found.notes) == 1
+    assert "memory" in found.notes[0]
+    assert str(small) in found.notes[0]
+    assert "1 of the shards did not answer" in found.reason
+    assert found.status is not Status.OK
+    assert found.modes
+
+
+@pytest.mark.parametrize("ended", [MemoryError(), distributed.KilledWorker("task", None, 3)])
+def test_where_every_worker_ended_the_shard_is_lost(ended):
+    class Future:
+        def exception(self):
+            return ended
+
+    told = cluster._result(Future(), workers.Task(workers.Source("0", "0.city", ""), ()), "x")
+    assert told.reason.startswith("0.city: every worker")
 
 
 @pytest.mark.all

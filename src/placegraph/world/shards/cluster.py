@@ -105,7 +105,7 @@ class Cluster:
                     for future in as_completed(
                         [*asked], loop=self.client.loop, timeout=max(left, 0.0)
                     ):
-                        result = _result(future, self.address)
+                        result = _result(future, tasks[asked[future]], self.address)
                         yield asked.pop(future), result
                 if deadline is not None and monotonic() > deadline:
                     return
@@ -165,7 +165,7 @@ def _answering(address: str) -> Iterator[None]:
         ) from error
 
 
-def _result(future: Future[Any], address: str) -> Any:  # noqa: ANN401
+def _result(future: Future[Any], task: Task, address: str) -> Any:  # noqa: ANN401
     """What came of a task; `Lost` where all its workers ended, as one does that is out of memory."""
     from distributed import CancelledError, KilledWorker
 
@@ -177,6 +177,7 @@ def _result(future: Future[Any], address: str) -> Any:  # noqa: ANN401
             raise error
     if isinstance(error, KilledWorker | MemoryError):
         return Lost(
-            f"every worker that opened it ended ({type(error).__name__}); give workers more memory."
+            f"{task.source.path}: every worker that opened it ended ({type(error).__name__}); give workers "
+            "more memory."
         )
     raise error

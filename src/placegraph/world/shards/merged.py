@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.world.shards.asked import Asked, Compared, Proposed
+    from placegraph.world.shards.steps import Asked, Compared, Proposed
 
 
 class Ranked(NamedTuple):

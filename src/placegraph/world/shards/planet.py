@@ -20,12 +20,11 @@ from placegraph.world.estimate import WorldEstimate
 from placegraph.world.known import Known
 from placegraph.world.maps import Maps
 from placegraph.world.shards.answer import estimate, weigh
-from placegraph.world.shards.asked import Asked, Fix
 from placegraph.world.shards.folder import WORDS, WorldFile, same
-from placegraph.world.shards.lexicon import Gathering, Things, Words
+from placegraph.world.shards.lexicon import Gathering, Things, Words, distance
 from placegraph.world.shards.search import Search
+from placegraph.world.shards.steps import Asked, Fix
 from placegraph.world.shards.table import WordTable
-from placegraph.world.shards.things import distance
 from placegraph.world.shards.workers import Alone, Source
 from placegraph.world.split import Understood
 from placegraph.world.world import World
@@ -150,7 +149,9 @@ class Planet(World):
         weighed = weigh(search, found, beyond, 1.0 - missing)
         whole = ""
         if missing > 0.0:
-            why = "The time was over" if late else f"{len(search.lost)} shards did not answer"
+            why = (
+                "The time was over" if late else f"{len(search.lost)} of the shards did not answer"
+            )
             whole = f"{why}: {1.0 - missing:.1%} of the world was searched."
         explain = partial(self._explained, found.asked)
         return estimate(search, found, weighed, description, known.top, explain, whole)

@@ -17,8 +17,8 @@ from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.candidates import FAR_REACH
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.world.shards.bounds import most
+from placegraph.world.shards.lexicon import distance
 from placegraph.world.shards.merged import Merged
-from placegraph.world.shards.things import distance
 from placegraph.world.shards.workers import Lost, Task
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.world.shards.asked import Asked, Fix
+    from placegraph.world.shards.steps import Asked, Fix
     from placegraph.world.shards.table import WordTable
     from placegraph.world.shards.workers import Crew, Source
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from placegraph.outdoor.search.viewpoints import look_around
 from placegraph.outdoor.search.viewpoints import score as score_of
 from placegraph.outdoor.search.whereabouts import Whereabouts
 from placegraph.tiles import held
-from placegraph.world.shards.asked import Asked, Compared, Proposed
-from placegraph.world.shards.lexicon import Thing
-from placegraph.world.shards.things import joined
+from placegraph.world.shards.lexicon import Thing, joined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,7 +27,68 @@ if TYPE_CHECKING:
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.index import ViewIndex
-    from placegraph.world.shards.asked import Fix
+
+
+class Fix(NamedTuple):
+    """Where the speaker is known to be near."""
+
+    longitude: float
+    latitude: float
+    radius: float
+    """[m]"""
+    norm: float = 0.0
+    """Log of what all viewpoints of the world weigh together, before it is known how far off it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A query against the whole world, as every shard gets it."""
+
+    query: Query
+    """Its tokens are those of the world, its rare objects rows of `things`."""
+    words: tuple[str, ...]
+    """What each of its tokens reads (`Words.reads`)."""
+    things: tuple[Thing, ...]
+    viewpoints: int
+    """Of the world."""
+    fix: Fix | None
+
+
+class Proposed(NamedTuple):
+    """Candidates of a shard, the most promising first."""
+
+    rows: NDArray[np.int32]
+    """(K,) viewpoints of the shard."""
+    bounds: NDArray[np.float64]
+    """(K,) on the likelihood ratio, times the prior against `highest`."""
+    far: NDArray[np.float32]
+    """(K, S) what things out of sight add."""
+    log_prior: NDArray[np.float64]
+    """(K,)"""
+    left_out: float
+    """Sum of the bounds of what is not listed."""
+    highest: float
+    """Largest log prior of the shard."""
+    origin: tuple[float, float]
+    """Of the shard's plane [deg]."""
+
+    def part(self, kept: NDArray[np.int64]) -> Proposed:
+        """Some of the candidates."""
+        return self._replace(
+            rows=self.rows[kept], bounds=self.bounds[kept], far=self.far[kept],
+            log_prior=self.log_prior[kept],
+        )  # fmt: skip
+
+
+class Compared(NamedTuple):
+    """Scores of candidates."""
+
+    scores: NDArray[np.float64]
+    """(K,) log-likelihood ratios; -inf where one cannot matter in its shard."""
+    hopes: NDArray[np.float64]
+    """(K,) as of `Scored`."""
+    positions: NDArray[np.float64]
+    """(K, 2) east, north in the shard's plane [m]."""
 
 
 @dataclass(frozen=True, eq=False)
