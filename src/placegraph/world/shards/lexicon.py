@@ -154,21 +154,19 @@ def rows_of(things: Sequence[Thing], objects: CityObjects) -> NDArray[np.int64]:
 def joined(
     city: City, things: Sequence[Thing], key: str, reach: float
 ) -> tuple[City, NDArray[np.int64]]:
-    """A city with the things that it lacks and that lie within `reach` [m] of its core.
+    """A city with the things that it lacks, where any lies within `reach` [m] of its core.
 
-    Returns it, and rows (K,) of all things in it: -1 of those too far off. What is added is in
-    nobody's sight; one speaks of it from afar.
+    Returns it, and rows (K,) of all things in it: all -1 where all are too far off. Otherwise all are
+    there, since how many a mention has decides how it is understood. What is added is in nobody's
+    sight; one speaks of it from afar.
     """
     rows = rows_of(things, city.objects)
-    near = [
-        k
-        for k in np.flatnonzero(rows < 0).tolist()
-        if away(things[k], key) <= reach + things[k].extent
-    ]
-    if not near:
+    lacks = np.flatnonzero(rows < 0)
+    near = any(away(things[k], key) <= reach + things[k].extent for k in lacks.tolist())
+    if not len(lacks) or not (near or len(lacks) < len(things)):
         return city, rows
-    rows[near] = len(city.objects) + np.arange(len(near))
-    return _with(city, [things[k] for k in near]), rows
+    rows[lacks] = len(city.objects) + np.arange(len(lacks))
+    return _with(city, [things[k] for k in lacks.tolist()]), rows
 
 
 def away(thing: Thing, key: str) -> float:
