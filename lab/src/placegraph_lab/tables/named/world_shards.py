@@ -218,28 +218,11 @@ def _killed(world: Path, texts: list[str]) -> dict[str, Any]:
 
 
 EQUAL = [
-    "texts",
-    "shards",
-    "same best",
-    "within 1 %",
-    "largest",
-    "whole p50",
-    "shards p50",
-    "touched p50",
-]
+    "texts", "shards", "same best", "within 1 %", "largest", "whole p50", "shards p50", "touched p50",
+]  # fmt: skip
 GROWN = [
-    "copies",
-    "cells",
-    "shards",
-    "MB",
-    "texts",
-    "p50",
-    "p95",
-    "touched p50",
-    "p95",
-    "@1 50 m",
-    "peak",
-]
+    "copies", "cells", "shards", "MB", "texts", "p50", "p95", "touched p50", "p95", "@1 50 m", "peak",
+]  # fmt: skip
 
 
 def equal(row: dict[str, Any]) -> list[str]:
