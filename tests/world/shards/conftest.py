@@ -5,7 +5,7 @@ import pytest
 from tests.cities import _write_world
 
 from placegraph.outdoor.city import build_city
-from placegraph_lab.tables.outdoor.shards import write_shards
+from placegraph_lab.worlds.shards import write_shards
 
 ZOOM = 15
 KINDS = (

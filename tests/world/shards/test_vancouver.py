@@ -5,7 +5,7 @@ import pytest
 import placegraph as pg
 from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.outdoor.queries import make_queries
-from placegraph_lab.tables.outdoor.shards import write_shards
+from placegraph_lab.worlds.shards import write_shards
 
 SETTINGS = ("none", "names", "speaker", "synonyms")
 

@@ -34,7 +34,7 @@ def _world(folder: Path, places: Places) -> None:
 
 def _planet(folder: Path, places: Places) -> None:
     """A world of shards, and its table of words."""
-    from placegraph_lab.tables.outdoor.shards import write_shards
+    from placegraph_lab.worlds.shards import write_shards
 
     write_shards(_town(folder, places), folder, 16)
 

@@ -21,9 +21,9 @@ import numpy as np
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
-from placegraph_lab.tables.outdoor.shards import copies_of, write_copies, write_shards
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.worlds.shards import copies_of, write_copies, write_shards
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.outdoor.queries import Query
