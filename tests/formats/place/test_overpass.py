@@ -391,6 +391,9 @@ def test_nominatim_refuses(servers, out, status):
         json.dumps([PLACES[1] | {"boundingbox": ["x"]}]).encode(),
         json.dumps([PLACES[1] | {"lat": "north"}]).encode(),
         json.dumps(
+            [PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": [[[10**400, 1]] * 4]}}]
+        ).encode(),
+        json.dumps(
             [PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": [[[1, 2]]]}}]
         ).encode(),
         json.dumps([{k: v for k, v in PLACES[1].items() if k != "display_name"}]).encode(),

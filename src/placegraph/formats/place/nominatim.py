@@ -48,7 +48,7 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
         name, outline = str(found["display_name"].iloc[0]), found.geometry.iloc[0]
     except requests.RequestException as error:
         raise unreachable("Nominatim", error) from error
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         if not shapes:
             raise InputError(
                 f"No place is called {place!r}; check the spelling, or add the region or country."
