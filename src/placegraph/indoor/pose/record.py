@@ -25,6 +25,8 @@ VERSION = 1
 STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-4])
 """Steps of particles' x, y, z [m] and yaw [rad]."""
 _FULL = 65535
+_FARTHEST = 1e7
+"""Beyond it nothing lies on a map, in metres or their squares."""
 
 
 def write_run(path: str | PathLike[str], estimate: PoseEstimate, *, source: str = "") -> None:
@@ -106,15 +108,23 @@ def _stacked(rows: list[Floats], width: int) -> Floats:
 
 
 def _matrices(file: MapFile, name: str, count: int) -> Floats:
-    return file.array(name, "<f8", 2).reshape(count, 4, 4)
+    return _numbers(file, name, (count, 4, 4))
+
+
+def _numbers(file: MapFile, name: str, shape: tuple[int, ...]) -> Floats:
+    """A column in this shape; `ValueError` where it holds what no pose has, which none could draw."""
+    numbers = file.array(name, "<f8", 2).reshape(shape)
+    if not (np.abs(numbers) <= _FARTHEST).all():
+        raise ValueError(f"{name} holds what is no place on a map")
+    return numbers
 
 
 def _modes(file: MapFile) -> tuple[PoseMode, ...]:
     scenes = [str(name) for name in file.meta["scenes"]]
     rows = zip(
         _matrices(file, "mode_matrices", len(scenes)),
-        file.array("mode_poses", "<f8", 2).reshape(len(scenes), 4),
-        file.array("mode_covariances", "<f8", 2).reshape(len(scenes), 6, 6),
+        _numbers(file, "mode_poses", (len(scenes), 4)),
+        _numbers(file, "mode_covariances", (len(scenes), 6, 6)),
         file.array("mode_probabilities", "<f8").tolist(),
         scenes,
         _matrices(file, "mode_scene_matrices", len(scenes)),
