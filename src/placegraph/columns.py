@@ -45,8 +45,13 @@ def plain(name: str, array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(array, dtype)
 
 
-def pack(array: NDArray[Any], *, as_it_is: bool = False) -> tuple[str, str, bytes | memoryview]:
-    """Codec, filter and block of a plain array. Spends its time outside the interpreter's lock."""
+def pack(
+    array: NDArray[Any], *, as_it_is: bool = False, quick: bool = False
+) -> tuple[str, str, bytes | memoryview]:
+    """Codec, filter and block of a plain array. Spends its time outside the interpreter's lock.
+
+    `quick` does without LZMA: maps of cities become 4 % larger, in a fifth of the time.
+    """
     if as_it_is:
         return "raw", "none", array.data.cast("B")
     chosen, least = "none", len(zlib.compress(array.data, 1))
@@ -56,7 +61,7 @@ def pack(array: NDArray[Any], *, as_it_is: bool = False) -> tuple[str, str, byte
         chosen, least = min((chosen, least), (name, size), key=lambda form: form[1])
     raw = _filtered(chosen, array)
     best = ("zlib", chosen, zlib.compress(raw, 6))
-    if len(raw) <= _LZMA_LIMIT:
+    if len(raw) <= _LZMA_LIMIT and not quick:
         block = lzma.compress(raw, lzma.FORMAT_RAW, filters=_LZMA)
         if len(block) < _LZMA_GAIN * len(best[2]):
             best = ("lzma", chosen, block)

@@ -5,12 +5,15 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.outdoor.city import CityMap
+from placegraph.tiles import held
 from placegraph.world import build as module
 from placegraph.world.build import BuildOptions, build_world
+from placegraph.world.shards import WorldFile
 
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
 SMALL = BuildOptions(zoom=15, overlap=100.0, workers=1)
@@ -163,7 +166,7 @@ def test_a_full_disk_says_so(extract, tmp_path, monkeypatch):
     def full(_path):
         raise MapError("x.city cannot be written: No space left on device. Choose another place.")
 
-    monkeypatch.setattr("placegraph.outdoor.map.city.City.save", lambda *_: full(_))
+    monkeypatch.setattr("placegraph.outdoor.map.city.City.save", lambda *_, **__: full(_))
     with pytest.raises(MapError, match="No space left"):
         build_world([extract], tmp_path / "w", SMALL)
     monkeypatch.undo()
@@ -210,6 +213,37 @@ def test_a_cluster_builds_the_same(cluster, extract, tmp_path):
         [extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, scheduler=cluster)
     )
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_city_build_of_a_large_extract_is_a_world_of_the_same_things(
+    run, write_world, tmp_path, monkeypatch
+):
+    """What one map holds, the cores of its shards hold together, each thing as it is there."""
+    things = [(150.0 * i, 150.0 * (i % 9), BENCH if i % 2 else TREE) for i in range(80)]
+    street = ([0, 1, 2], {"highway": "residential", "name": "Weg"})
+    path = write_world(things, [street])
+    done = run("city", "build", path, "-o", tmp_path / "one.city", "--json")
+    one = CityMap.open(tmp_path / "one.city")
+    monkeypatch.setattr("placegraph.outdoor.map.split.SMALL", 0)
+    made = run("city", "build", path, "-o", tmp_path / "many.city", "--json")
+    assert made.code == 0
+    assert made.json["objects"] == done.json["objects"] == 81
+    world = WorldFile.read(tmp_path / "many.city")
+    assert len(world.shards) >= 2
+    seen = {}
+    for shard in world.shards:
+        city = CityMap.open(world.path(shard))
+        at = city.plane.to_lonlat(city.objects.center.astype(np.float64))
+        for i in np.flatnonzero(held(at, shard.key)).tolist():
+            o = city.objects
+            seen[o.osm(i)] = (o.label(i), o.name(i), [len(p) for p in o.parts(i)], at[i])
+    places = one.plane.to_lonlat(one.objects.center.astype(np.float64))
+    for i, place in enumerate(places):
+        label, name, sizes, at = seen.pop(one.objects.osm(i))
+        assert (label, name) == (one.objects.label(i), one.objects.name(i))
+        assert sizes == [len(p) for p in one.objects.parts(i)]
+        assert np.abs(at - place).max() < 1e-5
+    assert not seen
 
 
 def test_the_command(run, extract, tmp_path):

@@ -153,8 +153,7 @@ def _split(job: _SplitJob, tell: Progress | None = None) -> None:
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
     folder, options = Path(job.folder), job.options
-    shutil.rmtree(folder, ignore_errors=True)  # what was killed
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     words = Vocabulary.load(options.vocabulary) if options.vocabulary else None
     said = None if tell is None else lambda step, n: tell(step, n, None)
     split(Path(job.path), folder, options.zoom, options.overlap, words, said)
@@ -196,7 +195,7 @@ class _Build:
         todo = [
             _SplitJob(str(path), str(folder), self.options)
             for path, folder in zip(self.extracts, self._folders("things"), strict=True)
-            if Split.read(folder) is None
+            if (begun := Split.read_in(folder)) is None or not begun.whole
         ]
         if todo:  # what touches many tiles is shared out anew as well
             (self.work / "tiles.json").unlink(missing_ok=True)
@@ -236,13 +235,13 @@ class _Build:
     def _spread(self) -> list[TileJob]:
         """Jobs of all tiles, once what touches many of them is spread over those that hold more."""
         self.tell("sharing out what is large", 0, None)
-        splits = [Split.read(folder) for folder in self._folders("things")]
+        splits = [Split.read_in(folder) for folder in self._folders("things")]
         populated = sorted({key for s in splits if s for key in s.populated})
         files: dict[str, list[tuple[str, int]]] = {key: [] for key in populated}
         for found, things, large in zip(
             splits, self._folders("things"), self._folders("large"), strict=True
         ):
-            if found is None:
+            if found is None or not found.whole:
                 raise MapError(f"{things} has gone; run the same command again.")
             shutil.rmtree(large, ignore_errors=True)
             large.mkdir()

@@ -445,3 +445,32 @@ def test_where_no_process_can_be_started_files_are_read_as_they_are(tmp_path, mo
 def test_the_file_that_was_found(shared):
     with pytest.raises(InputError, match=r"segv\.osm\.pbf is damaged"):
         list(read_osm(shared / "repro" / "segv.osm.pbf", KEYS))
+
+
+def test_a_file_with_history_is_refused(tmp_path):
+    path = tmp_path / "history.osm.pbf"
+    header = osmium.io.Header()
+    header.has_multiple_object_versions = True
+    with osmium.SimpleWriter(str(path), header=header) as writer:
+        for version in (1, 2):
+            node = osmium.osm.mutable.Node(
+                id=1, version=version, location=(10.0, 50.0), tags={"amenity": "bench"}
+            )
+            writer.add_node(node)
+    with pytest.raises(InputError, match=r"holds history.*osmium time-filter"):
+        list(read_osm(path, KEYS))
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_nodes_in_any_order_but_before_their_ways(on_disk, tmp_path):
+    index = tmp_path / "nodes.index" if on_disk else None
+    node = '<node id="{}" version="1" lat="50.{}" lon="10.0"><tag k="amenity" v="x"/></node>'
+    nodes = [node.format(i, i) for i in (3, 1, 2)]
+    way = '<way id="1" version="1"><nd ref="1"/><nd ref="3"/><tag k="highway" v="path"/></way>'
+    path = tmp_path / "mixed.osm"
+    path.write_text("\n".join(['<osm version="0.6">', *nodes, way, "</osm>"]))
+    found = [e for e in read_osm(path, KEYS, index=index) if e.osm_type == WAY]
+    assert found[0].parts[0].tolist() == [[10.0, 50.1], [10.0, 50.3]]
+    path.write_text("\n".join(['<osm version="0.6">', nodes[1], way, *nodes, "</osm>"]))
+    with pytest.raises(InputError, match=r"lists nodes behind the ways.*osmium sort"):
+        list(read_osm(path, KEYS, index=index))

@@ -1,12 +1,16 @@
 """Splitting: every thing in every tile that it touches, and what is large only where something is."""
 
 import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from placegraph.errors import InputError
+from placegraph.errors import InputError, MapError
 from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.map import extract, spill
 from placegraph.outdoor.map import split as module
 from placegraph.outdoor.map.spill import things_of
 from placegraph.outdoor.map.split import LARGE, Split, split, spread_large
@@ -18,7 +22,7 @@ BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
 
 
 def split_up(path, folder, zoom=ZOOM):
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     return split(path, folder, zoom, MARGIN)
 
 
@@ -49,7 +53,8 @@ def test_things_near_a_border_are_in_both_tiles(write_world, tmp_path):
     assert held(tmp_path / "things", found.sizes, west) == {1, 2, 3}
     assert held(tmp_path / "things", found.sizes, other) == {2, 3, 4}
     assert found.populated == sorted([west, other])
-    assert Split.read(tmp_path / "things") == found
+    assert Split.read_in(tmp_path / "things") == found
+    assert split_up(path, tmp_path / "things") == found
 
 
 def test_a_road_of_600_km_costs_its_part_in_populated_tiles(write_world, tmp_path):
@@ -117,7 +122,92 @@ def test_an_extract_that_changes_meanwhile(write_world, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "labelled", touched)
     with pytest.raises(InputError, match=r"world\.osm changed while it was read"):
         split_up(path, tmp_path / "things")
-    assert Split.read(tmp_path / "things") is None
+    assert Split.read_in(tmp_path / "things") is None
+
+
+def along(n):
+    """Benches and trees, paths that lack a node, and a lake."""
+    nodes = [(30.0 * i, 20.0 * (i % 7), BENCH if i % 2 else TREE) for i in range(n)]
+    ways = [([3 * i, 3 * i + 1, 900 + i], {"highway": "path"}) for i in range(n // 3)]
+    ways += [([0, 6], {}), ([6, 7, 0], {})]
+    lake = ([(n // 3, "outer"), (n // 3 + 1, "outer")], {"natural": "water"})
+    return nodes, ways, [lake, ([(0, "outer")], {"natural": "water"})]
+
+
+@pytest.mark.parametrize("batches", [1, 4, 8])
+def test_a_split_that_was_killed_goes_on(batches, write_world, tmp_path, monkeypatch):
+    path = write_world(*along(60))
+    monkeypatch.setattr(extract, "BATCH", 10)
+    whole = split_up(path, tmp_path / "whole")
+    assert whole.left_out == {
+        "multipolygons with missing or crossing members": 1,
+        "ways cut where members are missing": 20,
+    }
+    monkeypatch.setattr(spill.Spills, "full", True)  # written down after every batch
+    real, seen = module._spread, []
+
+    def dies(*given):
+        if len(seen) == batches:
+            raise KeyboardInterrupt
+        seen.append(real(*given))
+
+    monkeypatch.setattr(module, "_spread", dies)
+    with pytest.raises(KeyboardInterrupt):
+        split_up(path, tmp_path / "things")
+    torn = next((tmp_path / "things").glob("*.things"))
+    torn.write_bytes(torn.read_bytes() + b"half a frame")
+    (tmp_path / "things" / "stray.things").touch()
+    seen.clear()
+    monkeypatch.setattr(module, "_spread", lambda *given: seen.append(real(*given)))
+    assert split_up(path, tmp_path / "things") == whole
+    assert len(seen) == 9 - batches
+    for file in (tmp_path / "whole").glob("*.things"):
+        assert (tmp_path / "things" / file.name).read_bytes() == file.read_bytes()
+    assert not (tmp_path / "things" / "stray.things").exists()
+
+
+def test_an_extract_that_changed_since_it_was_killed_begins_anew(write_world, tmp_path):
+    path = write_world([(0, 0, BENCH)])
+    split_up(path, tmp_path / "things")
+    os.utime(path, (1, 1))
+    again = split_up(path, tmp_path / "things")
+    assert again.things == 1
+    assert again.of[1] == 10**9
+
+
+@pytest.mark.parametrize(("what", "limit"), [("nodes.index", 0), ("things", 1 << 20)])
+def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp_path):
+    """The system lets no file grow beyond a limit."""
+    path = write_world(*along(60))
+    code = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from placegraph.errors import MapError\n"
+        "from placegraph.outdoor.map import split, spill\n"
+        "split.SMALL = int(sys.argv[3])\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))\n"
+        "try: split.split(Path(sys.argv[1]), Path(sys.argv[2]), 15, 100.0)\n"
+        "except MapError as error: print(error)\n"
+    )
+    folder = tmp_path / "things"
+    folder.mkdir()
+    said = subprocess.run(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", code, path, folder, str(limit)],
+        check=True, capture_output=True, text=True, env=os.environ,
+    )  # fmt: skip
+    assert what in said.stdout
+    assert "cannot be written" in said.stdout
+    assert "File too large" in said.stdout
+    assert split_up(path, folder).things == 81
+
+
+def test_a_page_without_a_place_on_the_disk(write_world, tmp_path, monkeypatch):
+    """It ends the process that tries to read the file first."""
+    died = subprocess.CompletedProcess([], -signal.SIGBUS)
+    monkeypatch.setattr("placegraph.formats.place.osm_pass.subprocess.run", lambda *_, **__: died)
+    monkeypatch.setattr(module, "SMALL", 0)
+    with pytest.raises(MapError, match=r"nodes\.index cannot be written: No space left"):
+        split_up(write_world([(0, 0, BENCH)]), tmp_path / "things")
 
 
 def test_nothing_worth_naming(write_world, tmp_path):

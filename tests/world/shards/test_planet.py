@@ -16,6 +16,8 @@ TEXTS = (
     "I am on Long Street. A playground is north of me.",
     "A bench is north of me. A tree is east of me. There is no cafe.",
     "The Old Light is 300 m west of me. A bakery is north of me.",
+    # 350 m and more, where shards overlap by 150 m: whoever asks reads the neighbours' rare things
+    "The Museum of Salt is far away in the east. A bakery is north of me. A cafe is east of me.",
 )
 
 
@@ -37,7 +39,7 @@ def test_shards_answer_as_one_map(text, whole, planet):
     assert [e.objects for e in many.evidence] == [e.objects for e in one.evidence]
 
 
-@pytest.mark.parametrize("text", [TEXTS[i] for i in (1, 5)])
+@pytest.mark.parametrize("text", [TEXTS[i] for i in (1, 5, 6)])
 def test_what_is_seen_from_afar_is_found_across_borders(text, whole, planet):
     # one map gives viewpoints around such a thing a lower bound than a shard, which lists them all
     one, many = whole.locate(text), planet.locate(text)

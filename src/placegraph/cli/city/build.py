@@ -26,7 +26,15 @@ def build(
             "of Overture's GeoParquet."
         ),
     ],
-    out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as monaco.city.")],
+    out: Annotated[
+        Path,
+        Option(
+            "--out",
+            "-o",
+            help="Map file to write, such as monaco.city. Of an extract above 64 MB it becomes a folder "
+            "of maps, as by `world build`.",
+        ),
+    ],
     cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
     stride: Annotated[
         float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
@@ -62,9 +70,19 @@ def build(
 
     from placegraph.outdoor.city import build_city
     from placegraph.outdoor.language.vocabulary import Vocabulary
+    from placegraph.outdoor.map.split import is_large
 
-    words = Vocabulary.load(vocabulary) if vocabulary else None
     source = _source(file, bbox, confidence)
+    if isinstance(source, Path) and is_large(source):
+        from placegraph.cli.world.build import made_of
+        from placegraph.world.build import BuildOptions
+
+        options = BuildOptions(
+            cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=vocabulary
+        )
+        made_of([source], out, options, as_json=as_json, quiet=quiet)
+        return
+    words = Vocabulary.load(vocabulary) if vocabulary else None
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
         tell("reading")

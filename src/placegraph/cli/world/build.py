@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from placegraph.world.build import BuildOptions
 
 
 def build(
@@ -45,15 +50,24 @@ def build(
 
     Example: placegraph world build germany.osm.pbf -o germany/
     """
-    from time import perf_counter
+    from placegraph.world.build import BuildOptions
 
-    from placegraph.world.build import BuildOptions, build_world
-
-    start = perf_counter()
     options = BuildOptions(
         zoom=zoom, overlap=overlap, cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, vocabulary=vocabulary, workers=workers, scheduler=scheduler,
     )  # fmt: skip
+    made_of(files, out, options, as_json=as_json, quiet=quiet)
+
+
+def made_of(
+    files: Sequence[Path], out: Path, options: BuildOptions, *, as_json: bool, quiet: bool
+) -> None:
+    """Build a world, and say what it holds."""
+    from time import perf_counter
+
+    from placegraph.world.build import build_world
+
+    start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
         made = build_world(files, out, options, tell)
     told = {

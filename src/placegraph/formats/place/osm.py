@@ -6,19 +6,20 @@ latitude: nodes as points, open ways as lines, closed ways and multipolygon rela
 
 from __future__ import annotations
 
-import signal
+import errno
+import re
 import struct
-import subprocess
-import sys
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.files import cannot_write
 from placegraph.formats.place import osm_pass
 
 if TYPE_CHECKING:
@@ -37,6 +38,9 @@ LINE_KEYS = frozenset({"highway", "barrier", "railway", "waterway", "power", "ae
 AREA_VALUES = frozenset(
     {"riverbank", "dock", "boatyard", "substation", "plant", "platform", "station"}
 )
+
+_FULL = re.compile("No space left|File too large|quota", re.IGNORECASE)
+"""What osmium says of an index of nodes that has no room."""
 
 
 class OsmElement(NamedTuple):
@@ -57,6 +61,8 @@ class LeftOut:
     """What of a file could not be used, by reason; filled while reading."""
 
     counts: Counter[str] = field(default_factory=Counter)
+    read: int = 0
+    """Objects of the file that were looked at so far, or before."""
 
     def __str__(self) -> str:
         return ", ".join(f"{n} {reason}" for reason, n in sorted(self.counts.items())) or "nothing"
@@ -77,7 +83,8 @@ def read_osm(
     keys
         Keys worth reading; everything else is skipped in C++.
     left_out
-        Is told what was left out, and why: clipped extracts lack members of ways and relations.
+        Is told what was left out, and why: clipped extracts lack members of ways and relations. Of
+        one that was told of `read` objects before, these are passed over: an eighth of the time.
     index
         File for the positions of nodes, 16 bytes each, made and left for the caller to remove;
         they are held in memory where none is named.
@@ -88,6 +95,8 @@ def read_osm(
         The file is missing, empty, truncated, not OpenStreetMap data, holds history, has its nodes
         behind the ways that need them, or is damaged such that its reader crashes: another
         process has read it through before.
+    MapError
+        There is no room for `index`.
 
     """
     import osmium
@@ -95,18 +104,23 @@ def read_osm(
     path, keys = checked_osm(Path(path)), sorted(keys)
     storage = f"sparse_file_array,{index}" if index else "flex_mem"
     with _emptied(index):
-        _survived(path, keys, storage)
+        osm_pass.survived(path, _ending(path), storage, keys)
     wanted = osmium.filter.KeyFilter(*keys)
-    reader = _Reader(LeftOut() if left_out is None else left_out)
+    left_out = LeftOut() if left_out is None else left_out
+    reader, passed = _Reader(path, left_out), left_out.read
     try:
         file = osmium.FileProcessor(osm_file(path)).with_locations(storage)
-        if file.header.has_multiple_object_versions:
-            raise _of_several_times(path)
-        for item in file.with_areas(wanted).with_filter(wanted):
+        reader.several_times(declared=file.header.has_multiple_object_versions)
+        items = iter(file.with_areas(wanted).with_filter(wanted))
+        for item in islice(items, passed):
+            reader.passed(item)
+        for left_out.read, item in enumerate(items, passed + 1):  # as it goes on
             element = reader.read(item)
             if element is not None:
                 yield element
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
+        if index is not None and _FULL.search(str(error)):
+            raise cannot_write(index, OSError(errno.ENOSPC, one_line(error))) from error
         raise InputError(
             f"{path} cannot be read as OpenStreetMap data: {one_line(error)}. "
             "It may be truncated or of another format; download or export it again."
@@ -129,26 +143,20 @@ def _emptied(index: Path | None) -> Iterator[None]:
         index.unlink(missing_ok=True)
 
 
-def _of_several_times(path: Path) -> InputError:
-    return InputError(
-        f"{path} holds history, several versions of one thing; make an extract of one time of it, "
-        "as by `osmium time-filter`."
-    )
-
-
 class _Reader:
     """Turns osmium's objects into elements and counts what cannot be turned."""
 
-    def __init__(self, left_out: LeftOut) -> None:
+    def __init__(self, path: Path, left_out: LeftOut) -> None:
         import osmium
 
-        self.osm = osmium.osm
+        self.path, self.osm = path, osmium.osm
         self.invalid = (RuntimeError, osmium.InvalidLocationError)
         self.factory: Any = osmium.geom.WKBFactory()
         self.counts = left_out.counts
         self.relations: set[int] = set()
         self.built: set[int] = set()  # an area may come before or after its relation
         self.ways = self.late = False  # whether there was a way, and a node behind one
+        self.last = (-1, 0)  # id and version of the last node or way
 
     def read(self, item: object) -> OsmElement | None:
         """Element of one object, None where it has no geometry of its own or none that is known."""
@@ -162,6 +170,31 @@ class _Reader:
             self.relations.add(item.id)
         return None
 
+    def several_times(self, *, declared: bool) -> None:
+        """Raise `InputError` where a file is of several times: it says so, or what it holds does."""
+        if declared:
+            raise InputError(
+                f"{self.path} holds history, several versions of one thing; make an extract of one time "
+                "of it, as by `osmium time-filter`."
+            )
+
+    def seen(self, item: Node | Way) -> int:
+        """Id of a node or way; `InputError` where the one before was another version of it."""
+        number: int = item.id
+        if number == self.last[0]:
+            self.several_times(declared=item.version != self.last[1])
+        self.last = number, item.version
+        return number
+
+    def passed(self, item: object) -> None:
+        """See an object that was read before."""
+        if isinstance(item, self.osm.Way):
+            self.ways = True
+        elif isinstance(item, self.osm.Node):
+            self.late |= self.ways
+        else:
+            self.read(item)
+
     def finish(self) -> None:
         """Count the relations that no area was built of."""
         if missing := len(self.relations - self.built):
@@ -172,10 +205,14 @@ class _Reader:
         if not node.location.valid():
             self.counts["nodes without a position"] += 1
             return None
-        return OsmElement(NODE, node.id, POINT, dict(node.tags), [np.array([[node.lon, node.lat]])])
+        return OsmElement(
+            NODE, self.seen(node), POINT, dict(node.tags), [np.array([[node.lon, node.lat]])]
+        )
 
     def way(self, way: Way) -> OsmElement | None:
-        self.ways = True
+        if not self.ways:
+            self.ways, self.last = True, (-1, 0)
+        number = self.seen(way)
         try:
             wkb = self.factory.create_linestring(way)  # in hexadecimal, behind 9 bytes of head
             line = np.frombuffer(bytes.fromhex(wkb), "<f8", offset=9).reshape(-1, 2)
@@ -190,7 +227,7 @@ class _Reader:
             closed = known[0] == known[-1]
         tags = dict(way.tags)
         ring = closed and len(line) >= 4  # a triangle, closed
-        return OsmElement(WAY, way.id, AREA if ring and is_area(tags) else LINE, tags, [line])
+        return OsmElement(WAY, number, AREA if ring and is_area(tags) else LINE, tags, [line])
 
     def area(self, area: Area) -> OsmElement | None:
         try:
@@ -211,21 +248,6 @@ def osm_file(path: Path) -> Any:  # noqa: ANN401  # osmium has no types
 def _ending(path: Path) -> str:
     ending = next(s for s in SUFFIXES if path.name.lower().endswith(s))
     return ending.removeprefix(".").replace("osmag", "osm")
-
-
-def _survived(path: Path, keys: list[str], storage: str) -> None:
-    """Raise `InputError` where a process dies of reading the file; costs a twelfth of reading it."""
-    program, file = str(osm_pass.__file__), str(path.absolute())
-    command = [sys.executable, "-P", program, file, _ending(path), storage, *keys]
-    try:
-        died = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)  # noqa: S603
-    except OSError:  # no process can be started, as in a sandbox: read as it is
-        return
-    if died.returncode < 0:
-        raise InputError(
-            f"{path} is damaged: reading it ends osmium, by {signal.strsignal(-died.returncode)}. "
-            "Download or export it again."
-        )
 
 
 def checked_osm(path: Path) -> Path:

@@ -80,11 +80,13 @@ class City(Portable):
         cells = Cells(plane, grid, cell_size, edge_distance, occupied)
         return cls(plane, objects, cells, source, left_out)
 
-    def save(self, path: str | PathLike[str], *, index: bool | None = None) -> None:
+    def save(
+        self, path: str | PathLike[str], *, index: bool | None = None, quick: bool = False
+    ) -> None:
         """Write the map file (atomically, with checksums).
 
         `index`: with the index of its viewpoints, which makes the first question quick; None: where
-        the map is large.
+        the map is large. `quick`: 4 % larger, and written in a fifth of the time.
         """
         objects, cells = self.objects, self.cells
         meta = {
@@ -114,7 +116,7 @@ class City(Portable):
         if len(objects) >= WORTH if index is None else index:
             meta["views"] = list(self.views.grid)
             arrays |= stored(self.views)
-        write_map(path, KIND, VERSION, meta, arrays, MAPPED)
+        write_map(path, KIND, VERSION, meta, arrays, MAPPED, quick=quick)
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Self:

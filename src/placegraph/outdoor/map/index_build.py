@@ -118,8 +118,13 @@ def _bands(objects: CityObjects, grid: Grid, at_once: int) -> list[_Band]:
 def _seen(objects: CityObjects, grid: Grid, band: _Band) -> Sightings:
     """What is in sight of the grid points of a band."""
     part = grid._replace(north=grid.north + band.first * STRIDE, rows=band.last - band.first)
+    return seen_from(objects, part, band.rows)
+
+
+def seen_from(objects: CityObjects, grid: Grid, rows: NDArray[np.int64] | None = None) -> Sightings:
+    """What of objects, or of these rows of them, is in sight of points of a grid."""
     columns = (objects.kind, objects.part_starts, objects.point_starts, objects.points)
-    return sightings(*columns, grid=part, radius=REACHED, rows=band.rows)
+    return sightings(*columns, grid=grid, radius=REACHED, rows=rows)
 
 
 def _worth_standing(

@@ -7,6 +7,7 @@ steps of 1e-7 degrees (4 each), and the texts in UTF-8. The files live as long a
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from placegraph.errors import MapError
 from placegraph.outdoor.map.things import THING, Things, starts
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 HEAD = struct.Struct("<4sQIIII")
@@ -65,15 +67,26 @@ def _unpacked(data: bytes, n: int, parts: int, points: int) -> Things:
 class Spills:
     """Files of a folder, ``KEY.things``, to which frames are added in any order.
 
-    Raises `MapError` where the disk is full.
+    `sizes` are those of a folder that was begun before: what its files hold beyond, or besides, was
+    not finished, and is taken away. Raises `MapError` where the disk is full.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, sizes: Mapping[str, int] | None = None) -> None:
         self.folder = folder
-        self.sizes: dict[str, int] = {}
+        self.sizes = dict(sizes or {})
         """Bytes of each file so far, by key."""
+        for path in folder.glob("*.things"):
+            if path.stem in self.sizes:
+                os.truncate(path, self.sizes[path.stem])
+            else:
+                path.unlink()
         self._waiting: dict[str, list[bytes]] = {}
         self._bytes = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether it is time to `flush`."""
+        return self._bytes > ROOM // 2
 
     def add(self, key: str, things: Things) -> None:
         """Put things to a tile's."""

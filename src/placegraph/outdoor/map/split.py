@@ -8,6 +8,7 @@ is clipped to these, down the quadtree, so that a road of 600 km through empty l
 from __future__ import annotations
 
 import json
+from collections import Counter
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -26,7 +27,6 @@ from placegraph.outdoor.map.things import Thing, Things, starts
 from placegraph.tiles import bounds, key_of, reached
 
 if TYPE_CHECKING:
-    from collections import Counter
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
@@ -38,33 +38,49 @@ MANY = 16
 """What touches more tiles than this is put to them only where they hold something else."""
 BORDER = 60.0
 """A thing so near to a tile's core is seen from within it [m]."""
-SMALL = 96 << 20
-"""Bytes of an extract whose nodes are held in memory: some 13 million, 16 bytes each."""
+SMALL = 64 << 20
+"""Bytes of an extract that one map is made of, in memory: some 9 million nodes, 16 bytes each."""
 LARGE, DONE = "large", "split.json"
 
 
 @dataclass(frozen=True)
 class Split:
-    """What became of an extract."""
+    """What became of an extract, or of its first objects."""
 
+    of: list[int]
+    """Size and time of the extract, by which a change is seen."""
     sizes: dict[str, int]
     """Bytes of the things of each tile, by key, and of those that touch many, as `LARGE`."""
     populated: list[str]
     """Keys of the tiles that hold something of their own."""
     things: int
     left_out: dict[str, int]
+    read: int
+    """Objects of the extract so far."""
+    whole: bool = False
 
     def save(self, folder: Path) -> None:
-        """Write it beside the tiles: from then on the split is done."""
-        write_file(folder / DONE, [json.dumps(asdict(self), sort_keys=True).encode()])
+        """Write it beside the tiles: what they hold beyond it does not count."""
+        try:
+            write_file(folder / DONE, [json.dumps(asdict(self), sort_keys=True).encode()])
+        except OSError as error:
+            raise no_room(folder / DONE, error) from error
 
     @classmethod
-    def read(cls, folder: Path) -> Split | None:
-        """Of a folder; None where the split was not finished."""
+    def read_in(cls, folder: Path) -> Split | None:
+        """Of a folder; None where nothing was put there, or where less is there than was."""
         try:
-            return cls(**json.loads((folder / DONE).read_bytes()))
+            found = cls(**json.loads((folder / DONE).read_bytes()))
+            sizes = [(folder / f"{key}.things").stat().st_size for key in found.sizes]
         except (OSError, ValueError, TypeError):
             return None
+        kept = all(map(int.__ge__, sizes, found.sizes.values()))
+        return found if kept else None
+
+
+def is_large(path: Path) -> bool:
+    """Whether a map of all of an extract would take more memory than there may be."""
+    return path.is_file() and path.stat().st_size > SMALL
 
 
 def split(
@@ -75,10 +91,10 @@ def split(
     vocabulary: Vocabulary | None = None,
     progress: Progress | None = None,
 ) -> Split:
-    """Put the things of an extract into a file a tile, in `folder`, an empty one.
+    """Put the things of an extract into a file a tile, in `folder`.
 
     Memory does not grow with the extract, but for what osmium keeps of its relations; nodes of a
-    large one lie on disk, 16 bytes each.
+    large one lie on disk, 16 bytes each. Killed and called again, it passes over what it had read.
 
     Parameters
     ----------
@@ -101,10 +117,23 @@ def split(
         The folder cannot be written, as on a full disk.
 
     """
-    vocabulary, left_out = vocabulary or Vocabulary.default(), LeftOut()
-    before = _state(path)
-    index = folder / "nodes.index" if before[0] > SMALL else None
-    spills, populated, count = Spills(folder), set[str](), 0
+    vocabulary, state = vocabulary or Vocabulary.default(), _state(path)
+    begun = Split.read_in(folder)
+    if begun is None or begun.of != state:
+        begun = Split(state, {}, [], 0, {}, 0)
+    if begun.whole:
+        return begun
+    left_out = LeftOut(Counter(begun.left_out), begun.read)
+    index = folder / "nodes.index" if is_large(path) else None
+    spills, populated, count = Spills(folder, begun.sizes), set(begun.populated), begun.things
+
+    def so_far(*, whole: bool = False) -> Split:
+        spills.flush()
+        counts = dict(sorted(left_out.counts.items()))
+        found = Split(state, spills.sizes, sorted(populated), count, counts, left_out.read, whole)
+        found.save(folder)
+        return found
+
     tables = labelled(
         read_osm(path, keys_read(vocabulary), left_out, index),
         vocabulary,
@@ -114,21 +143,18 @@ def split(
         for things in tables:
             count += len(things)
             _spread(things, spills, populated, left_out.counts, (zoom, margin))
+            if spills.full:
+                so_far()
     finally:
         if index is not None:
             with suppress(OSError):
                 index.unlink(missing_ok=True)
-    spills.flush()
-    if _state(path) != before:
+    if _state(path) != state:
+        (folder / DONE).unlink(missing_ok=True)
         raise InputError(f"{path} changed while it was read; build again when it is whole.")
     if not count:
         raise nothing_in(path, left_out)
-    found = Split(spills.sizes, sorted(populated), count, dict(sorted(left_out.counts.items())))
-    try:
-        found.save(folder)
-    except OSError as error:
-        raise no_room(folder / DONE, error) from error
-    return found
+    return so_far(whole=True)
 
 
 def spread_large(
@@ -205,10 +231,9 @@ def _touched(ends: NDArray[np.int64], zoom: int) -> tuple[NDArray[np.int64], NDA
     return (column << zoom) + ends[owner, 1] + nth % high[owner], owner
 
 
-def _state(path: Path) -> tuple[int, int]:
-    """Size and time of a file, by which a change is seen."""
+def _state(path: Path) -> list[int]:
     try:
         found = path.stat()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    return found.st_size, found.st_mtime_ns
+    return [found.st_size, found.st_mtime_ns]

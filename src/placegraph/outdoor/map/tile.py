@@ -85,7 +85,7 @@ def build_tile(job: TileJob) -> TileDone:
         plane, objects_of(things, plane), cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, source=job.source, left_out=dict(left_out.counts),
     )  # fmt: skip
-    city.save(out)
+    city.save(out, quick=True)
     return TileDone(job.key, _digest(out), out.stat().st_size, len(city.objects), len(city.cells))
 
 

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from placegraph.outdoor.map.index_build import fade
+from placegraph.outdoor.map.index_build import STRIDE, fade, grid_of, seen_from
 from placegraph.outdoor.map.objects import AREA
+from placegraph.outdoor.map.things import spans
 from placegraph.store import pack_strings, read_map, sound, write_map
+from placegraph.world.shards.table_kernels import words_in_sight
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 
 KIND, VERSION = "words", 1
@@ -57,11 +58,14 @@ def counted(city: City, key: str) -> Counted:
     views, objects = city.views, city.objects
     n, n_labels = len(objects.labels) + len(objects.names), len(objects.labels)
     inside = np.flatnonzero(held(city.plane.to_lonlat(views.positions.astype(np.float64)), key))
-    token, view, mass, total, pairs = _in_sight(city, inside)
-    share = mass / total[view]
-    peak = np.zeros(n, np.float32)
-    np.maximum.at(peak, token, share.astype(np.float32))
-    of_labels = np.bincount(view[token < n_labels], share[token < n_labels])
+    bounds, seen, offsets = _in_sight(city, inside)
+    sight = fade(np.hypot(*offsets.T))
+    view = np.repeat(np.arange(len(inside)), np.diff(bounds))
+    stood_in = (objects.kind[seen] == AREA) & ~offsets.any(axis=1)
+    apart = np.where(stood_in, 0.0, sight)
+    total, alone, squared = (np.bincount(view, x, len(inside)) for x in (sight, apart, apart**2))
+    pairs = np.maximum(alone**2 - squared, 0.0)
+    mass, peak, spread = words_in_sight(bounds, seen, sight, total, city.tokens, n_labels, n)
     own = held(city.plane.to_lonlat(objects.center.astype(np.float64)), key)
     starts, values, _ = city.tokens
     owner = np.repeat(np.arange(len(objects)), np.diff(starts))
@@ -69,42 +73,25 @@ def counted(city: City, key: str) -> Counted:
     return Counted(
         objects.labels, objects.names,
         np.bincount(values[own[owner]], minlength=n).astype(np.int32),
-        np.bincount(token, mass, n).astype(np.float32), peak, float(total.sum()),
-        float(of_labels.max(initial=0.0)),
+        mass.astype(np.float32), peak, float(total.sum()), spread,
         float((total**2 / (pairs + CROWD)).max(initial=0.0)),
         int(own.sum()), int(held(middles, key).sum()), len(inside),
     )  # fmt: skip
 
 
-class _InSight(NamedTuple):
-    """What viewpoints (K,) have in sight: a row a word that one has."""
+def _in_sight(
+    city: City, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
+    """What viewpoints (K,) have in sight: bounds (K + 1,), objects, and their offsets [m].
 
-    token: NDArray[np.int64]
-    view: NDArray[np.int64]
-    mass: Floats
-    total: Floats
-    """(K,) sum of all that is in sight ..."""
-    pairs: Floats
-    """... and over pairs of what one does not stand in."""
-
-
-def _in_sight(city: City, rows: NDArray[np.int64]) -> _InSight:
-    seen, (starts, values, weights) = city.in_sight(rows), city.tokens
-    sight = fade(np.hypot(*seen.offsets.T))
-    view = np.repeat(np.arange(len(rows)), np.diff(seen.starts))
-    stood_in = (city.objects.kind[seen.objects] == AREA) & ~seen.offsets.any(axis=1)
-    apart = np.where(stood_in, 0.0, sight)
-    total, alone, squared = (
-        np.bincount(view, x, len(rows)).astype(np.float64) for x in (sight, apart, apart**2)
-    )
-    sizes = np.diff(starts)[seen.objects]
-    ends = np.cumsum(sizes)
-    at = np.arange(len(sizes) and ends[-1]) + np.repeat(starts[seen.objects] - ends + sizes, sizes)
-    key = values[at] * np.int64(len(rows)) + np.repeat(view, sizes)
-    keys, number = np.unique(key, return_inverse=True)
-    mass = np.bincount(number, np.repeat(sight, sizes) * weights[at], len(keys)).astype(np.float64)
-    token, view = np.divmod(keys, max(1, len(rows)))
-    return _InSight(token, view, mass, total, np.maximum(alone**2 - squared, 0.0))
+    As of `City.in_sight`, in half the time where it is most of them.
+    """
+    grid = grid_of(city.objects)
+    at = (city.views.positions[rows].astype(np.float64) - (grid.east, grid.north)) / STRIDE
+    points = np.rint(at).astype(np.int64) @ (1, grid.columns)
+    seen = seen_from(city.objects, grid)
+    bounds, entries = spans(seen.starts, np.searchsorted(seen.points, points))
+    return bounds, seen.objects[entries], seen.offsets[entries]
 
 
 @dataclass(frozen=True, eq=False)

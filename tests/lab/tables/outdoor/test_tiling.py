@@ -5,8 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from placegraph_lab.tables.outdoor.country import country
 from placegraph_lab.tables.outdoor.raw import read_raw
-from placegraph_lab.tables.outdoor.tiling import country, tile
+from placegraph_lab.tables.outdoor.tiling import tile
 
 
 def tiles(town, tmp_path, copies, seed=0):

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from placegraph_lab.tables.outdoor.country import country
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
-from placegraph_lab.tables.outdoor.tiling import country
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
