@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 def locate(
     world: Annotated[
-        Path,
+        str,
         Argument(
-            help="Folder with .city, .scene and .library files; one of these files; or a world in shards."
+            help="Folder with .city, .scene and .library files; one of these files; or a world in "
+            "shards, which may lie at a URL (s3://...)."
         ),
     ],
     text: Annotated[
@@ -53,6 +54,7 @@ def locate(
         str | None,
         Option(help="Dask scheduler whose workers search a world in shards, as tcp://host:8786."),
     ] = None,
+    keep: Annotated[Path | None, Option(help="Folder that a world at a URL is fetched to.")] = None,
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
@@ -72,7 +74,7 @@ def locate(
         raise OptionError("--frames belongs to a capture; name one by --capture.")
     with progress_of(hidden=quiet or as_json) as tell:
         shown = None if capture is None else chosen_frames(open_capture(capture), frames)
-        opened = open_world(world, scheduler=scheduler)
+        opened = open_world(world, scheduler=scheduler, keep=keep)
         estimate = opened.locate(
             text, shown, near=lonlat(near, "--near"), radius=radius, seed=seed, top=top,
             heading=None if heading_deg is None else radians(heading_deg), refine=refine,

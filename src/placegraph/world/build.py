@@ -26,6 +26,7 @@ from placegraph.outdoor.map.tile import TileDone, TileJob, build_tile
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
 from placegraph.world.journal import Journal
+from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.workers import done
 
@@ -63,6 +64,8 @@ class BuildOptions:
     """Processes of this machine; one a processor where not given."""
     scheduler: str | None = None
     """Address of a Dask scheduler, whose workers see the same folders."""
+    work: Path | None = None
+    """Folder of this machine where a world is built that is brought to a URL."""
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -98,7 +101,7 @@ def build_world(
     extracts
         Files in the formats of `build_city`; where they overlap, things are taken once.
     folder
-        Is made where it is missing.
+        Is made where it is missing. A URL that fsspec knows takes `BuildOptions.work`.
     options
         See `BuildOptions`.
     progress
@@ -121,6 +124,14 @@ def build_world(
     """
     options = options or BuildOptions()
     options.check()
+    if is_url(folder):
+        if options.work is None:
+            raise OptionError(
+                f"{folder} is a URL: name a folder of this machine to build in (work)."
+            )
+        made = build_world(extracts, options.work, options, progress)
+        bring(made, str(folder), progress)
+        return made
     tell = progress or (lambda _step, _done, _total: None)
     target = Path(folder)
     work = target / WORK
@@ -272,7 +283,8 @@ class _Build:
 def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
     """What a build depends on; if any of it changes, it is another build."""
     told = asdict(options)
-    del told["workers"], told["scheduler"], told["vocabulary"]
+    for name in ("workers", "scheduler", "vocabulary", "work"):
+        del told[name]
     words = hashlib.sha256()
     if options.vocabulary is not None:
         for path in sorted(options.vocabulary.iterdir()):

@@ -141,6 +141,7 @@ def open_world(
     *,
     opener: Callable[[Path], Any] = open_map,
     scheduler: str | None = None,
+    keep: str | os.PathLike[str] | None = None,
 ) -> World:
     """Open the maps of a folder, or of several folders and files; or one world in shards.
 
@@ -155,6 +156,9 @@ def open_world(
         Opens one of them, where that is to be done once for several worlds.
     scheduler
         Address of a Dask scheduler whose workers search a world in shards; this process if not given.
+    keep
+        Folder of this machine for a world in shards that lies at a URL (``s3://...``): what it does not
+        hold yet is fetched into it first.
 
     Raises
     ------
@@ -166,9 +170,10 @@ def open_world(
         The scheduler takes Dask, which is not installed; or it does not answer.
 
     """
+    from placegraph.world.remote import at_hand
     from placegraph.world.shards.folder import is_world
 
-    given = [places] if isinstance(places, str | os.PathLike) else list(places)
+    given = [at_hand(places, keep)] if isinstance(places, str | os.PathLike) else list(places)
     if len(given) == 1 and is_world(given[0]):
         from placegraph.world.shards.planet import Planet
 

@@ -20,7 +20,9 @@ def build(
     files: Annotated[
         list[Path], Argument(help="OpenStreetMap extracts, as of `city build`; they may overlap.")
     ],
-    out: Annotated[Path, Option("--out", "-o", help="Folder to write, such as europe/.")],
+    out: Annotated[
+        str, Option("--out", "-o", help="Folder to write, such as europe/, or URL (s3://...).")
+    ],
     zoom: Annotated[
         int, Option(help="Level of the quadtree: tiles of 10 km at the equator by 12.")
     ] = 12,
@@ -41,6 +43,9 @@ def build(
         str | None,
         Option(help="Dask scheduler (tcp://host:port) whose workers see the same folders."),
     ] = None,
+    work: Annotated[
+        Path | None, Option(help="Folder to build in what is then brought to a URL.")
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -55,12 +60,13 @@ def build(
     options = BuildOptions(
         zoom=zoom, overlap=overlap, cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, vocabulary=vocabulary, workers=workers, scheduler=scheduler,
+        work=work,
     )  # fmt: skip
     made_of(files, out, options, as_json=as_json, quiet=quiet)
 
 
 def made_of(
-    files: Sequence[Path], out: Path, options: BuildOptions, *, as_json: bool, quiet: bool
+    files: Sequence[Path], out: str | Path, options: BuildOptions, *, as_json: bool, quiet: bool
 ) -> None:
     """Build a world, and say what it holds."""
     from time import perf_counter

@@ -1,0 +1,127 @@
+"""Worlds in shards that lie elsewhere: at any URL that fsspec knows (``s3://``, ``gs://``, ``memory://``).
+
+A shard is read where it lies, which only a disk of this machine allows. So a world is built here and
+brought there, or fetched from there and opened here; what is the same at both ends stays as it is.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph import files
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, PlacegraphError
+from placegraph.world.shards.folder import NAME, SHARDS, WORDS, WorldFile, digest_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from os import PathLike
+
+    Progress = Callable[[str, int, int | None], None]
+
+
+def is_url(place: str | PathLike[str]) -> bool:
+    """Whether a place is no path of this machine."""
+    return "://" in str(place)
+
+
+def bring(world: WorldFile, url: str, progress: Progress | None = None) -> None:
+    """Bring a world to a URL; its `world.json` comes last, so that what is there is whole.
+
+    Raises
+    ------
+    MapError
+        Something cannot be written there.
+    MissingExtraError, OptionError
+        fsspec is not installed; or knows no such URL.
+
+    """
+    system, root = _system(url)
+    try:
+        known = {s["file"]: s for s in json.loads(system.cat_file(f"{root}/{NAME}"))["shards"]}
+    except (OSError, ValueError, LookupError, TypeError):
+        known = {}
+    try:
+        system.makedirs(f"{root}/{SHARDS}", exist_ok=True)
+        if system.exists(f"{root}/{NAME}"):
+            system.rm_file(f"{root}/{NAME}")
+        for n, shard in enumerate(world.shards):
+            if known.get(shard.file, {}).get("digest") != shard.digest:
+                system.put_file(str(world.path(shard)), f"{root}/{shard.file}")
+            if progress is not None:
+                progress("bringing shards", n + 1, len(world.shards))
+        for gone in known.keys() - {shard.file for shard in world.shards}:
+            system.rm_file(f"{root}/{gone}")
+        for name in (WORDS, NAME):
+            system.put_file(str(world.folder / name), f"{root}/{name}")
+    except OSError as error:
+        raise MapError(f"{url} cannot be written: {error}. The same command goes on.") from error
+
+
+def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = None) -> Path:
+    """Fetch a world from a URL into a folder of this machine, and return that.
+
+    Raises
+    ------
+    InputError
+        There is no world, or a file of it is missing.
+    MapError
+        The folder cannot be written, or `world.json` is none.
+    MissingExtraError, OptionError
+        fsspec is not installed; or knows no such URL.
+
+    """
+    system, root = _system(url)
+    folder = Path(folder)
+    try:
+        (folder / SHARDS).mkdir(parents=True, exist_ok=True)
+        told = system.cat_file(f"{root}/{NAME}")
+        files.write_file(folder / NAME, [told])
+        world = WorldFile.read(folder)
+        for n, shard in enumerate(world.shards):
+            _fetched(system, f"{root}/{shard.file}", world.path(shard), shard.digest)
+            if progress is not None:
+                progress("fetching shards", n + 1, len(world.shards))
+        _fetched(system, f"{root}/{WORDS}", folder / WORDS, world.words)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{url}: {error.filename or error} is not there; build the world, or bring it again."
+        ) from error
+    except OSError as error:
+        raise files.cannot_write(folder, error) from error
+    return folder
+
+
+def at_hand(place: str | PathLike[str], keep: str | PathLike[str] | None) -> str | PathLike[str]:
+    """A place on this machine; `fetch` brings what lies at a URL to the folder `keep`."""
+    if not is_url(place):
+        return place
+    if keep is None:
+        raise OptionError(f"{place} is a URL: name a folder for what is fetched (keep).")
+    return fetch(str(place), keep)
+
+
+def _fetched(system: Any, there: str, here: Path, digest: str) -> None:  # noqa: ANN401  # fsspec has no types
+    try:
+        same = digest_of(here) == digest
+    except PlacegraphError:
+        same = False
+    if not same:
+        system.get_file(there, str(here))
+
+
+def _system(url: str) -> tuple[Any, str]:
+    """File system of a URL, and the path in it."""
+    try:
+        import fsspec
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{url} is read and written by fsspec, which is not installed: "
+            "pip install 'placegraph[scale]'."
+        ) from error
+    try:
+        system, root = fsspec.core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise OptionError(f"{url}: no file system knows this URL ({error}).") from error
+    return system, str(root).rstrip("/")
