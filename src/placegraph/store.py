@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph import columns, files, locks
 from placegraph.columns import pack_strings, unpack_strings
@@ -43,6 +42,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import BinaryIO
 
+    from numpy.typing import NDArray
+
 __all__ = [
     "Block",
     "Header",
@@ -59,9 +60,7 @@ __all__ = [
 SENSELESS = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """What is raised where checksums fit and contents do not, as in a forged file."""
 
-Write = Callable[
-    [str, int, Mapping[str, Any], Mapping[str, NDArray[Any]], Collection[str], bool], None
-]
+Write = Callable[..., None]
 PAGE = 1 << 16
 """Columns to be read where they lie are stored as they are, from this size on [bytes]."""
 _WORD = 64
@@ -122,9 +121,8 @@ def write_map(
 def writing(path: Path_) -> Iterator[Write]:
     """Lock `path` and hand out the function that writes it, once.
 
-    Its last but one argument names the columns that are to be read where they lie (`read_map`): such
-    are stored as they are, at the head of the file, so that each begins at a multiple of its word.
-    The last one spares time, not bytes (`columns.pack`).
+    Its last arguments name the columns that are to be read where they lie (`read_map`), stored as they
+    are at the head of the file, each at a multiple of its word; and spare time, not bytes (`pack`).
 
     Take it before a long build: an unwritable folder or a second writer is then refused at once.
     The old file stays untouched until the new one is complete on disk.
@@ -224,24 +222,17 @@ def sound(path: Path_, mend: str) -> Iterator[None]:
 
 
 def _encode(
-    kind: str,
-    version: int,
-    meta: Mapping[str, Any],
-    arrays: Mapping[str, NDArray[Any]],
-    mapped: Collection[str],
-    quick: bool,
-) -> tuple[bytes, list[bytes | memoryview]]:
+    kind: str, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]],
+    mapped: Collection[str], quick: bool,
+) -> tuple[bytes, list[bytes | memoryview]]:  # fmt: skip
     """Prefix and header, and the blocks. zlib and lzma work outside the interpreter's lock."""
     plain = {name: columns.plain(name, a) for name, a in arrays.items()}
     large = {name for name, a in plain.items() if name in mapped and a.nbytes >= PAGE}
     # the widest words first: none then begins within a word
     plain = dict(sorted(plain.items(), key=lambda c: -c[1].itemsize if c[0] in large else 0))
     with ThreadPoolExecutor(2) as pool:
-        packed = list(
-            pool.map(
-                lambda c: columns.pack(c[1], as_it_is=c[0] in large, quick=quick), plain.items()
-            )
-        )
+        pack = partial(columns.pack, quick=quick)
+        packed = list(pool.map(lambda c: pack(c[1], as_it_is=c[0] in large), plain.items()))
     table, offset = [], 0
     for (name, array), (codec, filter_, block) in zip(plain.items(), packed, strict=True):
         crc = zlib.crc32(block)

@@ -127,11 +127,9 @@ def build_world(
     if is_url(folder):
         if options.work is None:
             raise OptionError(
-                f"{folder} is a URL: name a folder of this machine to build in (work)."
+                f"{folder} is a URL: name a folder of this machine (work) to build in."
             )
-        made = build_world(extracts, options.work, options, progress)
-        bring(made, str(folder), progress)
-        return made
+        return bring(build_world(extracts, options.work, options, progress), str(folder), progress)
     tell = progress or (lambda _step, _done, _total: None)
     target = Path(folder)
     work = target / WORK

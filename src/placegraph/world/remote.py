@@ -26,8 +26,8 @@ def is_url(place: str | PathLike[str]) -> bool:
     return "://" in str(place)
 
 
-def bring(world: WorldFile, url: str, progress: Progress | None = None) -> None:
-    """Bring a world to a URL; its `world.json` comes last, so that what is there is whole.
+def bring(world: WorldFile, url: str, progress: Progress | None = None) -> WorldFile:
+    """Bring a world to a URL, and return it; its `world.json` comes last, so that what is there is whole.
 
     Raises
     ------
@@ -57,6 +57,7 @@ def bring(world: WorldFile, url: str, progress: Progress | None = None) -> None:
             system.put_file(str(world.folder / name), f"{root}/{name}")
     except OSError as error:
         raise MapError(f"{url} cannot be written: {error}. The same command goes on.") from error
+    return world
 
 
 def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = None) -> Path:
