@@ -15,15 +15,20 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from placegraph.indoor.library import SceneLibrary
+    from placegraph.indoor.library.shards import SceneShards
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
 
 KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
 """Kind of map that a file of each name holds."""
+SHARDS = "usual.shard"
+"""File of a library in shards that is written last."""
 
 
-def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
+def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary | SceneShards:
     """Open a map file; what it holds is read from its header. A folder of scene maps is a library.
+
+    A folder that `placegraph library shard` wrote is a library whose columns are mapped.
 
     A scene graph of Hydra, Khronos or Clio (Spark-DSG's JSON) or of ConceptGraphs opens as the scene
     map that `build_scene` makes of it, each time anew.
@@ -39,6 +44,10 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
     """
     if _is_scene_graph(Path(path)):
         return open_scene(path)
+    if is_shards(path):
+        from placegraph.indoor.library.shards import SceneShards
+
+        return SceneShards.open(path)
     if Path(path).is_dir():
         from placegraph.indoor.library import SceneLibrary
 
@@ -61,16 +70,31 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary:
             f"{path} holds vectors of a city's cells and is no map; open the map, and give it this "
             "file as its `store`."
         )
+    if kind == "shard":
+        raise MapError(f"{path} is a part of a library in shards; open its folder.")
     raise MapError(
         f"{path} is a {kind} map, which this placegraph does not know; update placegraph."
     )
 
 
+def is_shards(path: str | os.PathLike[str]) -> bool:
+    """Whether a folder is a library in shards, by the name of the file that is written last."""
+    try:
+        return (Path(path) / SHARDS).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def open_rooms(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
     """Open a scene map or a library; raises as `open_map`, and `MapError` where it is a city's."""
+    from placegraph.indoor.library.shards import SceneShards
     from placegraph.outdoor.city import CityMap
 
     found = open_map(path)
+    if isinstance(found, SceneShards):
+        raise MapError(
+            f"{path} is a library in shards; ask it by `open_map`, or `placegraph library localize`."
+        )
     if isinstance(found, CityMap):
         raise MapError(f"{path} is the map of a city; give a scene map, or a library of several.")
     return found
@@ -111,6 +135,8 @@ class Found:
         bad = list(self.twins)
         for kind, paths in self.paths.items():
             for path in paths.values():
+                if kind == "shards":
+                    continue
                 try:
                     held = store.read_header(path).kind
                 except PlacegraphError as error:
@@ -124,11 +150,11 @@ class Found:
 
 def find(places: Sequence[Path]) -> Found:
     """Map files that are named, or lie in folders that are named, by what they are called."""
-    paths: dict[str, dict[str, Path]] = {kind: {} for kind in KINDS.values()}
+    paths: dict[str, dict[str, Path]] = {kind: {} for kind in (*KINDS.values(), "shards")}
     ignored, twins = [], []
     for path in itertools.chain.from_iterable(map(_files, places)):
-        kind = KINDS.get(path.suffix)
-        if path.is_dir():
+        kind = "shards" if is_shards(path) else KINDS.get(path.suffix)
+        if path.is_dir() and kind != "shards":
             ignored.append((path, "a folder"))
         elif kind is None:
             ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
@@ -163,6 +189,8 @@ def checked(places: Sequence[Path]) -> Found:
 
 
 def _files(place: Path) -> list[Path]:
+    if is_shards(place):
+        return [place]
     try:
         return sorted(place.iterdir())
     except OSError:  # a file, or gone by now

@@ -21,8 +21,8 @@ def locate(
     world: Annotated[
         str,
         Argument(
-            help="Folder with .city, .scene and .library files; one of these files; or a world in "
-            "shards, which may lie at a URL (s3://...)."
+            help="Folder with .city, .scene and .library files and library shards; one of these; or a "
+            "world in shards, which may lie at a URL (s3://...)."
         ),
     ],
     text: Annotated[

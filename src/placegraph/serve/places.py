@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph import store
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
-from placegraph.maps import checked, find, open_map
+from placegraph.maps import SHARDS, checked, find, open_map
 from placegraph.world import open_world
 from placegraph.world.shards.folder import NAME, WorldFile, is_world
 
@@ -36,7 +36,8 @@ class Entry:
 
     name: str
     kind: str
-    """``city``, ``scene`` or ``library``; ``world`` of one in shards, whose `path` is its world.json."""
+    """``city``, ``scene`` or ``library``; ``shards`` of one in shards, a folder;
+    ``world`` of a world in shards, whose `path` is its world.json."""
     path: Path
 
 
@@ -164,12 +165,17 @@ class Places:
         }  # fmt: skip
         if entry.kind == "world":
             return facts | _of_shards(entry.path.parent)
+        file = entry.path / SHARDS if entry.kind == "shards" else entry.path
         try:
-            header = store.read_header(entry.path)
+            header = store.read_header(file)
         except PlacegraphError as error:
             return facts | {"problem": without_folder(error, entry.path)}
         facts["bytes"] = header.file_size
         rows = {block.name: block.shape[0] for block in header.blocks}
+        if entry.kind == "shards":
+            size = sum(f.stat().st_size for f in entry.path.glob("*.shard"))
+            count = sum(int(s["scenes"]) for s in header.meta["shards"])
+            return facts | {"objects": count, "bytes": size}
         if entry.kind == "library":
             return facts | {"objects": len(header.meta["digests"])}
         if entry.kind == "city":

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Status
+from placegraph.estimate import SceneEstimate, Status
 from placegraph.geometry import angle_between
-from placegraph.indoor.library.answer import search_capture
+from placegraph.indoor.library.answer import by_frames as by_frames_in
 from placegraph.indoor.library.localize import (
     decided,
     doubted,
@@ -35,7 +35,7 @@ from placegraph.world.words import IN_TOWN, LEAST, MAPPED, by_words
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate
+    from placegraph.estimate import PoseEstimate, PoseMode
     from placegraph.evidence import Evidence
     from placegraph.formats.capture.frame import Frame
     from placegraph.world.known import Known
@@ -90,8 +90,14 @@ def by_frames(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate
 
 def proposed(world: World, frames: Sequence[Frame], witnesses: Witnesses) -> SceneEstimate:
     """Scenes that frames may show, with all else that is known, likeliest first."""
-    count = len(world.scenes)
-    found = search_capture(world.library, frames, None, SearchOptions(), count)
+    others, count = world.others, len(world.scenes)
+    if others is None:
+        found = by_frames_in(world.library, frames, None, SearchOptions()).estimate(
+            world.library, count
+        )
+    else:
+        count = others.count
+        found = SceneEstimate(Status.AMBIGUOUS, others.modes, "", others.elsewhere, others.stats)
     logs = [
         np.log(m.probability + 1e-12)
         + np.log(count * witnesses.prior(m.scene))
@@ -101,13 +107,12 @@ def proposed(world: World, frames: Sequence[Frame], witnesses: Witnesses) -> Sce
     gains = [t.gain for t in witnesses.towns.values()]
     in_town = IN_TOWN / (1.0 - MAPPED)
     off = np.log(in_town * (np.mean(np.exp(gains)) if gains else 1.0) + 1.0 - in_town)
-    weights = np.array([*logs, np.log(found.elsewhere + 1e-12) + off])
-    shares = np.exp(weights - np.logaddexp.reduce(weights))
-    modes = [
-        replace(m, probability=float(p)) for m, p in zip(found.modes, shares[:-1], strict=True)
-    ]
+    weights = np.array([np.log(found.elsewhere + 1e-12) + off, *logs])
+    rest = np.log(count / witnesses.crowded) + others.weight if others else -np.inf
+    shares = np.exp(weights - np.logaddexp(np.logaddexp.reduce(weights), rest))
+    modes = [replace(m, probability=float(p)) for m, p in zip(found.modes, shares[1:], strict=True)]
     modes.sort(key=lambda m: -m.probability)
-    return replace(found, modes=tuple(modes), elsewhere=float(shares[-1]))
+    return replace(found, modes=tuple(modes), elsewhere=float(shares[0]))
 
 
 def _shares(

@@ -41,7 +41,8 @@ class Inside:
     def hear(cls, library: SceneLibrary, sentence: Sentence) -> Inside:
         """Compare what was said with the rooms of all scenes."""
         columns = library.texts.columns
-        totals = compared(sentence, columns, columns).sum(axis=0)
+        usual = columns if library.usual is None else library.usual
+        totals = compared(sentence, columns, usual).sum(axis=0)
         best, _ = of_scenes(sentence, columns, totals)
         kinds = _kinds(sentence, columns)
         rooms: dict[str, dict[str, float]] = {}

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
+from placegraph.world.among import among
 from placegraph.world.ask import with_answers
 from placegraph.world.frames import by_frames
-from placegraph.world.witnesses import hear
+from placegraph.world.witnesses import hear, said
 from placegraph.world.words import by_words
 
 if TYPE_CHECKING:
@@ -29,13 +30,19 @@ def locate(world: World, asked: Known) -> WorldEstimate:
 
 
 def _located(world: World, known: Known) -> WorldEstimate:
+    heard = said(world, known)
+    if world.crowd is not None:
+        world = among(world, world.crowd, known, heard)
     if known.capture is not None and not world.scenes and known.text is None:
         raise OptionError(f"capture: {NO_SCENES[0].lower()}{NO_SCENES[1:]}")
-    witnesses = hear(world, known)
+    witnesses = hear(world, known, heard)
+    notes = world.others.notes if world.others else ()
     if known.capture is not None and world.scenes:
-        return _swap_told(world, known, by_frames(world, known, witnesses))
-    estimate = _swap_told(world, known, by_words(world, known, witnesses))
-    return replace(estimate, notes=(NO_SCENES,)) if known.capture is not None else estimate
+        estimate = by_frames(world, known, witnesses)
+    else:
+        estimate = by_words(world, known, witnesses)
+        notes += (NO_SCENES,) if known.capture is not None else ()
+    return replace(_swap_told(world, known, estimate), notes=notes)
 
 
 def _swap_told(world: World, known: Known, estimate: WorldEstimate) -> WorldEstimate:

@@ -60,10 +60,37 @@ class Standing:
 
     def near(self, lonlat: Sequence[float], radius: float) -> float:
         """How well, `WRONG_FIX` to 1, the place fits a fix of which half lies within a radius [m]."""
-        off = LocalPlane(*self.lonlat).to_plane((float(lonlat[0]), float(lonlat[1])))
-        spread = np.eye(2) * (radius / 1.1774) ** 2 + self.covariance
-        fit = np.exp(-0.5 * off @ np.linalg.solve(spread, off))
-        return float(WRONG_FIX + (1.0 - WRONG_FIX) * fit)
+        (east, both), (_, north) = self.covariance.tolist()
+        covariances = np.array([[east, both, north]])
+        return float(fit(np.array([self.lonlat]), covariances, lonlat, radius)[0])
+
+
+def fit(
+    lonlats: NDArray[np.float64],
+    covariances: NDArray[np.float64],
+    lonlat: Sequence[float],
+    radius: float,
+) -> NDArray[np.float64]:
+    """How well (K,), `WRONG_FIX` to 1, places (K, 2) fit a fix of which half lies within a radius [m].
+
+    `covariances`: (K, 3) of each place: east, both, north [m^2].
+    """
+    there = (float(lonlat[0]), float(lonlat[1]))
+    spread = (radius / 1.1774) ** 2
+    wide = np.sqrt(spread + covariances[:, 0] + covariances[:, 2])
+    # of a hundred thousand, planes are laid through those alone that are not too far to matter
+    middle = np.cos(np.radians((lonlats[:, 1] + there[1]) / 2.0))
+    aside = (lonlats[:, 0] - there[0] + 180.0) % 360.0 - 180.0
+    away = 111_000.0 * np.hypot(aside * middle, lonlats[:, 1] - there[1])
+    rows = np.flatnonzero(away < 15.0 * wide + 1000.0)
+    out = np.full(len(lonlats), WRONG_FIX)
+    off = [LocalPlane(*own).to_plane(there) for own in lonlats[rows].tolist()]
+    x, y = np.reshape(off, (-1, 2)).T
+    east, both, north = covariances[rows].T
+    east, north = east + spread, north + spread
+    squares = (north * x * x - 2.0 * both * x * y + east * y * y) / (east * north - both * both)
+    out[rows] += (1.0 - WRONG_FIX) * np.exp(-0.5 * squares)
+    return out
 
 
 def nowhere() -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from placegraph.world.standing import UNANCHORED, Standing
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.world.among import Others
     from placegraph.world.floors import Floor
     from placegraph.world.known import Known
     from placegraph.world.world import World
@@ -73,6 +74,8 @@ class Witnesses:
     inside: Inside | None
     scenes: dict[str, Witness]
     near: tuple[float, float] | None = None
+    others: Others | None = None
+    """What the scenes hold that are not among these, where there are many."""
 
     @property
     def speaks_inside(self) -> bool:
@@ -85,9 +88,13 @@ class Witnesses:
 
     def prior(self, name: str) -> float:
         """Share of a scene among all, by the fix alone; together at most 1."""
-        total = sum(w.near for w in self.scenes.values())
-        crowded = total if self.near is None else max(1.0, total)
-        return self.scenes[name].near / crowded
+        return self.scenes[name].near / self.crowded
+
+    @property
+    def crowded(self) -> float:
+        """What shares are of: how many scenes there are, so far as they fit the fix."""
+        total = self.others.near if self.others else sum(w.near for w in self.scenes.values())
+        return total if self.near is None else max(1.0, total)
 
     def evidence(self, name: str) -> tuple[Evidence, ...]:
         """What each statement, and the fix, say of a scene."""
@@ -106,24 +113,40 @@ class Witnesses:
         return tuple(out)
 
 
-def hear(world: World, known: Known) -> Witnesses:
+@dataclass(frozen=True)
+class Heard:
+    """What was said, and what the towns make of it."""
+
+    understood: Understood | None = None
+    towns: dict[str, Outside] = field(default_factory=dict)
+
+
+def said(world: World, known: Known) -> Heard:
+    """What a text says of towns; raises as `World.locate`."""
+    if known.text is None:
+        return Heard()
+    things: tuple[str, ...]
+    if world.crowd is not None:
+        things, names = world.crowd.things, world.crowd.names(known.text)
+    else:
+        things = things_of(world.library) if world.scenes else ()
+        stands = (s for scene in world.scenes.values() for s in Standing.of(scene))
+        names = {*world.scenes, *(s.anchor.building for s in stands)} - {""}
+    understood = understand(known.text, world.cities, things, known.heading, names, known.language)
+    hints = Hints(known.near, known.radius, known.heading, answers=known.answers)
+    told = {
+        city: Outside.hear(world.cities[city], outside, hints, known.top)
+        for city, outside in understood.outside.items()
+    }
+    return Heard(understood, {city: town for city, town in told.items() if town is not None})
+
+
+def hear(world: World, known: Known, heard: Heard) -> Witnesses:
     """What is known of all scenes and towns but for the frames; raises as `World.locate`."""
     scenes = {name: Standing.of(world.scenes[name]) for name in world.scenes}
-    understood, towns, inside = None, {}, None
-    if known.text is not None:
-        buildings = {s.anchor.building for found in scenes.values() for s in found}
-        things = things_of(world.library) if scenes else ()
-        names = {*scenes, *buildings} - {""}
-        understood = understand(
-            known.text, world.cities, things, known.heading, names, known.language
-        )
-        hints = Hints(known.near, known.radius, known.heading, answers=known.answers)
-        for city, said in understood.outside.items():
-            told = Outside.hear(world.cities[city], said, hints, known.top)
-            if told is not None:
-                towns[city] = told
-        if understood.inside is not None and scenes:
-            inside = Inside.hear(world.library, understood.inside)
+    understood, towns, inside = heard.understood, heard.towns, None
+    if understood is not None and understood.inside is not None and scenes:
+        inside = Inside.hear(world.library, understood.inside)
     floors = understood.floors if understood else ()
     above = {n: len(storeys(world.scenes[n], 0)) - 1 if floors else 0 for n in scenes}
     spoken = f" {' '.join(tokens(known.text or ''))} "
@@ -131,14 +154,14 @@ def hear(world: World, known: Known) -> Witnesses:
     for name in refused:
         spoken = spoken.replace(name, " | ")
     denied = "|".join(refused)
-    heard = _Heard(known, floors, towns, inside, spoken, denied)
+    judge = _Judge(known, floors, towns, inside, spoken, denied)
     near = None if known.near is None else (float(known.near[0]), float(known.near[1]))
-    found = {n: heard.witness(n, s, above[n]) for n, s in scenes.items()}
-    return Witnesses(understood, towns, inside, found, near)
+    found = {n: judge.witness(n, s, above[n]) for n, s in scenes.items()}
+    return Witnesses(understood, towns, inside, found, near, world.others)
 
 
 @dataclass(frozen=True, eq=False)
-class _Heard:
+class _Judge:
     """What was said, by who can judge it."""
 
     known: Known

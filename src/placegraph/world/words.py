@@ -50,17 +50,21 @@ def by_words(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate:
     }
     unknown = 1.0 - mapped - (in_town if towns else 0.0)
     weights = np.array([*logs.values(), *towns.values(), np.log(unknown)])
+    if mapped and witnesses.others:  # no mode's, and not elsewhere
+        rest = np.log(mapped / witnesses.crowded) + witnesses.others.weight
+        weights = np.append(weights, rest)
     shares = np.exp(weights - np.logaddexp.reduce(weights)).tolist()
     modes: list[WorldMode] = []
     for name, share in zip(logs, shares, strict=False):
         modes += scene_modes(world, witnesses, name, share)
-    for name, share in zip(towns, shares[len(logs) : -1], strict=True):
+    for name, share in zip(towns, shares[len(logs) :], strict=False):
         modes += place_modes(witnesses.towns[name], share)
+    elsewhere = shares[len(logs) + len(towns)]
     modes = sorted(modes, key=lambda m: -m.probability)
-    status, reason = _judged(world, known, witnesses, modes, shares[-1])
+    status, reason = _judged(world, known, witnesses, modes, elsewhere)
     return WorldEstimate(
         status, tuple(m for m in modes if m.probability >= LEAST)[: known.top] or tuple(modes[:1]),
-        reason, elsewhere=shares[-1], understood=witnesses.understood,
+        reason, elsewhere=elsewhere, understood=witnesses.understood,
         cities={n: t.estimate for n, t in witnesses.towns.items()},
     )  # fmt: skip
 

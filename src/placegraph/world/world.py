@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
+    from placegraph.indoor.library.shards import SceneShards
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
+    from placegraph.world.among import Crowd, Others
     from placegraph.world.estimate import WorldEstimate
 
 
@@ -32,23 +34,37 @@ class World:
     ----------
     cities, scenes, libraries
         Maps by name. Scenes of a library whose map files are there are scenes of the world.
+    shards
+        Libraries in shards, by name: of their scenes a question looks into few.
     ignored
         Files left alone, and why.
 
     """
+
+    others: Others | None = None
+    """What scenes hold that a question is not looked into by, where there are shards."""
 
     def __init__(
         self,
         cities: Maps[CityMap] | dict[str, CityMap] | None = None,
         scenes: Maps[SceneMap] | dict[str, SceneMap] | None = None,
         libraries: Maps[SceneLibrary] | dict[str, SceneLibrary] | None = None,
+        shards: Maps[SceneShards] | dict[str, SceneShards] | None = None,
         *,
         ignored: Sequence[tuple[Path, str]] = (),
     ) -> None:
         self.cities = {} if cities is None else cities
-        self.scenes = {} if scenes is None else scenes
+        self.scenes: Maps[SceneMap] | dict[str, SceneMap] = {} if scenes is None else scenes
         self.libraries = {} if libraries is None else libraries
+        self.shards = {} if shards is None else shards
         self.ignored = tuple(ignored)
+
+    @cached_property
+    def crowd(self) -> Crowd | None:
+        """All scenes of shards and beside them, where there are shards; mapped once."""
+        from placegraph.world.among import Crowd
+
+        return Crowd.of(self.shards.values(), self.library) if self.shards else None
 
     @cached_property
     def library(self) -> SceneLibrary:
@@ -133,7 +149,8 @@ class World:
         return locate(self, known)
 
     def __repr__(self) -> str:
-        return f"World({len(self.cities)} cities, {len(self.scenes)} scenes)"
+        shards = f", {len(self.shards)} in shards" if self.shards else ""
+        return f"World({len(self.cities)} cities, {len(self.scenes)} scenes{shards})"
 
 
 def open_world(
@@ -151,7 +168,8 @@ def open_world(
     Parameters
     ----------
     places
-        A folder with ``.city``, ``.scene`` and ``.library`` files, or a list of such folders and files.
+        A folder with ``.city``, ``.scene`` and ``.library`` files and folders of library shards; or a
+        list of such folders and files.
     opener
         Opens one of them, where that is to be done once for several worlds.
     scheduler
@@ -199,5 +217,5 @@ def open_world(
                 scenes[name] = path
     return World(
         Maps(found.paths["city"], opener), Maps(scenes, opener), libraries,
-        ignored=ignored,
+        Maps(found.paths["shards"], opener), ignored=ignored,
     )  # fmt: skip

@@ -128,7 +128,7 @@ def writings(inputs: Path) -> list[Writing]:
     }
     folders = {
         "world build": (tiles, "a.world", "world.json"),
-        "library shard": (shards, "a.shards", "usual/shard.json"),
+        "library shard": (shards, "a.shards", "usual.shard"),
     }
     return [
         *found,

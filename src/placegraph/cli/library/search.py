@@ -126,10 +126,11 @@ def _known(
 ) -> SceneLibrary | SceneShards:
     """Library of a file or a folder, or shards."""
     from placegraph.cli.encoders import encoders_of
-    from placegraph.indoor.library.shards import SceneShards, is_shards
+    from placegraph.indoor.library.shards import SceneShards
+    from placegraph.maps import is_shards
 
     if is_shards(path):
-        return SceneShards.open(path, encoders=encoders_of(names or [], weights) or ())
+        return SceneShards.open(path, encoders=encoders_of(names or [], weights) or None)
     return opened(path, names, weights, tell)
 
 

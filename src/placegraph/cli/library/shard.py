@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.library.shard_columns import Listed
+    from placegraph.indoor.library.shard_write import Listed
 
 
 def shard(
@@ -40,7 +40,7 @@ def shard(
 
     Example: placegraph library shard north.library south.library -o homes.shards
     """
-    from placegraph.indoor.library.shard_columns import write_shards
+    from placegraph.indoor.library.shard_write import write_shards
 
     with progress_of(hidden=quiet or as_json) as tell:
         first = opened(libraries[0], encoder, weights, tell)
@@ -60,7 +60,7 @@ def _listed(
     paths: list[Path], first: SceneLibrary, out: Path, open_: Callable[[Path], SceneLibrary]
 ) -> Iterator[Listed]:
     """Scenes of all libraries, one library open at a time; names say of which, if there are several."""
-    from placegraph.indoor.library.shard_columns import Listed
+    from placegraph.indoor.library.shard_write import Listed
 
     for i, path in enumerate(paths):
         library = open_(path) if i else first

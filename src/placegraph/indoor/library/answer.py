@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -13,20 +13,21 @@ from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
 from placegraph.indoor.language import read, score
 from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.query import encode
-from placegraph.indoor.library.search import patch_weights, ratio, scores
+from placegraph.indoor.library.query import Query, encode
+from placegraph.indoor.library.search import patch_weights, ratio
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from placegraph.earth import EarthPose
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
+    from placegraph.indoor.encode import Encoder
     from placegraph.indoor.language import Sentence
-    from placegraph.indoor.library.query import Query
     from placegraph.indoor.library.scenes import Scenes
     from placegraph.indoor.library.search import Scores
 
@@ -40,8 +41,86 @@ UNKNOWN = 0.05
 """Probability that a text describes no scene of the library, before it is read."""
 
 
+class Many(Protocol):
+    """Scenes by rows: a library that was read, or shards that are mapped."""
+
+    @property
+    def encoders(self) -> tuple[Encoder, ...]:
+        """What scenes and captures are compared by."""
+
+    @property
+    def missing(self) -> int:
+        """Scenes that are known to be there, and cannot be searched."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Why not."""
+
+    def __len__(self) -> int: ...
+
+    def name(self, row: int) -> str:
+        """Name of a scene."""
+
+    def earth(self, row: int) -> tuple[EarthPose, ...]:
+        """Where it stands."""
+
+    def compared(self, query: Query, options: SearchOptions) -> Scores:
+        """What frames say of all scenes, and of the homes beside them."""
+
+    def said(self, sentence: Sentence) -> NDArray[np.float64]:
+        """What a text says of each scene (n,) against what is usual [nat]."""
+
+    def evidence(
+        self, row: int, asked: Query | Sentence, options: SearchOptions
+    ) -> tuple[Evidence, ...]:
+        """What speaks for a scene."""
+
+    def holding(self, rows: Sequence[int]) -> Scenes:
+        """Library, with their maps, of some scenes at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """What frames or a text say of all scenes."""
+
+    shares: NDArray[np.float64]
+    """(n,) probability of each."""
+    elsewhere: float
+    total: NDArray[np.float64]
+    """(n,) score of each."""
+    asked: Query | Sentence
+    options: SearchOptions
+    seconds: dict[str, float]
+    stats: dict[str, Any] = field(default_factory=dict)
+
+    def modes(self, library: Many, most: int) -> tuple[tuple[int, ...], tuple[SceneMode, ...]]:
+        """Rows of the likeliest scenes, and these as modes."""
+        rows = np.argsort(-self.shares, kind="stable")[:most].tolist()
+        return tuple(rows), tuple(self.mode(library, row) for row in rows)
+
+    def mode(self, library: Many, row: int) -> SceneMode:
+        """A scene as a mode."""
+        share = float(self.shares[row])
+        earth = tuple(replace(p, probability=p.probability * share) for p in library.earth(row))
+        explain = partial(library.evidence, row, self.asked, self.options)
+        return SceneMode(library.name(row), share, float(self.total[row]), earth, explain=explain)
+
+    def estimate(self, library: Many, most: int) -> SceneEstimate:
+        """The likeliest scenes."""
+        rows, modes = self.modes(library, most)
+        status, reason = judge(modes, self.elsewhere)
+        left = () if isinstance(self.asked, Query) else self.asked.ignored
+        if left:
+            reason += f" Not used: {'; '.join(f'{i.text!r} ({i.reason})' for i in left)}."
+        if library.missing:
+            reason += f" {library.missing:,} scenes were not searched: {' '.join(library.notes)}"
+        seconds = {k: round(v, 5) for k, v in self.seconds.items()}
+        stats = {"seconds": seconds, "rows": rows} | self.stats
+        return SceneEstimate(status, modes, reason, self.elsewhere, stats)
+
+
 def search(
-    library: Scenes,
+    library: Many,
     query: str | Capture | Sequence[Frame],
     *,
     frames: slice | Sequence[int] | None = None,
@@ -53,69 +132,81 @@ def search(
     if most < 1:
         raise OptionError(f"most is {most}; ask for at least one scene.")
     if isinstance(query, str):
-        return search_text(library, query, most)
+        return by_text(library, query).estimate(library, most)
     text = None if description is None else read(description)
-    return search_capture(library, query, frames, options or SearchOptions(), most, text)
+    found = by_frames(library, query, frames, options or SearchOptions(), text)
+    return found.estimate(library, most)
 
 
-def search_capture(
-    library: Scenes,
+def by_frames(
+    library: Many,
     capture: Capture | Sequence[Frame],
     frames: slice | Sequence[int] | None,
     options: SearchOptions,
-    most: int,
     text: Sentence | None = None,
-) -> SceneEstimate:
-    """Scenes of a library, likeliest first; `SceneLibrary.search` says more."""
+) -> Weighed:
+    """What a capture, and a text, say of all scenes; `SceneLibrary.search` says more."""
     exact = options.method == "cosines"
-    index = library.own_index if exact else library.index
     chosen = chosen_frames(capture, frames)
     if not exact:
         chosen = [chosen[i] for i in spread(len(chosen), options.looks)]
     start = perf_counter()
     query = encode(chosen, library.encoders, exact=exact)
-    encoding = perf_counter() - start
-    found = scores(index, query, options)
-    names = library.names
-    said = np.zeros(len(names)) if text is None else library.texts.scores(text)
-    probability, elsewhere = posterior(found, said)
-    order = np.argsort(-probability, kind="stable")[:most]
-    modes = tuple(
-        _mode(
-            library, names[row], float(probability[row]), float(found.total[row]),
-            partial(_explain_capture, library, names[row], query, options),
-        )
-        for row in order
+    return by_query(library, query, options, text, {"encoding": perf_counter() - start})
+
+
+def by_query(
+    library: Many,
+    query: Query,
+    options: SearchOptions,
+    text: Sentence | None = None,
+    seconds: Mapping[str, float] | None = None,
+) -> Weighed:
+    """The same of frames that have been encoded."""
+    found = library.compared(query, options)
+    said = np.zeros(len(library)) if text is None else library.said(text)
+    shares, elsewhere = posterior(found, said, library.missing)
+    told = {"frames": len(query)}
+    return Weighed(
+        shares, elsewhere, found.total[: len(said)], query, options,
+        {**(seconds or {}), **found.seconds}, told,
     )  # fmt: skip
-    status, reason = judge(modes, elsewhere)
-    seconds = {"encoding": encoding} | found.seconds
-    stats = {"seconds": {k: round(v, 5) for k, v in seconds.items()}, "frames": len(query)}
-    return SceneEstimate(status, modes, reason, elsewhere, stats)
 
 
-def _mode(
-    library: Scenes,
-    name: str,
-    probability: float,
-    score: float,
-    explain: Callable[[], tuple[Evidence, ...]],
-) -> SceneMode:
-    poses = library.entry(name).earth
-    earth = tuple(replace(p, probability=p.probability * probability) for p in poses)
-    return SceneMode(name, probability, score, earth, explain=explain)
+def by_text(library: Many, text: str) -> Weighed:
+    """What a text says of all scenes; `SceneLibrary.search` says more."""
+    start = perf_counter()
+    sentence = read(text)
+    if not sentence.statements:
+        ignored = "; ".join(f"{i.text!r}: {i.reason}" for i in sentence.ignored)
+        raise OptionError(
+            f"{text!r} says nothing of a place{f' ({ignored})' if ignored else ''}; name a room, "
+            "things in it, how many, or how they stand to each other."
+        )
+    said = library.said(sentence)
+    # being in none of the scenes is as likely as the average one makes it; so is each that is missing
+    every = len(said) + library.missing
+    off = np.log(UNKNOWN / (1.0 - UNKNOWN) * every + library.missing)
+    shares = np.exp(np.append(said, off) - max(said.max(), off))
+    shares /= shares.sum()
+    seconds = {"text": perf_counter() - start}
+    return Weighed(shares[:-1], float(shares[-1]), said, sentence, SearchOptions(), seconds)
 
 
-def posterior(found: Scores, said: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def posterior(
+    found: Scores, said: NDArray[np.float64], missing: int = 0
+) -> tuple[NDArray[np.float64], float]:
     """Probability of each scene (S,), and of being in none of them.
 
     Scores beyond the S scenes are those of `decoys`, which stand for all other homes: what cannot be
-    told from a few dozen is not known. `said`: (S,) what a text tells of each scene [nat].
+    told from a few dozen is not known. `said`: (S,) what a text tells of each scene [nat]; `missing`:
+    scenes that cannot be searched, each of which is as such a home.
     """
     count = len(said)
     logs = found.total / found.heat
     logs[:count] += said
     others = len(logs) - count
-    logs[count:] += np.log(DOUBT * (count + FEW) / max(1, others))
+    logs[count:] += np.log((DOUBT * (count + missing + FEW) + missing) / max(1, others))
     share = np.exp(logs - logs.max())
     share /= share.sum()
     return share[:count], float(share[count:].sum())
@@ -134,6 +225,17 @@ def judge(modes: tuple[SceneMode, ...], elsewhere: float) -> tuple[Status, str]:
     rivals = [m.scene for m in modes[1:] if m.probability > 0.1 * best.probability]
     others = f"; so may {', '.join(rivals[:3])}" if rivals else ""
     return Status.AMBIGUOUS, f"{best.scene} fits best ({best.probability:.0%}){others}."
+
+
+def evidence(
+    library: Scenes, name: str, asked: Query | Sentence, options: SearchOptions
+) -> tuple[Evidence, ...]:
+    """What each object of a scene, or each statement of a text, says for it."""
+    if isinstance(asked, Query):
+        return _explain_capture(library, name, asked, options)
+    signature = library.entry(name).signature
+    rooms = [a.get("room", "") for a in signature.attributes]
+    return score(asked, signature.graph, rooms, library.texts, signature.attributes).evidence
 
 
 def _explain_capture(
@@ -175,44 +277,3 @@ def _explain_capture(
     if missed:
         out.append(Evidence(f"{int(missed)} patches fit nothing here", "against", lost))
     return tuple(out)
-
-
-def search_text(library: Scenes, text: str, most: int) -> SceneEstimate:
-    """Scenes that a text describes, likeliest first; `SceneLibrary.search` says more."""
-    start = perf_counter()
-    sentence = read(text)
-    if not sentence.statements:
-        ignored = "; ".join(f"{i.text!r}: {i.reason}" for i in sentence.ignored)
-        raise OptionError(
-            f"{text!r} says nothing of a place{f' ({ignored})' if ignored else ''}; name a room, "
-            "things in it, how many, or how they stand to each other."
-        )
-    scores = library.texts.scores(sentence)
-    # being in none of the scenes is as likely as the average one makes it
-    logs = np.append(scores, np.log(UNKNOWN / (1.0 - UNKNOWN) * len(scores)))
-    share = np.exp(logs - logs.max())
-    share /= share.sum()
-    names = library.names
-    modes = tuple(
-        _mode(
-            library, names[row], float(share[row]), float(scores[row]),
-            partial(_explain_text, library, names[row], sentence),
-        )
-        for row in np.argsort(-scores, kind="stable")[:most]
-    )  # fmt: skip
-    status, reason = judge(modes, float(share[-1]))
-    left = "; ".join(f"{i.text!r} ({i.reason})" for i in sentence.ignored)
-    return SceneEstimate(
-        status=status,
-        modes=modes,
-        reason=f"{reason} Not used: {left}." if left else reason,
-        elsewhere=float(share[-1]),
-        stats={"seconds": {"text": round(perf_counter() - start, 5)}},
-    )
-
-
-def _explain_text(library: Scenes, name: str, sentence: Sentence) -> tuple[Evidence, ...]:
-    """What each statement says of a scene."""
-    signature = library.entry(name).signature
-    rooms = [a.get("room", "") for a in signature.attributes]
-    return score(sentence, signature.graph, rooms, library.texts, signature.attributes).evidence

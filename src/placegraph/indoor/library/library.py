@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
+    from placegraph.indoor.library.answer import Many
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live import LiveTracker
@@ -34,12 +35,8 @@ SUFFIX = ".scene"
 """Of the maps in a folder."""
 
 
-class SceneLibrary(Shown, Scenes):
-    """Scenes by name, and the question in which of them something is.
-
-    Made empty, opened from a file that `save` wrote, or from a folder of scene maps; parameters
-    and errors as of `Scenes`.
-    """
+class Asked:
+    """What a library is asked, whether it was read or is mapped in shards."""
 
     def search(
         self,
@@ -74,7 +71,12 @@ class SceneLibrary(Shown, Scenes):
 
         """
         return search(
-            self, query, frames=frames, description=description, options=options, most=most
+            cast("Many", self),
+            query,
+            frames=frames,
+            description=description,
+            options=options,
+            most=most,
         )
 
     def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
@@ -82,7 +84,15 @@ class SceneLibrary(Shown, Scenes):
 
         Parameters, result and errors: `placegraph.indoor.library.localize.localize`.
         """
-        return localize(self, capture, **options)
+        return localize(cast("Many", self), capture, **options)
+
+
+class SceneLibrary(Asked, Shown, Scenes):
+    """Scenes by name, and the question in which of them something is.
+
+    Made empty, opened from a file that `save` wrote, or from a folder of scene maps; parameters
+    and errors as of `Scenes`.
+    """
 
     def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
         """The map and the pose in it at any time, as frames come.
@@ -155,7 +165,7 @@ class SceneLibrary(Shown, Scenes):
         cls, path: str | os.PathLike[str], encoders: str | Encoder | Sequence[str | Encoder] | None
     ) -> SceneLibrary:
         file = read_map(path, KIND, VERSION)
-        made = _encoders(file, encoders)
+        made = encoders_of(file, encoders)
         with sound(path, "Make the library again."):
             library = cls(made, height=file.meta["height"])
             names, places = file.strings("names"), file.strings("paths")
@@ -203,7 +213,7 @@ def library_of(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  #
     return library
 
 
-def _encoders(
+def encoders_of(
     file: MapFile, given: str | Encoder | Sequence[str | Encoder] | None
 ) -> list[Encoder]:
     """Encoders of a file, made by name or given; `MapError` where these are others."""

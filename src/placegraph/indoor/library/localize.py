@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.language import Sentence
+    from placegraph.indoor.library.answer import Many
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.scenes import Scenes
     from placegraph.indoor.map.scene import Scene
@@ -52,7 +53,7 @@ _ERRS = 0.01  # share of searches that are sure and wrong
 
 
 def localize(
-    library: Scenes,
+    library: Many,
     capture: Capture | Sequence[Frame],
     *,
     frames: slice | Sequence[int] | None = None,
@@ -97,8 +98,9 @@ def localize(
     _check(most, options)
     chosen = chosen_frames(capture, frames)
     found = search_in(library, chosen, description=description, options=search, most=most)
+    scenes = library.holding(found.stats["rows"])
     answers = looked_into(
-        library, chosen, found, description=description, encoder=encoder, **options
+        scenes, chosen, found, description=description, encoder=encoder, **options
     )
     return doubted(decided(answers), found, len(answers))
 

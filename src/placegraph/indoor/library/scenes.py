@@ -13,7 +13,9 @@ import numpy as np
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import TextIndex
+from placegraph.indoor.library.answer import evidence
 from placegraph.indoor.library.index import Index
+from placegraph.indoor.library.search import scores
 from placegraph.indoor.library.signature import Signature, signature_of
 from placegraph.indoor.library.signature_file import decoys
 from placegraph.indoor.pose.placed import whereabouts
@@ -23,8 +25,16 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Hashable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from placegraph.earth import EarthPose
+    from placegraph.estimate import Evidence
     from placegraph.formats.capture.capture import Capture
+    from placegraph.indoor.language import Sentence
+    from placegraph.indoor.language.index import Columns
+    from placegraph.indoor.library.options import SearchOptions
+    from placegraph.indoor.library.query import Query
+    from placegraph.indoor.library.search import Scores
     from placegraph.indoor.map.scene import Scene
 
 _OPEN = 8  # maps kept open
@@ -80,6 +90,8 @@ class Scenes:
         self._index: Index | None = None
         self._own: Index | None = None
         self._texts: TextIndex | None = None
+        self.usual: Columns | None = None
+        """Rooms that tell what is usual in a text, of a part of more scenes; its own if None."""
         self._open: OrderedDict[str, SceneMap] = OrderedDict()
         self._merged: OrderedDict[Hashable, Scene] = OrderedDict()
 
@@ -117,9 +129,11 @@ class Scenes:
         if path is None:
             self._open[name] = opened
 
-    def insert(self, name: str, entry: Entry) -> None:
-        """Add a scene whose signature is known already."""
+    def insert(self, name: str, entry: Entry, scene: SceneMap | None = None) -> None:
+        """Add a scene whose signature is known already; and its map, where that is open."""
         self._entries[name] = entry
+        if scene is not None:
+            self._open[name] = scene
         self._index = self._own = self._texts = None
 
     def remove(self, name: str) -> None:
@@ -212,6 +226,36 @@ class Scenes:
     def _some(self) -> str:
         names = ", ".join(list(self._entries)[:5])
         return names + (", ..." if len(self) > 5 else "") if names else "none at all"
+
+    missing = 0
+    """Scenes that cannot be searched: of shards alone."""
+    notes: tuple[str, ...] = ()
+
+    def name(self, row: int) -> str:
+        """Name of a scene by its row."""
+        return self.names[row]
+
+    def earth(self, row: int) -> tuple[EarthPose, ...]:
+        """Where it stands."""
+        return self.entry(self.names[row]).earth
+
+    def compared(self, query: Query, options: SearchOptions) -> Scores:
+        """What frames say of all scenes, and of the homes beside them."""
+        return scores(self.own_index if options.method == "cosines" else self.index, query, options)
+
+    def said(self, sentence: Sentence) -> NDArray[np.float64]:
+        """What a text says of each scene (n,) against the average of them [nat]."""
+        return self.texts.scores(sentence)
+
+    def evidence(
+        self, row: int, asked: Query | Sentence, options: SearchOptions
+    ) -> tuple[Evidence, ...]:
+        """What speaks for a scene."""
+        return evidence(self, self.names[row], asked, options)
+
+    def holding(self, rows: Sequence[int]) -> Scenes:  # noqa: ARG002  # all are here
+        """Library, with their maps, of some scenes at least: itself."""
+        return self
 
     @property
     def index(self) -> Index:

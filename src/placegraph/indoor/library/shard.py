@@ -1,19 +1,28 @@
-"""One mapped shard: what all its scenes hold, ranked, and some of them taken out."""
+"""One shard: what all its scenes hold, ranked, and some of them taken out.
+
+It is mapped from a file (`shard_write`), or made in memory of scenes that are read.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import MapError
+from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.index import Columns, Postings
 from placegraph.indoor.library.index import Index, Vocabulary, runs, starts_of
 from placegraph.indoor.library.search import patch_weights, ratio
 from placegraph.indoor.library.search_kernels import held
+from placegraph.indoor.library.shard_check import check_scenes
+from placegraph.indoor.library.signature import Signature
 from placegraph.indoor.map.eight_bits import from_8_bits
+from placegraph.store import read_header, read_map, sound
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,7 +31,13 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query
+    from placegraph.indoor.map.scene import Scene
 
+KIND, VERSION = "shard", 1
+"""Of map files."""
+HEAD, BESIDE = "usual.shard", "beside.shard"
+"""What is usual and which shards there are, written last; the homes that no library has."""
+MEND = "Make the shards again with `placegraph library shard`."
 FEW = 5_000
 """Vectors of a shard that all are compared with every word of a query: those of labels are so few."""
 
@@ -64,9 +79,70 @@ class Shard:
     meta: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
     usual: Usual
+    folder: Path = Path()
+    """To which paths of maps are relative."""
+
+    @classmethod
+    def open(cls, path: Path, usual: Usual) -> Shard:
+        """Map a shard; its checksum is compared, and what its columns point to.
+
+        Raises `InputError` where it is not there, `MapError` where it is damaged, newer or none.
+        """
+        file = read_map(path, KIND, VERSION, [b.name for b in read_header(path).blocks])
+        with sound(path, MEND):
+            # compiled code takes what is written to as any array; these are small
+            own = ("share", "starts", *(f"code_{i}" for i in range(len(usual.keys))))
+            arrays = file.arrays | {n: np.array(file.arrays[n]) for n in own}
+            shard = cls(file.meta, arrays, usual, path.parent)
+            check_scenes(shard)
+        return shard
 
     def __len__(self) -> int:
         return len(self.arrays["unit_starts"]) - 1
+
+    def string(self, column: str, row: int) -> str:
+        """What a column of strings says of a scene."""
+        starts = self.arrays[f"{column}_starts"]
+        part = self.arrays[column][starts[row] : starts[row + 1]]
+        return bytes(part).decode("utf-8", "replace")
+
+    def strings(self, column: str) -> list[str]:
+        """What it says of all scenes."""
+        blob = self.arrays[column].tobytes()
+        ends = self.arrays[f"{column}_starts"].tolist()
+        return [blob[a:b].decode("utf-8", "replace") for a, b in itertools.pairwise(ends)]
+
+    def signature(self, row: int, scene: Scene) -> Signature:
+        """Signature of a scene, with what only its map says of it."""
+        a = self.arrays
+        first, last = a["unit_starts"][row : row + 2]
+        objects = np.arange(a["starts"][first], a["starts"][last])
+        views = slice(*a["place_starts"][[first, last]])
+        order = a["order"][objects].astype(np.int64)
+        if not np.array_equal(np.sort(order), np.arange(len(scene))):
+            raise MapError(
+                f"{scene.source} has other objects than its shard; make the shards again."
+            )
+        at, part, panoramas = len(order), np.zeros(len(order), np.int32), []
+        numbers = {}
+        for number, unit_ in enumerate(range(first, last)):
+            own = a["order"][a["starts"][unit_] : a["starts"][unit_ + 1]]
+            part[own], numbers[unit_] = number, np.append(own, at)
+            seen = a["panoramas"][a["place_starts"][unit_] : a["place_starts"][unit_ + 1]]
+            panoramas.append(numbers[unit_][seen].astype(np.uint16))
+        back = np.argsort(order)
+        share = np.square(a["share"][objects])[back]
+        counts = np.diff(a["place_starts"])[first:last]
+        return Signature(
+            graph=replace(scene.graph, embeddings=None),
+            attributes=with_colours(scene),
+            vectors={k: self.vectors(i, objects)[back] for i, k in enumerate(self.usual.keys)},
+            share=share / share.sum(),
+            places=np.array(a["places"][views]),
+            panoramas=np.concatenate(panoramas),
+            part=part,
+            place_part=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        )
 
     @cached_property
     def columns(self) -> Columns:
@@ -163,20 +239,13 @@ def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def columns_in(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Columns:
-    """Columns of texts as `shard_columns.of_texts` wrote them."""
-    try:
-        a = {
-            name.removeprefix("text_"): v for name, v in arrays.items() if name.startswith("text_")
-        }
-        return Columns(
-            labels=tuple(map(str, meta["labels"])),
-            relations=tuple(map(str, meta["relations"])),
-            of_labels=Postings(a["label_starts"], a["label_units"], a["label_counts"]),
-            of_triples=Postings(a["triple_starts"], a["triple_units"], a["triple_counts"]),
-            triples=a["triples"], looks=a["looks"], room_looks=a["room_looks"], much=a["much"],
-            rooms=a["rooms"], whole=a["whole"], scene=a["scene"], scenes=int(meta["scenes"]),
-        )  # fmt: skip
-    except (LookupError, TypeError, ValueError) as error:
-        raise MapError(
-            f"A shard's columns of texts are damaged ({error}); make it again."
-        ) from error
+    """Columns of texts as `shard_write.of_texts` wrote them."""
+    a = {name.removeprefix("text_"): v for name, v in arrays.items() if name.startswith("text_")}
+    return Columns(
+        labels=tuple(map(str, meta["labels"])),
+        relations=tuple(map(str, meta["relations"])),
+        of_labels=Postings(a["label_starts"], a["label_units"], a["label_counts"]),
+        of_triples=Postings(a["triple_starts"], a["triple_units"], a["triple_counts"]),
+        triples=a["triples"], looks=a["looks"], room_looks=a["room_looks"], much=a["much"],
+        rooms=a["rooms"], whole=a["whole"], scene=a["scene"], scenes=int(meta["scenes"]),
+    )  # fmt: skip

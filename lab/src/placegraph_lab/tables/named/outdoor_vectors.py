@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     """Vectors (C, D) to the search and its memory in bytes."""
 
 DIMENSION = 64
+BLOCK = 1_000_000
+"""Rows that are drawn at once."""
 NEIGHBOURS = (10, 50)
 SEVERAL = 100_000
 """Up to this size every kind of graph is built, beyond it one: it takes ten minutes."""
@@ -49,7 +51,10 @@ def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Float
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
 
     centers = unit(noise(max(8, count // 100)))
-    vectors = unit(centers[rng.integers(len(centers), size=count)] + 0.6 * noise(count))
+    vectors = np.empty((count, DIMENSION), np.float32)
+    for first in range(0, count, BLOCK):  # ten million at once would take 10 GB
+        some = vectors[first : first + BLOCK]
+        some[:] = unit(centers[rng.integers(len(centers), size=len(some))] + 0.6 * noise(len(some)))
     asked = unit(vectors[rng.integers(count, size=queries)] + 0.6 * noise(queries))
     return vectors, asked
 

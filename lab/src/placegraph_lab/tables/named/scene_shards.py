@@ -18,12 +18,16 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import encoder
+from placegraph.indoor.language import read
+from placegraph.indoor.library.answer import by_query
+from placegraph.indoor.library.library import SceneLibrary
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import Query, Said, told_apart
 from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.search_kernels import beside
-from placegraph.indoor.library.shard_columns import SIZE, Listed, write_shards
-from placegraph.indoor.library.shards import CLOSELY, SceneShards
+from placegraph.indoor.library.shard import HEAD
+from placegraph.indoor.library.shard_write import SIZE, Listed, write_shards
+from placegraph.indoor.library.shards import SceneShards
 from placegraph.indoor.library.signature import BANDS, TURNS, signature_of
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.retrieval.retrieval_scale import Stock
@@ -51,8 +55,10 @@ VIEW = 6
 """Bins of azimuth in sight: 90 degrees."""
 NOISE = 0.3
 """Length of the noise in what patches look like, against that of what the object looks like."""
-WIDELY = 2_000
-"""Scenes compared closely to see what is lost by comparing `CLOSELY`."""
+LOOKED, WIDELY = SearchOptions().shortlist, 4_000
+"""Scenes compared closely, half by labels and half by looks, and so many to see what is lost."""
+READ = 5_000
+"""Scenes of a library that is read, for comparison."""
 
 
 def drawn(run: Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:
@@ -166,7 +172,7 @@ def ask(folder: Path, signatures: Sequence[Signature], queries: int, seed: int) 
                     query = seen(own, used, stock, wrong, np.random.default_rng((seed, row, 3)))
                     find = _frames(shards, query)
                 start, cpu = time.perf_counter(), time.process_time()
-                found = find(CLOSELY)
+                found = find(LOOKED)
                 times.append(1e3 * (time.perf_counter() - start))
                 spent.append(1e3 * (time.process_time() - cpu))
                 names = [m.scene for m in found.modes]
@@ -189,8 +195,36 @@ def ask(folder: Path, signatures: Sequence[Signature], queries: int, seed: int) 
     }
 
 
+def ask_read(
+    signatures: Sequence[Signature], count: int, queries: int, seed: int
+) -> dict[str, Any]:
+    """Ask a library of some of the scenes that is read, in this fresh process: medians [ms]."""
+    library, stock = SceneLibrary(), Stock.of(signatures)
+    for name, entry, _ in listed(signatures, count, seed):
+        library.insert(name, entry)
+    rng = np.random.default_rng((seed, 2))
+    out = {}
+    for way in ("labels", "labels and looks", "text"):
+        times = []
+        for row in [0, *rng.choice(count, queries, replace=False).tolist()]:
+            used = library.encoders[: 1 + (way == "labels and looks")]
+            own = scene(signatures, stock, row, seed)
+            query = seen(own, used, stock, 0.1, np.random.default_rng((seed, row, 3)))
+            text = spoken(signatures, stock, row, seed, 0.1)
+            start = time.perf_counter()
+            if way == "text":
+                library.said(read(text))
+            else:
+                by_query(library, query, SearchOptions())
+            times.append(1e3 * (time.perf_counter() - start))
+        out[way] = float(np.median(times[1:]))  # the first compiles, and makes the index
+    return out | {"peak": peak()}
+
+
 def _frames(shards: SceneShards, query: Query) -> Callable[[int], Any]:
-    return lambda closely: shards.by_query(query, SearchOptions(), 10, closely)
+    return lambda looked: by_query(shards, query, SearchOptions(shortlist=looked)).estimate(
+        shards, 10
+    )
 
 
 def _text(shards: SceneShards, text: str) -> Callable[[int], Any]:
@@ -220,13 +254,14 @@ def scene_shards(
     signatures = drawn(run, encoders, seed)
     folder = run.cache / f"scene_shards_{scenes}_{seed}"
     made = None
-    if fresh or not (folder / "usual").exists():
+    if fresh or not (folder / HEAD).exists():
         start, cpu = time.perf_counter(), time.process_time()
         every = run.track(listed(signatures, scenes, seed), "scenes", total=scenes)
         write_shards(folder, every, encoders, size)
         made = {"s": time.perf_counter() - start, "cpu_s": time.process_time() - cpu}
     told = apart(ask, folder, signatures, queries, seed)
-    size_ = sum(f.stat().st_size for f in folder.rglob("*.npy"))
+    read_ = apart(ask_read, signatures, min(READ, scenes), min(queries, 20), seed)
+    size_ = sum(f.stat().st_size for f in folder.rglob("*.shard"))
     objects = float(np.mean([len(s) for s in signatures]))
     print(
         f"{scenes:,} scenes of {objects:.0f} objects in {-(-scenes // size)} shards, "
@@ -244,12 +279,15 @@ def scene_shards(
         "right",
         "among ten",
         f"as of {WIDELY:,}",
+        f"times {min(READ, scenes):,} read",
     ]
     lines = [
         [r["way"], share(r["wrong"]), number(r["p50_ms"], 0, "ms"), number(r["p95_ms"], 0, "ms"),
          number(r["cpu_ms"], 0, "ms"), share(r["recall_1"]), share(r["recall_10"]),
-         share(r["same_as_widely"])]
+         share(r["same_as_widely"]), f"{r['p50_ms'] / read_[r['way']]:.1f}"]
         for r in told["rows"]
     ]  # fmt: skip
     print(markdown(header, lines))
-    run.save({"scenes": scenes, "objects": objects, "bytes": size_, "made": made, **told})
+    run.save(
+        {"scenes": scenes, "objects": objects, "bytes": size_, "made": made, "read": read_, **told}
+    )

@@ -10,9 +10,11 @@ are left out. Prints Markdown, writes JSON.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from subprocess import TimeoutExpired
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +23,7 @@ import numpy as np
 from placegraph.vectors import EmbeddedStore, Origin, open_store
 from placegraph.vectors.content import Vectors
 from placegraph.vectors.stores import load_store
+from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.named.outdoor_vectors import clustered
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
@@ -54,8 +57,12 @@ class Row:
     p95_ms: float
     recall: float
     """Share of the exact ten that are found."""
+    cpu_ms: float
+    """Of all threads of this process, a query."""
     bytes_a_row: float
     """On disk."""
+    peak: int = 0
+    """Largest memory of this process so far [bytes]."""
 
 
 def nearest(vectors: Floats, queries: Floats) -> NDArray[np.int64]:
@@ -72,18 +79,21 @@ def nearest(vectors: Floats, queries: Floats) -> NDArray[np.int64]:
     return rows
 
 
-def asked(search: Search, queries: Floats, wanted: NDArray[np.int64]) -> tuple[float, float, float]:
-    """Median and 95th percentile of a query [ms], and recall."""
+def asked(
+    search: Search, queries: Floats, wanted: NDArray[np.int64]
+) -> tuple[float, float, float, float]:
+    """Median and 95th percentile of a query [ms], recall, and time of the processor [ms]."""
     for query in queries[:5]:
         search(query, NEIGHBOURS)
-    times, hits = [], 0
+    times, hits, cpu = [], 0, time.process_time()
     for query, best in zip(queries, wanted, strict=True):
         start = time.perf_counter()
         found = search(query, NEIGHBOURS)
         times.append(1e3 * (time.perf_counter() - start))
         hits += len(np.intersect1d(found, best))
     p50, p95 = np.percentile(times, (50, 95))
-    return float(p50), float(p95), hits / wanted.size
+    spent = 1e3 * (time.process_time() - cpu) / len(queries)
+    return float(p50), float(p95), hits / wanted.size, spent
 
 
 def on_disk(folder: Path) -> int:
@@ -94,7 +104,9 @@ def on_disk(folder: Path) -> int:
 def embedded(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
     """Our own file, of 8 bits a number."""
     start = time.perf_counter()
-    content = Vectors.of(np.arange(len(vectors)), vectors)
+    # of length one already: `Vectors.of` would hold them twice
+    positions = np.zeros((len(vectors), 2), np.int32)
+    content = Vectors(np.arange(len(vectors)), vectors, positions)
     store = EmbeddedStore.of_rows(content, origin=ORIGIN, bits=8)
     spent = time.perf_counter() - start
     del content
@@ -124,7 +136,8 @@ def on_server(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folde
         size = on_disk(folder) / len(vectors)
         return Row("Milvus 2.3.5, HNSW", len(vectors), len(vectors) / spent, *told, size)
     finally:
-        server.stop()
+        with suppress(TimeoutExpired):  # it takes longer to end than its package waits
+            server.stop()
 
 
 def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
@@ -161,12 +174,27 @@ def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder:
     return Row("Milvus Lite 3, HNSW", len(vectors), len(vectors) / spent, *told, size)
 
 
+MEASURES = {"": embedded, "milvus_lite": on_lite, "milvus": on_server}
+"""By the module that each needs."""
+
+
+def measured(module: str, size: int, queries: int, seed: int, cache: Path) -> Row:
+    """One store of so many vectors, in this fresh process."""
+    vectors, queried = clustered(np.random.default_rng(seed), size, queries)
+    with TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as folder:
+        wanted = nearest(vectors, queried)
+        row = MEASURES[module](vectors, queried, wanted, Path(folder))
+    return replace(row, peak=peak())
+
+
 def printed(rows: Sequence[Row]) -> str:
     """Markdown of all stores."""
-    header = ["store", "vectors", "rows/s", "p50", "p95", "recall of ten", "bytes a row"]
+    header = ["store", "vectors", "rows/s", "p50", "p95", "processor", "recall of ten",
+              "bytes a row", "at most"]  # fmt: skip
     lines = [
         [r.store, number(r.count), number(r.rows_a_second, 0), number(r.p50_ms, 2, "ms"),
-         number(r.p95_ms, 2, "ms"), f"{r.recall:.3f}", number(r.bytes_a_row, 0)]
+         number(r.p95_ms, 2, "ms"), number(r.cpu_ms, 2, "ms"), f"{r.recall:.3f}",
+         number(r.bytes_a_row, 0), number(r.peak / 1e9, 1, "GB")]
         for r in rows
     ]  # fmt: skip
     return markdown(header, lines)
@@ -175,7 +203,7 @@ def printed(rows: Sequence[Row]) -> str:
 @table()
 def vector_scale(
     run: Run,
-    files: Annotated[str, option("Sizes of the embedded store.")] = "1000000,4000000",
+    files: Annotated[str, option("Sizes of the embedded store.")] = "1000000,4000000,10000000",
     server: Annotated[str, option("Sizes on a Milvus server.")] = "1000000",
     lite: Annotated[str, option("Sizes in Milvus Lite.")] = "250000",
     city: Annotated[
@@ -189,18 +217,15 @@ def vector_scale(
     """Vectors by the million, and words beside them: rows a second, times, recall, bytes."""
     if quick:
         files, server, lite, city = "100000", "", "10000", "monaco"
-    kinds = [("", embedded, files), ("milvus_lite", on_lite, lite), ("milvus", on_server, server)]
     rows: list[Row] = []
-    for module, measure, sizes in kinds:
+    for module, sizes in zip(MEASURES, (files, lite, server), strict=True):
         for size in map(int, parts(sizes)):
             if module and not find_spec(module):
                 run.say(f"{module} is not installed")
                 continue
-            vectors, wanted = clustered(np.random.default_rng(seed), size, queries)
-            with TemporaryDirectory(dir=run.cache, ignore_cleanup_errors=True) as folder:
-                run.say(f"{measure.__name__}: {size:,}")
-                rows.append(measure(vectors, wanted, nearest(vectors, wanted), Path(folder)))
-                run.say(str(rows[-1]))
+            rows.append(apart(measured, module, size, queries, seed, run.cache))
+            run.say(str(rows[-1]))
+            run.save({"rows": [asdict(r) for r in rows]})  # a server may never answer
     print(printed(rows))
     words: list[dict[str, Any]] = []
     if city and find_spec("milvus_lite"):

@@ -1,4 +1,4 @@
-"""What is written of the scenes of a shard: everything that a search derives of all of them."""
+"""Shards of a library as files: everything that a search derives of all scenes is written once."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from placegraph.errors import OptionError
+from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import encoder
 from placegraph.indoor.language.described import units
 from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.index import Index
-from placegraph.indoor.library.shard import Usual
-from placegraph.indoor.library.shard_file import BESIDE, USUAL, packed, unfinished, write_shard
+from placegraph.indoor.library.index import units as units_of
+from placegraph.indoor.library.shard import BESIDE, HEAD, KIND, VERSION, Shard, Usual
 from placegraph.indoor.library.signature_file import decoys
 from placegraph.indoor.map.eight_bits import in_8_bits
+from placegraph.store import write_map
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from placegraph.earth import EarthPose
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.language.described import Described
     from placegraph.indoor.library.scenes import Entry
     from placegraph.indoor.library.shards import SceneShards
-    from placegraph.indoor.library.signature import Signature
 
     Arrays = dict[str, NDArray[Any]]
 
@@ -46,8 +47,6 @@ class Listed(NamedTuple):
     entry: Entry
     place: str = ""
     """Path of its map file, relative to the folder of the shards; empty: there is none."""
-    described: Sequence[Described] | None = None
-    """What may be said of it, where that is known already."""
 
 
 def write_shards(
@@ -63,7 +62,7 @@ def write_shards(
     Raises
     ------
     OptionError
-        There is no scene, or the size is not positive.
+        There is no scene, or two have one name, or the size is not positive.
     MapError
         They cannot be written.
 
@@ -75,48 +74,87 @@ def write_shards(
     if size < 1:
         raise OptionError(f"size is {size}; a shard holds at least one scene.")
     folder, left = Path(folder), iter(scenes)
-    unfinished(folder)
-    usual, number = None, 0
-    while some := list(itertools.islice(left, size)):
+    usual: Usual | None = None
+    names: set[str] = set()
+    files: list[dict[str, Any]] = []
+    for number in itertools.count():
+        some = list(itertools.islice(left, size))
+        if not some:
+            break
         if usual is None:
+            _empty(folder)
             usual = usual_of(some, made)
-        write_shard(folder / f"{number:05d}", *shard_arrays(some, keys))
-        number += 1
+        for listed in some:
+            if listed.name in names:
+                raise OptionError(f"Two scenes are called {listed.name!r}; rename one of them.")
+            names.add(listed.name)
+        file = f"{number:05d}.shard"
+        _write(folder / file, *shard_arrays(some, keys))
+        files.append({"file": file, "scenes": len(some)})
     if usual is None:
         raise OptionError("There is no scene: a library in shards holds at least one.")
-    told = {"encoders": [{"name": e.name, "key": e.key} for e in made], **usual.meta}
-    write_shard(folder / BESIDE, *beside_of(made))
-    write_shard(folder / USUAL, told | {"shards": number}, usual.arrays)  # the last: all is there
+    _write(folder / BESIDE, {}, of_index(Index.of(decoys(made), keys)))
+    told = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
+    _write(folder / HEAD, {**told, **usual.meta}, usual.arrays)
     return SceneShards.open(folder, encoders=made)
+
+
+def _empty(folder: Path) -> None:
+    """Make the folder, without shards that stood there: its head first, so that none are half new."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / HEAD).unlink(missing_ok=True)
+        for old in folder.glob("*.shard"):
+            old.unlink()
+    except OSError as error:
+        raise MapError(
+            f"{folder} cannot be written ({error.strerror}); choose another place."
+        ) from error
+
+
+def _write(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    write_map(path, KIND, VERSION, meta, arrays, mapped=tuple(arrays))
+
+
+def shard_of(scenes: Sequence[Listed], usual: Usual) -> Shard:
+    """A shard in memory."""
+    return Shard(*shard_arrays(scenes, usual.keys), usual)
 
 
 def shard_arrays(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
     """Metadata and columns of a shard."""
     meta, arrays = of_texts(scenes)
-    arrays |= of_index(Index.of([s.entry.signature for s in scenes], keys))
+    signatures = [s.entry.signature for s in scenes]
+    arrays |= of_index(Index.of(signatures, keys))
+    arrays["order"] = np.concatenate([u.objects for u in units_of(signatures)]).astype(np.uint16)
+    earth = [s.entry.earth for s in scenes]
     told = {
         "names": [s.name for s in scenes],
         "paths": [s.place for s in scenes],
         "digests": [s.entry.digest for s in scenes],
-        "earth": [
-            json.dumps([p.to_dict() for p in s.entry.earth]) if s.entry.earth else ""
-            for s in scenes
+        "earth": [json.dumps([p.to_dict() for p in poses]) if poses else "" for poses in earth],
+        "buildings": [
+            "\n".join(sorted({p.building for p in poses if p.building})) for poses in earth
         ],
     }
     for name, strings in told.items():
         arrays[name], arrays[f"{name}_starts"] = packed(strings)
+    arrays["stand_starts"] = np.cumsum([0, *map(len, earth)]).astype(np.int64)
+    arrays["stands"] = np.array([_stand(p) for own in earth for p in own], float).reshape(-1, 6)
+    meta["rooms"] = list(dict.fromkeys(room for s in signatures for room in s.rooms))
     return meta, arrays
 
 
-def beside_of(encoders: Sequence[Encoder]) -> tuple[dict[str, Any], Arrays]:
-    """Metadata and columns of the homes that no library has."""
-    return {}, of_index(Index.of(decoys(encoders), [e.key for e in encoders]))
+def _stand(pose: EarthPose) -> tuple[float, ...]:
+    """Longitude, latitude [deg], covariance east, both and north [m^2], and probability."""
+    (east, both), (_, north) = pose.covariance[:2, :2].tolist()
+    return pose.longitude, pose.latitude, east, both, north, pose.probability
 
 
 def usual_of(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> Usual:
     """What is usual in some scenes and in the homes beside them."""
     keys = [e.key for e in encoders]
-    signatures: list[Signature] = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
+    signatures = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
     index = Index.of(signatures + decoys(encoders), keys)
     meta, arrays = of_texts(scenes[:SCENES_OF_USUAL])
     for i, key in enumerate(keys):
@@ -160,7 +198,12 @@ def of_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
 
 
 def _described(listed: Listed) -> Sequence[Described]:
-    if listed.described is not None:
-        return listed.described
     s = listed.entry.signature
     return units(s.graph, [a.get("room", "") for a in s.attributes], s.attributes)
+
+
+def packed(strings: Sequence[str]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Strings as bytes, and where each begins and the last ends."""
+    parts = [s.encode() for s in strings]
+    starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
+    return np.frombuffer(b"".join(parts) or b"\0", np.uint8), starts

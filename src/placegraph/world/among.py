@@ -1,0 +1,201 @@
+"""A world with more scenes than can be opened: few of them are looked into, all are weighed.
+
+What is said of the inside, what frames show and a fix weigh all scenes of all shards by their columns.
+Maps are opened of the likeliest, of those that were spoken of by name, and of those that stand where
+a town's best places are; what the others hold of the probability is no mode's, and is told as `rest`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from placegraph.errors import MapError, PlacegraphError
+from placegraph.geometry import LocalPlane
+from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.library.answer import by_frames
+from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.shard_write import Listed, shard_of
+from placegraph.indoor.library.shards import SceneShards
+from placegraph.outdoor.language.words import tokens
+from placegraph.world.standing import UNANCHORED, fit
+from placegraph.world.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from placegraph.estimate import SceneMode
+    from placegraph.indoor.library.scenes import Entry
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.world.known import Known
+    from placegraph.world.witnesses import Heard
+
+LIKELIEST, NAMED, BESIDE = 16, 8, 8
+"""Scenes looked into: by all that is known, by their names, and by where a town says one is."""
+AROUND = 150.0
+"""So near to a town's best place [m]."""
+LONGEST = 6
+"""Words of a name that are looked for in a text."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crowd(SceneShards):
+    """All scenes of a world: of shards, and of maps beside them as one shard more, the first."""
+
+    library: SceneLibrary = field(default_factory=SceneLibrary)
+    """Of the maps beside them."""
+
+    @classmethod
+    def of(cls, shards: Iterable[SceneShards], library: SceneLibrary) -> Crowd:
+        """Raises `MapError` where some were encoded by others."""
+        every = list(shards)
+        first = every[0]
+        keys = [e.key for e in first.encoders]
+        made = [(str(s), s.encoders) for s in every]
+        made += [(str(library), library.encoders)] if len(library) else []
+        for name, encoders in made:
+            if [e.key for e in encoders] != keys:
+                raise MapError(
+                    f"{name} was encoded by others than {first}; make both by the same encoders."
+                )
+        found = [shard for s in every for shard in s.shards]
+        if len(library):
+            listed = [Listed(name, library.entry(name)) for name in library]
+            found.insert(0, shard_of(listed, first.usual))
+        return cls(
+            first.encoders, first.usual, tuple(found), first.beside,
+            sum(s.missing for s in every), tuple(note for s in every for note in s.notes),
+            library=library,
+        )  # fmt: skip
+
+    def _entry(self, row: int) -> tuple[Entry, SceneMap]:
+        if row >= len(self.library):
+            return super()._entry(row)
+        return self.library.entry(self.name(row)), self.library.scene(self.name(row))
+
+    @cached_property
+    def things(self) -> tuple[str, ...]:
+        """Labels of all things, and names of their rooms."""
+        told = (x for s in self.shards for x in (*s.meta["labels"], *s.meta["rooms"]))
+        return tuple(dict.fromkeys(map(str, told)))
+
+    @cached_property
+    def called(self) -> dict[str, list[int]]:
+        """Rows by the words of a scene's name, or of its building's."""
+        out: dict[str, list[int]] = {}
+        for first, shard in zip(self.starts.tolist(), self.shards, strict=False):
+            pairs = zip(shard.strings("names"), shard.strings("buildings"), strict=True)
+            for row, (name, buildings) in enumerate(pairs, first):
+                for called in {name, *buildings.split("\n")}:
+                    out.setdefault(" ".join(tokens(called)), []).append(row)
+        return out
+
+    def spoken(self, text: str | None) -> list[int]:
+        """Rows of the scenes whose name, or whose building's, a text speaks."""
+        words = tokens(text or "")
+        parts = {
+            " ".join(words[i : i + n]) for n in range(1, LONGEST + 1) for i in range(len(words))
+        }
+        return sorted({row for part in parts for row in self.called.get(part, ()) if part})
+
+    def names(self, text: str) -> set[str]:
+        """Names of the scenes and buildings that a text speaks."""
+        found = [self._at(row) for row in self.spoken(text)]
+        told = [
+            x for s, row in found
+            for x in (s.string("names", row), *s.string("buildings", row).split("\n"))
+        ]  # fmt: skip
+        return {*told} - {""}
+
+    @cached_property
+    def stands(self) -> NDArray[np.float64]:
+        """(K, 7) row, and what a shard says of a candidate of where that scene stands."""
+        rows = [
+            np.column_stack([np.repeat(np.arange(len(s)), np.diff(s.arrays["stand_starts"])) + first,
+                             s.arrays["stands"]])
+            for first, s in zip(self.starts.tolist(), self.shards, strict=False)
+        ]  # fmt: skip
+        return np.concatenate(rows)
+
+    def near(self, known: Known) -> NDArray[np.float64]:
+        """How well (n,) scenes fit a fix, 0 to 1: `Witness.near` of each."""
+        rows, priors = self.stands[:, 0].astype(np.int64), self.stands[:, 6]
+        stand = np.bincount(rows, priors, len(self))
+        held = stand
+        if known.near is not None:
+            fits = fit(self.stands[:, 1:3], self.stands[:, 3:6], known.near, known.radius)
+            held = np.bincount(rows, priors * fits, len(self))
+        out = held + np.maximum(0.0, 1.0 - stand) * UNANCHORED
+        return np.asarray(out if known.near is not None else np.where(stand > 0.0, out, 1.0))
+
+    def beside_places(self, places: Sequence[tuple[float, float]]) -> list[int]:
+        """Rows of the scenes that stand near places (longitude, latitude), nearest first."""
+        away: dict[int, float] = {}
+        for place in places:
+            off = np.linalg.norm(LocalPlane(*place).to_plane(self.stands[:, 1:3]), axis=1)
+            for k in np.flatnonzero(off < AROUND).tolist():
+                row = int(self.stands[k, 0])
+                away[row] = min(away.get(row, np.inf), float(off[k]))
+        return sorted(away, key=lambda row: away[row])
+
+
+@dataclass(frozen=True, eq=False)
+class Others:
+    """What the scenes hold that one question is not looked into by."""
+
+    count: int
+    """Of all scenes."""
+    near: float
+    """Sum over all of how well they fit the fix."""
+    weight: float
+    """What frames, the text and the fix say for being in one of the others [nat]."""
+    modes: tuple[SceneMode, ...]
+    """Those that are looked into, with their share by frames, among all."""
+    elsewhere: float
+    """Probability of being in none of all, by frames."""
+    stats: dict[str, Any]
+    notes: tuple[str, ...]
+    """Shards that are not searched, and maps that cannot be opened."""
+
+
+def among(world: World, crowd: Crowd, known: Known, heard: Heard) -> World:
+    """World of the scenes of a crowd that a question may be about."""
+    near = crowd.near(known)
+    inside = heard.understood.inside if heard.understood else None
+    weights = np.log(near) + (0.0 if inside is None else crowd.said(inside))
+    weighed, missing = None, crowd.missing * (1.0 if known.near is None else UNANCHORED)
+    if known.capture is not None:
+        weighed = by_frames(crowd, known.capture, known.frames, SearchOptions())
+        weights += np.log(weighed.shares + 1e-12)
+        missing = 0.0  # `weighed.elsewhere` holds them
+    places = [(m.longitude, m.latitude) for t in heard.towns.values() for m in t.estimate.modes]
+    likely = np.argsort(-weights, kind="stable")[:LIKELIEST].tolist()
+    named = sorted(crowd.spoken(known.text), key=lambda row: -weights[row])[:NAMED]
+    names: dict[int, str] = {}
+    notes = list(crowd.notes)
+    for row in sorted({*likely, *named, *crowd.beside_places(places)[:BESIDE]}):
+        try:
+            crowd.map(row)
+        except PlacegraphError as error:
+            notes.append(str(error))
+        else:
+            name = crowd.name(row)
+            names[row] = name if name not in names.values() else f"{name} (scene {row})"
+    rest = np.append(np.delete(weights, list(names)), np.log(missing) if missing else -np.inf)
+    out = World(world.cities, ignored=world.ignored)
+    out.library = crowd.holding(list(names), list(names.values()))
+    out.scenes = {name: out.library.scene(name) for name in names.values()}
+    modes = () if weighed is None else tuple(
+        replace(weighed.mode(crowd, row), scene=name) for row, name in names.items()
+    )  # fmt: skip
+    out.others = Others(
+        len(crowd), float(near.sum()) + missing, float(np.logaddexp.reduce(rest)), modes,
+        weighed.elsewhere if weighed else 0.0, {"seconds": weighed.seconds if weighed else {}},
+        tuple(notes),
+    )  # fmt: skip
+    return out
