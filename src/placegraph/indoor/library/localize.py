@@ -98,10 +98,10 @@ def localize(
     _check(most, options)
     chosen = chosen_frames(capture, frames)
     found = search_in(library, chosen, description=description, options=search, most=most)
-    scenes = library.holding(found.stats["rows"])
     answers = looked_into(
-        scenes, chosen, found, description=description, encoder=encoder, **options
-    )
+        library.holding(found.stats["rows"]), chosen, found,
+        description=description, encoder=encoder, **options,
+    )  # fmt: skip
     return doubted(decided(answers), found, len(answers))
 
 
