@@ -99,7 +99,7 @@ def localize(
     chosen = chosen_frames(capture, frames)
     found = search_in(library, chosen, description=description, options=search, most=most)
     answers = looked_into(
-        library.holding(found.stats["rows"]), chosen, found,
+        library.holding(found.stats.get("rows", ())), chosen, found,
         description=description, encoder=encoder, **options,
     )  # fmt: skip
     return doubted(decided(answers), found, len(answers))
@@ -195,8 +195,7 @@ def _named(estimate: PoseEstimate) -> bool:
 
 def unsure(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
     """Estimate that is AMBIGUOUS, and why."""
-    reason = f"{estimate.reason} But {doubt}"
-    return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
+    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} But {doubt}")
 
 
 def _check(most: int, options: dict[str, Any]) -> None:
