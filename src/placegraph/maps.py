@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -158,7 +159,7 @@ def find(places: Sequence[Path]) -> Found:
             ignored.append((path, "a folder"))
         elif kind is None:
             ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
-        elif (known := paths[kind].setdefault(path.stem, path)).resolve() != path.resolve():
+        elif realpath(known := paths[kind].setdefault(path.stem, path)) != realpath(path):
             twins.append(f"{known} and {path} have one name; rename one of them.")
     return Found(paths, tuple(ignored), tuple(twins))
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 import placegraph as pg
-from placegraph.errors import InputError, MapError, OptionError
+from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 
 
 def test_maps_are_opened_when_they_are_asked_for_and_kept(folder):
@@ -56,3 +56,9 @@ def test_a_map_that_changed_since_its_library_was_made_is_compared_anew(folder, 
     scene.anchored(replace(scene.anchors[0], level="3")).save(tmp_path / "reading.scene")
     best = pg.open_world(tmp_path).locate(capture=films["study"]).best
     assert (best.scene, best.level) == ("reading", "3")
+
+
+def test_a_link_to_itself_is_refused_by_name(tmp_path):
+    (tmp_path / "a.scene").symlink_to(tmp_path / "a.scene")
+    with pytest.raises(PlacegraphError, match=r"a\.scene"):
+        pg.open_world(tmp_path)
