@@ -6,7 +6,7 @@ import pytest
 from placegraph.world.known import Known
 from placegraph.world.split import understand
 from placegraph.world.streets import on_street, roads_called
-from placegraph.world.witnesses import hear
+from placegraph.world.witnesses import hear, said
 
 
 def corners(city, name):
@@ -42,7 +42,8 @@ def test_a_street_far_off_is_not_its_street(world):
 @pytest.mark.parametrize("street", ["Kurze Gasse", "Hafenweg"])
 def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
     def heard(text):
-        return hear(world, Known(text)).scenes["reading"].told.weights
+        known = Known(text)
+        return hear(world, known, said(world, known)).scenes["reading"].told.weights
 
     (_, right), (_, wrong) = (
         heard("I am in the library on Lange Straße"),

@@ -53,11 +53,9 @@ def test_twice(tmp_path):
 
     tag = '<tag k="amenity" v="bench"/><tag k="name" v="B"/>'
     nodes = "".join(
-        f'<node id="{i}" version="{v}" lon="10" lat="50.000{i}">{tag}</node>'
-        for i in (1, 2)
-        for v in (1, 2)
+        f'<node id="{i}" version="1" lon="10" lat="50.000{i}">{tag}</node>' for i in (1, 1, 2, 2)
     )
-    path = tmp_path / "history.osm"
+    path = tmp_path / "overlapping.osm"
     path.write_text(f'<osm version="0.6">{nodes}</osm>')
     said = found(build_city(path, tmp_path / "a.city"))
     assert "2 objects occur twice" in said

@@ -43,7 +43,7 @@ def findings(city: City) -> list[str]:
     twice = len(ids) - len(np.unique(ids, axis=0))
     if twice:
         found.append(
-            f"{twice} objects occur twice; the extract holds several versions. Export it anew."
+            f"{twice} objects occur twice, as where extracts that overlap were joined. Export it anew."
         )
     missing = sum(n for why, n in city.left_out.items() if "missing" in why or "without" in why)
     if missing > 0.05 * len(objects):
