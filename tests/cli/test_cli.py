@@ -130,6 +130,14 @@ def test_build_of_a_large_map_with_and_without_its_index(run, osm, tmp_path, mon
     assert city.locate("A bench is north of me.").modes
 
 
+def test_no_index_is_not_of_an_extract_that_becomes_a_world(run, osm, tmp_path, monkeypatch):
+    monkeypatch.setattr("placegraph.outdoor.map.split.SMALL", 100)
+    result = run("city", "build", osm, "-o", tmp_path / "a", "--no-index")
+    assert result.code == 7
+    assert "--no-index is of one map" in result.err
+    assert not (tmp_path / "a").exists()
+
+
 def test_build_in_silence(run, osm, tmp_path):
     result = run("city", "build", osm, "-o", tmp_path / "a.city", "--quiet")
     assert (result.code, result.out, result.err) == (0, "", "")

@@ -47,6 +47,16 @@ def test_shards_hold_their_core_and_what_is_around(extract, tmp_path):
     assert not list((tmp_path / "w" / ".build").glob("*-0"))
 
 
+@pytest.mark.parametrize("name", ["plan.json", "tiles.json"])
+@pytest.mark.parametrize("content", [b"", b"[]", b"\xff"])
+def test_what_a_build_noted_and_is_damaged_is_named(extract, tmp_path, name, content):
+    folder = tmp_path / "w"
+    build_world([extract], folder, SMALL)
+    (folder / ".build" / name).write_bytes(content)
+    with pytest.raises(MapError, match=rf"{name} is damaged; remove .*\.build"):
+        build_world([extract], folder, SMALL)
+
+
 def test_workers_do_not_matter(extract, tmp_path):
     build_world([extract], tmp_path / "one", SMALL)
     build_world([extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, workers=2))

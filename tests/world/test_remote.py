@@ -65,6 +65,7 @@ def test_only_what_is_new_is_brought_and_fetched(url, extract, tmp_path, monkeyp
 def test_what_is_not_there_is_named(url, extract, tmp_path):
     with pytest.raises(InputError, match=r"world\.json is not there"):
         fetch(url, tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
     made = build_world([extract], url, options(tmp_path))
     system, root = fsspec.core.url_to_fs(url)
     system.rm_file(f"{root}/{made.shards[0].file}")
@@ -85,6 +86,12 @@ def test_urls_take_a_folder_of_this_machine(extract, tmp_path, monkeypatch):
         pg.open_world("memory:///w")
     with pytest.raises(OptionError, match="no file system knows"):
         fetch("nowhere://w", tmp_path)
+    for ask in (
+        lambda: build_world([extract], tmp_path / "w", options(tmp_path)),
+        lambda: pg.open_world(tmp_path, keep=tmp_path / "kept"),
+    ):
+        with pytest.raises(OptionError, match="at a URL|to a URL"):
+            ask()
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
         fetch("memory:///w", tmp_path)

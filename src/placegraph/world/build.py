@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ from placegraph.outdoor.map.split import Split, split, spread_large
 from placegraph.outdoor.map.tile import TileDone, TileJob, build_tile
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
-from placegraph.world.journal import Journal
+from placegraph.world.journal import Journal, told
 from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.workers import done
@@ -129,14 +129,17 @@ def build_world(
             raise OptionError(
                 f"{folder} is a URL: name a folder of this machine (work) to build in."
             )
-        return bring(build_world(extracts, options.work, options, progress), str(folder), progress)
+        here = replace(options, work=None)
+        return bring(build_world(extracts, options.work, here, progress), str(folder), progress)
+    if options.work is not None:
+        raise OptionError("work: it is of worlds that are brought to a URL; leave it out.")
     tell = progress or (lambda _step, _done, _total: None)
     target = Path(folder)
     work = target / WORK
     try:
         (target / "shards").mkdir(parents=True, exist_ok=True)
         work.mkdir(exist_ok=True)
-        with locks.exclusive(work / PLAN):
+        with locks.exclusive(work / "journal.jsonl"):
             build = _Build(target, options, tell)
             build.begin([checked_osm(Path(path)).resolve() for path in extracts])
             build.split()
@@ -184,7 +187,7 @@ class _Build:
         self.extracts = sorted(extracts)
         plan, path = _plan(self.extracts, self.options), self.work / PLAN
         if path.exists():
-            known = json.loads(path.read_bytes())
+            known = told(path)
             for what in plan:
                 if known.get(what) != plan[what]:
                     raise OptionError(
@@ -194,7 +197,7 @@ class _Build:
         else:  # what was built by another plan is none of ours
             for shard in (self.target / "shards").glob("*.city"):
                 shard.unlink()
-            path.write_bytes(json.dumps(plan, indent=1).encode())
+            write_file(path, [json.dumps(plan, indent=1).encode()])
         self.journal.read()
 
     def split(self) -> None:
@@ -263,12 +266,9 @@ class _Build:
 
     def _missing(self) -> list[TileJob]:
         """Jobs of the tiles whose shard is not there as the journal has it, by key."""
-        files: dict[str, list[tuple[str, int]]] = json.loads(
-            (self.work / "tiles.json").read_bytes()
-        )
         source = ", ".join(path.name for path in self.extracts)
         jobs = []
-        for key, things in sorted(files.items()):
+        for key, things in sorted(told(self.work / "tiles.json").items()):
             out = self.target / "shards" / f"{key}.city"
             built: TileDone | None = self.journal.done.get(key)
             if built is None or not built.stands(out):
@@ -280,16 +280,16 @@ class _Build:
 
 def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
     """What a build depends on; if any of it changes, it is another build."""
-    told = asdict(options)
+    known = asdict(options)
     for name in ("workers", "scheduler", "vocabulary", "work"):
-        del told[name]
+        del known[name]
     words = hashlib.sha256()
     if options.vocabulary is not None:
         for path in sorted(options.vocabulary.iterdir()):
             words.update(path.name.encode() + path.read_bytes())
     return {
         "extracts": [[path.name, path.stat().st_size, _digest(path)] for path in extracts],
-        "options": told,
+        "options": known,
         "vocabulary": words.hexdigest(),
     }
 

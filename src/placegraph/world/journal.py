@@ -5,13 +5,25 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from placegraph.errors import MapError
 from placegraph.outdoor.map.spill import no_room
 from placegraph.outdoor.map.tile import TileDone
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def told(path: Path) -> dict[str, Any]:
+    """What a file of a build says; `MapError` where it is damaged."""
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise MapError(f"{path} is damaged; remove {path.parent}, and run the same command again.")
+    return found
 
 
 class Journal:

@@ -76,8 +76,8 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
     system, root = _system(url)
     folder = Path(folder)
     try:
-        (folder / SHARDS).mkdir(parents=True, exist_ok=True)
         told = system.cat_file(f"{root}/{NAME}")
+        (folder / SHARDS).mkdir(parents=True, exist_ok=True)
         files.write_file(folder / NAME, [told])
         world = WorldFile.read(folder)
         for n, shard in enumerate(world.shards):
@@ -97,6 +97,8 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
 def at_hand(place: str | PathLike[str], keep: str | PathLike[str] | None) -> str | PathLike[str]:
     """A place on this machine; `fetch` brings what lies at a URL to the folder `keep`."""
     if not is_url(place):
+        if keep is not None:
+            raise OptionError("keep: it is of worlds at a URL; leave it out.")
         return place
     if keep is None:
         raise OptionError(f"{place} is a URL: name a folder for what is fetched (keep).")

@@ -74,6 +74,11 @@ def build(
 
     source = _source(file, bbox, confidence)
     if isinstance(source, Path) and is_large(source):
+        if no_index:
+            raise OptionError(
+                "--no-index is of one map; of an extract this large a world in shards is made, each with "
+                "its index. Leave it out."
+            )
         from placegraph.cli.world.build import made_of
         from placegraph.world.build import BuildOptions
 
