@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.world.among import Crowd, Others
     from placegraph.world.estimate import WorldEstimate
+    from placegraph.world.known import Known
 
 
 class World:
@@ -122,7 +123,8 @@ class World:
         options
             `top`: modes at most (5); `most`: scenes in which a pose is sought, at most (8);
             `refine`, `device`, `progress`: as of `SceneMap.localize`; `answers` to questions, and the
-            `language` of the text: as of `CityMap.locate`.
+            `language` of the text: as of `CityMap.locate`; `budget` [s], of a world in shards, ends the
+            search early: the best so far is `AMBIGUOUS`, and the reason tells what share was searched.
 
         Returns
         -------
@@ -141,9 +143,12 @@ class World:
 
         """
         from placegraph.world.known import Known
+
+        return self._ask(Known(text, capture, frames, near, radius, heading, seed, **options))
+
+    def _ask(self, known: Known) -> WorldEstimate:
         from placegraph.world.locate import locate
 
-        known = Known(text, capture, frames, near, radius, heading, seed, **options)
         if known.budget is not None:
             raise OptionError("budget: it is of worlds in shards; leave it out.")
         return locate(self, known)

@@ -17,7 +17,6 @@ from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.locate import why_nothing
 from placegraph.outdoor.search.ask import Answer
 from placegraph.world.estimate import WorldEstimate
-from placegraph.world.known import Known
 from placegraph.world.maps import Maps
 from placegraph.world.shards.answer import estimate, weigh
 from placegraph.world.shards.folder import WORDS, WorldFile, same
@@ -30,15 +29,13 @@ from placegraph.world.split import Understood
 from placegraph.world.world import World
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from os import PathLike
 
     from numpy.typing import NDArray
 
     from placegraph.evidence import Evidence
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
     from placegraph.outdoor.language.description import Description
+    from placegraph.world.known import Known
     from placegraph.world.shards.lexicon import Thing
     from placegraph.world.shards.workers import Crew
 
@@ -86,24 +83,8 @@ class Planet(World):
 
         return cls(file, Cluster.at(scheduler))
 
-    def locate(
-        self,
-        text: str | None = None,
-        capture: Capture | Sequence[Frame] | None = None,
-        *,
-        frames: slice | Sequence[int] | None = None,
-        near: Sequence[float] | None = None,
-        radius: float = 1000.0,
-        heading: float | None = None,
-        seed: int = 0,
-        **options: Any,  # noqa: ANN401  # of `placegraph.world.known.Known`
-    ) -> WorldEstimate:
-        """Where in the world a text was spoken; arguments and errors as of `World.locate`.
-
-        `budget` [s] ends the search early: the best so far is `AMBIGUOUS`, and its reason tells the
-        share of the world that was searched. Shards that do not answer are named in `notes`.
-        """
-        known = Known(text, capture, frames, near, radius, heading, seed, **options)
+    def _ask(self, known: Known) -> WorldEstimate:
+        """As of `World.locate`; shards that do not answer are named in `notes`."""
         if known.capture is not None or known.text is None:
             raise OptionError(
                 "text: a world in shards is asked by what is said of a place; give a text, and no "
