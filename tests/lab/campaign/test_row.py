@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from placegraph_lab.campaign.row import OUTCOMES, Row, merged, total
+from placegraph_lab.campaign.row import OUTCOMES, Row, mend, merged, total
 from placegraph_lab.tables.named import reliability as module
 from placegraph_lab.tables.run import LAB, Run
 
@@ -38,6 +38,17 @@ def test_rows_take_the_place_of_the_same_of_the_same_seed():
         Row.counted("fuzz", "GLB", {}, 7, 0.0),
     )
     assert merged([other, old], [again, first]) == [first, other, again]
+
+
+def test_what_is_mended_is_open_no_longer_until_it_is_found_again():
+    row = Row.counted("fuzz", "GLB", FOUND, 7, 0.0)
+    (mended,) = mend([row], ["fuzz/GLB/7"])
+    assert (mended.faults, mended.mended, mended.open) == (1, 1, 0)
+    assert Row.from_dict(mended.to_dict()) == mended
+    assert (total([row, mended]).faults, total([row, mended]).open) == (2, 1)
+    assert merged([mended], [row]) == [row]
+    with pytest.raises(KeyError, match="fuzz/GLB/8"):
+        mend([row], ["fuzz/GLB/8"])
 
 
 class Parts:
@@ -77,6 +88,10 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
     there = tmp_path / "there.json"
     there.write_text(json.dumps({"rows": [Row("soak", "c", 0, seed=3).to_dict()]}))
     assert len(asked(minutes=0.0, also=str(there))) == 5
+    asked(minutes=0.0, mended="fuzz/a/0; soak/b/0")
+    assert [r.what for r in module.written(out) if r.faults and not r.open] == ["a", "b"]
+    with pytest.raises(module.BadParameter, match="soak/c/3"):  # it has no faults
+        asked(minutes=0.0, mended="soak/c/3")
     capsys.readouterr()
     asked(minutes=0.0, only="soak")
     assert "fuzz" not in capsys.readouterr().out
@@ -96,5 +111,5 @@ def test_page_and_readme_are_those_of_the_rows(tmp_path):
         )
         assert (tmp_path / name).read_text("utf-8") == (LAB.parent / name).read_text("utf-8")
     module.publish([Row.counted("fuzz", "GLB", FOUND, 7, 0.0)], tmp_path)
-    assert "8 trials, 1 faults" in (tmp_path / "README.md").read_text("utf-8")
+    assert "8 trials, 1 faults found, 1 open" in (tmp_path / "README.md").read_text("utf-8")
     assert "| fuzz | all |" in (tmp_path / module.PAGE).read_text("utf-8")

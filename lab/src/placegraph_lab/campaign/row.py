@@ -6,7 +6,7 @@ yields each row as soon as it is done, so that a part which is cut short has tol
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -62,11 +62,18 @@ class Row:
     """Wall time of all trials."""
     said: str = ""
     """What was measured beside it, in a few words."""
+    mended: int = 0
+    """So many of its faults are mended since, each kind with a test and its first input drawn again."""
 
     @property
     def faults(self) -> int:
         """Trials that ended as none should."""
         return sum(getattr(self, name) for name in FAULTS)
+
+    @property
+    def open(self) -> int:
+        """Faults that are not mended."""
+        return self.faults - self.mended
 
     @classmethod
     def counted(
@@ -104,9 +111,23 @@ def merged(before: Iterable[Row], now: Iterable[Row], without: Collection[str] =
     return sorted([*kept, *new], key=lambda r: PARTS.index(r.part))
 
 
+def mend(rows: Iterable[Row], names: Collection[str]) -> list[Row]:
+    """Rows, where all faults of those of these names, ``PART/WHAT/SEED``, are mended.
+
+    Raises `KeyError` with the first name that is of no row with faults.
+    """
+    each = list(rows)
+    broken = {f"{r.part}/{r.what}/{r.seed}" for r in each if r.faults}
+    if strange := sorted(set(names) - broken):
+        raise KeyError(strange[0])
+    return [
+        replace(r, mended=r.faults) if f"{r.part}/{r.what}/{r.seed}" in names else r for r in each
+    ]
+
+
 def total(rows: Iterable[Row], what: str = "all") -> Row:
     """Sum of rows; seed and part are those of the first."""
     each = list(rows)
-    counts = {name: sum(getattr(r, name) for r in each) for name in ("tried", *OUTCOMES)}
+    counts = {name: sum(getattr(r, name) for r in each) for name in ("tried", *OUTCOMES, "mended")}
     first = each[0] if each else Row("", what, 0)
     return Row(first.part, what, **counts, seed=first.seed, seconds=sum(r.seconds for r in each))

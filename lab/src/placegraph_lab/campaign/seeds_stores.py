@@ -27,6 +27,15 @@ def _library(folder: Path, places: Places) -> None:
     _rooms(folder, places).save(folder / "rooms.library")
 
 
+def _shards(folder: Path, places: Places) -> None:
+    """One map under four names, two a shard; the folder is a world as well."""
+    from placegraph.indoor.library.shard_write import Listed, write_shards
+
+    entry = _rooms(folder, places).entry("room")
+    listed = [Listed(f"room {i}", entry, "../room.scene") for i in range(4)]
+    write_shards(folder / "rooms.shards", listed, encoders=("labels",), size=2)
+
+
 def _world(folder: Path, places: Places) -> None:
     _library(folder, places)
     _city(folder / "town.city", places)
@@ -80,6 +89,7 @@ STORES: dict[str, dict[str, Draw]] = {
     "Overture": {"release": _overture},
     ".city with an index": {"town.city": _indexed},
     ".library": {"library": _library},
+    "libraries in shards": {"shards": _shards},
     "worlds": {"world": _world},
     "worlds in shards": {"planet": _planet},
     ".vectors": {"8.vectors": _vectors(8), "16.vectors": _vectors(16), "32.vectors": _vectors(32)},

@@ -55,7 +55,7 @@ USES = {
     ".scene": uses.anything, ".library": uses.library, "worlds": uses.world,
     ".vectors": uses.vectors, ".weights": uses.weights, ".run": uses.run, ".track": uses.track,
     "changes": uses.changes, "Overture": uses.overture, ".city with an index": uses.anything,
-    "worlds in shards": uses.world,
+    "worlds in shards": uses.world, "libraries in shards": uses.shards,
 }  # fmt: skip
 SPOILED = {"worlds in shards": spoil_world}
 SLOW = {"OSM .osm", "OSM .osm.pbf", "OSM .osm.gz, .osm.bz2", "OSM of Overpass", "worlds", "changes",

@@ -15,6 +15,7 @@ from placegraph.errors import GeoPoseError, InputError, OptionError, PlacegraphE
 from placegraph.files import regular
 from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap, build_city
@@ -198,8 +199,16 @@ def _library(bench: Bench, found: Any, rng: Generator) -> None:  # noqa: ANN401 
         found.search(bench.frames)
     if chance(rng, 0.05):
         found.localize(bench.frames, refine=False)
-    if chance(rng, 0.1):
+    if chance(rng, 0.1) and isinstance(found, SceneLibrary):
         found.save(bench.file("again.library"))
+
+
+def shards(bench: Bench, path: Path, rng: Generator) -> None:
+    """Open a library in shards, or the world that it is, and ask it."""
+    if chance(rng, 0.3):
+        world(bench, path, rng)
+    else:
+        anything(bench, path / "rooms.shards", rng)
 
 
 def world(bench: Bench, path: Path, rng: Generator) -> None:

@@ -3,6 +3,7 @@
     placegraph-lab table reliability --minutes 5
     placegraph-lab table reliability --only fuzz --minutes 240 --seed 7
     placegraph-lab table reliability --minutes 0 --also elsewhere.json
+    placegraph-lab table reliability --minutes 0 --mended "fuzz/glTF/3; fuzz/.run/8"
 
 Every part works for so many minutes: mutated inputs, faults, load, properties, platforms. Each row is
 written down as soon as it is there, so that nothing is lost where a run is cut short, and takes the
@@ -20,15 +21,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
+from typer import BadParameter
+
 from placegraph.files import put
-from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, merged, total
+from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, mend, merged, total
 from placegraph_lab.tables.run import LAB, Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
 PAGE = "docs/benchmarks/reliability.md"
 TABLE = re.compile(r"(?m)^\|\s+\|\s+\| +tried \|.*(?:\n\|.*)*")
-SUM = re.compile(r"[\d,]+ trials, [\d,]+ faults")
-HEADER = ["", "", "tried", *OUTCOMES, "seed", "minutes", "measured"]
+SUM = re.compile(r"[\d,]+ trials, [\d,]+ faults(?: found, [\d,]+ open)?")
+COUNTS = ("tried", *OUTCOMES, "mended")
+HEADER = ["", "", *COUNTS, "seed", "minutes", "measured"]
 
 
 @table()
@@ -40,6 +44,10 @@ def reliability(
     also: Annotated[
         str, option("JSON files of other runs, with commas, whose rows are taken along.")
     ] = "",
+    mended: Annotated[
+        str,
+        option("Rows whose faults are mended, each with a test; with semicolons: PART/WHAT/SEED."),
+    ] = "",
     *,
     quick: Quick = False,
     fresh: Annotated[bool, option("Forget what was written down of these parts.")] = False,
@@ -48,9 +56,14 @@ def reliability(
     wanted, path = known(parts(only), PARTS, "part"), run.out or LAB / "results/reliability.json"
     now = [row for name in parts(also) for row in written(Path(name))]
     dropped = set(wanted) if fresh else set()
+    names = {name.strip() for name in mended.split(";")} - {""}
 
     def save() -> None:
         rows = merged(written(path), now, dropped)  # others may have written meanwhile
+        try:
+            rows = mend(rows, names)
+        except KeyError as error:
+            raise BadParameter(f"{error} is no row with faults") from None
         run.save({"rows": [r.to_dict() for r in rows]})
         dropped.clear()
 
@@ -62,7 +75,7 @@ def reliability(
             for row in import_module(f"placegraph_lab.campaign.{part}").rows(effort):
                 now.append(row)
                 save()
-    if now and not seconds:
+    if (now or names) and not seconds:
         save()
     rows = written(path)
     if run.out is None and not quick:
@@ -89,13 +102,13 @@ def publish(rows: list[Row], root: Path = LAB.parent) -> None:
 def summed(rows: list[Row]) -> str:
     """What README says of all rows."""
     whole = total(rows)
-    return f"{whole.tried:,} trials, {whole.faults:,} faults"
+    return f"{whole.tried:,} trials, {whole.faults:,} faults found, {whole.open:,} open"
 
 
 def _cells(row: Row) -> list[str]:
-    counts = [number(getattr(row, name)) for name in ("tried", *OUTCOMES)]
-    told = [f"**{c}**" if name in FAULTS and c != "0" else c
-            for name, c in zip(("tried", *OUTCOMES), counts, strict=True)]  # fmt: skip
+    counts = [number(getattr(row, name)) for name in COUNTS]
+    told = [f"**{c}**" if row.open and name in FAULTS and c != "0" else c
+            for name, c in zip(COUNTS, counts, strict=True)]  # fmt: skip
     return [row.part, row.what, *told, str(row.seed), number(row.seconds / 60, 1), row.said]
 
 
