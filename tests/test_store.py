@@ -9,6 +9,7 @@ import sys
 import time
 import zlib
 from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -539,6 +540,15 @@ def test_mapped_columns_come_back_bit_by_bit(long):
             assert identical(found[name], array), name
             assert found[name].flags.aligned
             assert not found[name].flags.writeable
+
+
+def test_mapped_columns_hold_two_descriptors_however_many_they_are(long):
+    there = Path("/proc/self/fd")
+    before = len(list(there.iterdir()))
+    found = read_map(long[0], "city", 1, ("bytes", "wide", "words"))
+    assert len(list(there.iterdir())) == before + 2, "of the map, and of its watch"
+    del found
+    assert len(list(there.iterdir())) == before
 
 
 def test_mapped_columns_lie_at_the_head_as_they_are(long):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import mmap
 import os
 import zlib
 from collections.abc import Callable, Collection, Mapping
@@ -39,7 +40,7 @@ from placegraph.header import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from typing import BinaryIO
 
     from numpy.typing import NDArray
@@ -65,8 +66,7 @@ PAGE = 1 << 16
 """Columns to be read where they lie are stored as they are, from this size on [bytes]."""
 _WORD = 64
 """Blocks begin at a multiple of so many bytes, where some are read where they lie."""
-CHUNK = 1 << 20
-"""Bytes of a file that are hashed at once."""
+CHUNK = 1 << 20  # bytes of a file that are hashed at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +168,8 @@ def writing(path: Path_) -> Iterator[Write]:
 def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] = ()) -> MapFile:
     """Read a map file and check all of it.
 
-    Columns of the names `mapped` that are stored as they are are windows on the file. Whoever shortens
-    it, instead of replacing it, ends the process that looks at them: `watch` tells before.
+    Columns of the names `mapped` that are stored as they are are windows on the file, by two descriptors.
+    Whoever shortens it, instead of replacing it, ends who looks at them: `watch` tells before.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
                 f"{path} is a {kind} map of version {header.version}, this placegraph reads up to "
                 f"{max_version}; update placegraph, or build the map again with this one."
             )
-        start = file.tell()
+        start, watch = file.tell(), files.Watch(file, path) if mapped else None
         windows = [b for b in header.blocks if b.name in mapped and _lies_there(b, start)]
         plain = sorted((b for b in header.blocks if b not in windows), key=lambda b: -b.length)
         with ThreadPoolExecutor(2) as pool:
@@ -199,13 +199,12 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
             decoded = pool.map(partial(_read, file, start, path), plain)
             found = dict(zip(plain, decoded, strict=True))
             intact = hashed.result()
-        found |= {b: _window(file, b, start) for b in windows}
+        found |= _windows(file, windows, start) if windows else {}
         if not intact:
             for b in windows:
                 _read(file, start, path, b)
             raise damaged(path, "its checksum does not fit its contents")
-        watch = files.Watch(file, path) if windows else None
-    return MapFile(header, {b.name: found[b] for b in header.blocks}, watch)
+    return MapFile(header, {b.name: found[b] for b in header.blocks}, watch if windows else None)
 
 
 @contextmanager
@@ -284,9 +283,10 @@ def _lies_there(block: Block, start: int) -> bool:
     return block.codec == "raw" and block.filter == "none" and aligned and whole
 
 
-def _window(file: BinaryIO, block: Block, start: int) -> NDArray[Any]:
-    window = np.memmap(file, np.dtype(block.dtype), "r", start + block.offset, block.shape)
-    return np.asarray(window)
+def _windows(file: BinaryIO, blocks: Iterable[Block], start: int) -> dict[Block, NDArray[Any]]:
+    """Arrays of blocks, as windows on one map of the file: each map holds a descriptor."""
+    view = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    return {b: np.ndarray(b.shape, np.dtype(b.dtype), view, start + b.offset) for b in blocks}
 
 
 def _read(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray[Any]:

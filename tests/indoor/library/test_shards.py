@@ -112,6 +112,20 @@ def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
         shards.holding([0])
 
 
+def test_a_shard_that_is_cut_while_it_is_open_is_named(signatures, tmp_path, rooms, monkeypatch):
+    monkeypatch.setattr("placegraph.store.PAGE", 1)  # small columns are windows on the file, too
+    shards, film = write_shards(tmp_path / "one", listed(signatures)[:9]), rooms["study"].film(3)
+    row = shards.search("a study with two desks").stats["rows"][0]
+    (tmp_path / "one" / "00000.shard").write_bytes(b"")
+    for ask in (
+        lambda: shards.search("a sofa"),
+        lambda: shards.search(film),
+        lambda: shards.name(row),
+    ):
+        with pytest.raises(MapError, match="changed while it was open"):
+            ask()
+
+
 def test_what_is_unfinished_is_no_library(signatures, tmp_path):
     scenes, folder = listed(signatures)[:9], tmp_path / "several"
     assert len(write_shards(folder, scenes, size=3).shards) == 3

@@ -58,6 +58,7 @@ def together(*platforms: Platform) -> Platform:
 def quick(folder: Path) -> Iterator[Platform]:
     """Those that need no installation; each takes a few seconds."""
     yield Platform("no Embree, no PoseLib", ("--hide", "embreex", "poselib"))
+    yield Platform("numba's workqueue", change={"NUMBA_THREADING_LAYER": "workqueue"})
     yield Platform("1 GB of memory", ("--memory", "1024"))
     plain = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
     yield Platform("locale C, ASCII", change=plain)

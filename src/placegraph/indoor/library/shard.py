@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from placegraph.files import Watch
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query
     from placegraph.indoor.map.scene import Scene
@@ -81,6 +82,8 @@ class Shard:
     usual: Usual
     folder: Path = Path()
     """To which paths of maps are relative."""
+    watch: Watch | None = None
+    """Of the file that columns are windows on."""
 
     @classmethod
     def open(cls, path: Path, usual: Usual) -> Shard:
@@ -93,9 +96,14 @@ class Shard:
             # compiled code takes what is written to as any array; these are small
             own = ("share", "starts", *(f"code_{i}" for i in range(len(usual.keys))))
             arrays = file.arrays | {n: np.array(file.arrays[n]) for n in own}
-            shard = cls(file.meta, arrays, usual, path.parent)
+            shard = cls(file.meta, arrays, usual, path.parent, file.watch)
             check_scenes(shard)
         return shard
+
+    def check(self) -> None:
+        """Raise `MapError` where the file was changed since, instead of replaced."""
+        if self.watch is not None:
+            self.watch.check()
 
     def __len__(self) -> int:
         return len(self.arrays["unit_starts"]) - 1

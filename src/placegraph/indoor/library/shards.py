@@ -138,6 +138,11 @@ class SceneShards(Asked):
     def __len__(self) -> int:
         return int(self.starts[-1])
 
+    def check(self) -> None:
+        """Raise `MapError` where a shard's file was changed in place since it was opened."""
+        for shard in (*self.shards, self.beside):
+            shard.check()
+
     def __repr__(self) -> str:
         return f"SceneShards({len(self):,} scenes in {len(self.shards)} shards)"
 
@@ -194,6 +199,7 @@ class SceneShards(Asked):
         """
         if options.method == "cosines":
             raise OptionError("method is 'cosines': shards are compared by 'likelihood' alone.")
+        self.check()
         start = perf_counter()
         rows = self._candidates(query, options)
         found_in = perf_counter() - start
@@ -227,6 +233,7 @@ class SceneShards(Asked):
 
     def said(self, sentence: Sentence) -> NDArray[np.float64]:
         """What a text says of each scene (n,) against what is usual [nat]."""
+        self.check()
         usual = self.usual.columns
         parts = [
             of_scenes(sentence, s.columns, compared(sentence, s.columns, usual).sum(axis=0))[0]
@@ -249,6 +256,7 @@ class SceneShards(Asked):
         if not 0 <= row < len(self):
             raise OptionError(f"row is {row}; there are {len(self)} scenes.")
         shard = int(np.searchsorted(self.starts, row, "right")) - 1
+        self.shards[shard].check()
         return self.shards[shard], row - int(self.starts[shard])
 
     def _string(self, row: int, column: str) -> str:
