@@ -390,6 +390,7 @@ def test_nominatim_refuses(servers, out, status):
         json.dumps([PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": []}}]).encode(),
         json.dumps([PLACES[1] | {"boundingbox": ["x"]}]).encode(),
         json.dumps([PLACES[1] | {"lat": "north"}]).encode(),
+        json.dumps([PLACES[1] | {"geojson": {"type": ["Polygon"], "coordinates": []}}]).encode(),
         json.dumps(
             [PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": [[[10**400, 1]] * 4]}}]
         ).encode(),

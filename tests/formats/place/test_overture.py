@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from placegraph import build_city
 from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.formats.place import overture_files
 from placegraph.formats.place.osm import AREA, LINE, NODE, POINT, RELATION, WAY, LeftOut
 from placegraph.formats.place.overture import Box, Overture, identity, is_overture, read_overture
 from placegraph.formats.place.overture_tags import table, tags_of
@@ -407,6 +408,13 @@ def test_a_damaged_file_is_read_or_refused(tmp_path_factory, data):
         assert read(path)[0]
     except InputError as error:
         assert "p.parquet" in str(error)  # noqa: PT017
+
+
+def test_a_footer_that_ends_pyarrow_ends_another_process(tmp_path, monkeypatch):
+    path = write(tmp_path / "p.parquet", "place", [place(0.2, 50.0, 0, "cafe")])
+    monkeypatch.setattr(overture_files, "_LOOK", "import os; os.abort()")
+    with pytest.raises(InputError, match=r"p\.parquet is damaged: .* ends PyArrow, by Aborted"):
+        read(path, box=Box(0.0, 49.0, 1.0, 51.0))
 
 
 def test_without_pyarrow(monkeypatch):

@@ -15,7 +15,13 @@ from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, s
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.query import WORDS, encode, told_apart
 from placegraph.indoor.library.search import patch_weights, scores
-from placegraph.indoor.library.search_kernels import best_cosines, mixtures
+from placegraph.indoor.library.search_kernels import (
+    CELL,
+    FURTHEST,
+    _nearest,
+    best_cosines,
+    mixtures,
+)
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.home import scene_of
 
@@ -262,3 +268,10 @@ def test_a_large_library_is_shortlisted(by_labels, rooms):
     full = scores(index, query, SearchOptions(geometry=False)).total
     some = scores(part, query, SearchOptions(geometry=False)).total
     np.testing.assert_allclose(full[rows], some, rtol=1e-3)
+
+
+def test_ground_is_no_wider_than_places_may_be():
+    near, far = (0.0, 0.0), (1e7, 3.0)
+    ground = _nearest(np.array([near, far], np.float32))
+    assert len(ground) < 2.1 * FURTHEST / CELL
+    assert set(np.unique(ground)) == {-1, 0}

@@ -1,5 +1,6 @@
 """Where a camera can be: in each storey, where others were, and beside a map that is open there."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +59,16 @@ def test_storeys_are_floors_with_rooms_above(room, flat, stacked, boxes):
     assert len(storeys(room, 0)) == 1, "a roof is no storey"
     shelves = {f"shelf {i}": ((0, i, 2.2), (5, i + 0.3, 2.25)) for i in range(3)}
     assert len(storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
+
+
+def test_storeys_of_heights_that_are_none_take_no_memory_by_them(stacked):
+    vertices = stacked.mesh.vertices.copy()
+    vertices[-200:, 2] += 1e9
+    far = replace(stacked, mesh=replace(stacked.mesh, vertices=vertices))
+    tracemalloc.start()
+    storeys(far, 0)
+    assert tracemalloc.get_traced_memory()[1] < 100e6
+    tracemalloc.stop()
 
 
 def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):

@@ -37,7 +37,7 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
             return
         accept(response, "Nominatim")
         try:
-            shapes.extend(found["geojson"]["type"] for found in response.json())
+            shapes.extend(str.strip(found["geojson"]["type"]) for found in response.json())
         except (LookupError, TypeError, ValueError, RecursionError) as error:
             raise nonsense("Nominatim", response.content[:4096]) from error
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
+import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +45,19 @@ DAMAGED = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, 
 """What is raised where a file's columns contradict each other or are of other types, beside PyArrow's own
 errors."""
 _TYPE = re.compile(r"[/\\]type=([a-z_]+)[/\\]")
+_MAGIC = b"PAR1"
+_LOOK = """
+import sys
+from io import BytesIO
+from pyarrow.parquet import read_metadata
+try:
+    found = read_metadata(BytesIO(sys.stdin.buffer.read()))
+    groups = [found.row_group(i) for i in range(found.num_row_groups)]
+    said = [group.column(i).statistics for group in groups for i in range(group.num_columns)]
+except Exception:
+    pass
+"""
+"""Looks at all statistics of a footer; what PyArrow itself finds wrong is for the reader to say."""
 _STREAM = 1 << 20
 """Bytes of a column fetched at once: a row group of any size is read piece by piece."""
 
@@ -61,6 +78,8 @@ class OvertureFile:
         import pyarrow.parquet as pq
 
         with self.filesystem.open_input_file(self.path) as stream:
+            if box is not None:
+                _check_statistics(stream, self.path)
             file = pq.ParquetFile(stream, buffer_size=_STREAM, pre_buffer=False)
             groups = [
                 i for i in range(file.num_row_groups) if _meets(file.metadata.row_group(i), box)
@@ -191,6 +210,22 @@ def _columns(filesystem: Any, name: str) -> set[str]:  # noqa: ANN401
     if "bbox" in out and pa.types.is_struct(schema.field("bbox").type):
         out |= {f"bbox.{field.name}" for field in schema.field("bbox").type}
     return out
+
+
+def _check_statistics(stream: Any, name: str) -> None:  # noqa: ANN401
+    """Raise `InputError` where looking at a file's statistics ends the process, as some damage does."""
+    tail = min(
+        stream.size(), 8 + int.from_bytes(stream.read_at(4, max(0, stream.size() - 8)), "little")
+    )
+    footer = _MAGIC + stream.read_at(tail, stream.size() - tail)
+    with suppress(OSError):  # no process can be started, as in a sandbox: read as it is
+        look = [sys.executable, "-P", "-c", _LOOK]
+        died = subprocess.run(look, input=footer, capture_output=True, check=False)  # noqa: S603
+        if died.returncode < 0:
+            raise InputError(
+                f"{name} is damaged: reading its statistics ends PyArrow, by "
+                f"{signal.strsignal(-died.returncode)}. Download it again."
+            )
 
 
 def _meets(group: Any, box: Box | None) -> bool:  # noqa: ANN401

@@ -17,6 +17,8 @@ OFF = 1.5
 """Farther from all places than this is off the map [m]."""
 CELL = 0.25
 """Edge of the cells of ground that share their nearest place [m]."""
+FURTHEST = 300.0
+"""Ground further than this from a unit's first place is off the map [m]: 70 MB of cells hold the rest."""
 SLIP = 1.0
 """What being at the next place, or turned by one bin more, costs [nat]."""
 
@@ -230,6 +232,7 @@ def _nearest(places):
     for p in range(len(places)):
         for axis in range(2):
             reach = max(reach, abs(places[p, axis] - places[0, axis]))
+    reach = min(reach, FURTHEST)
     half, around = int((reach + OFF) / CELL) + 1, int(OFF / CELL)
     out = np.full((2 * half + 1, 2 * half + 1), -1, np.int32)
     least = np.full(out.shape, OFF * OFF)

@@ -109,13 +109,16 @@ def _storeys(scene: Scene, part: int) -> list[float]:
         if not higher.any():
             return found
         bins = ((heights[higher] - found[-1]) / _BIN).astype(np.int64)
-        area = np.convolve(np.bincount(bins, areas[higher]), np.ones(3), "same")
+        # those that hold anything, and their neighbours: heights may be any, and bins are not
+        filled = np.unique(bins[:, None] + (-1, 0, 1))
+        held = np.bincount(np.searchsorted(filled, bins), areas[higher], len(filled))
+        area = np.convolve(held, np.ones(3), "same")
         enough = np.flatnonzero(area >= wide)
         if not len(enough):
             return found
         # the widest of the first storey's height: noise of a scan begins below it
-        near = np.arange(enough[0], min(enough[0] + round(0.5 / _BIN), len(area)))
-        best = near[area[near].argmax()]
+        near = np.flatnonzero((filled - filled[enough[0]]).clip(-1) // round(0.5 / _BIN) == 0)
+        best = filled[near[area[near].argmax()]]
         around = np.abs(bins - best) <= 1
         (height,) = quantiles(heights[higher][around], areas[higher][around], (0.5,))
         found.append(height)
