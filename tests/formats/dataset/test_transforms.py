@@ -133,6 +133,7 @@ def one(**said):
         (one(file_path="../../etc/passwd"), "not in the folder"),
         (one(file_path="images/0", sharpness=1.0), "COLMAP"),
         (one(file_path="nothing"), "1: no colour image"),
+        (one(file_path="images/0", depth_file_path="a" * 300), "not in the folder"),
         ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"integer_depth_scale": 77}, "metres in a unit"),
         (one(file_path="images/0", h=float("inf")), "w and h are"),

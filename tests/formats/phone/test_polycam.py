@@ -87,7 +87,7 @@ def test_no_images(recorded, save, tmp_path):
         ({"t_03": float("nan")}, "not finite"), ({"t_00": 5.0}, "no rotation"),
         ({"t_12": None}, "t_12 is not a list of 1 numbers"), ({"fx": 0}, "greater than 0"),
         ({"fx": "wide"}, "fx is not"), ({"width": 0}, "greater than 0"),
-        ({"height": 10**400}, "beyond all bounds"),
+        ({"height": 10**400}, "beyond all bounds"), ({"width": float("nan")}, "whole numbers"),
     ],
 )  # fmt: skip
 def test_wrong_cameras(change, says, recorded, save, tmp_path):

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.errors import InputError
+from placegraph.files import regular
 from placegraph.header import DIGEST, MAGIC
 from placegraph_lab.campaign.mutate_bytes import flipped, remapped, remarked, reworded
 from placegraph_lab.campaign.mutate_json import changed
@@ -57,10 +59,11 @@ def spoil(place: Path, rng: Generator) -> None:
 def spoil_world(folder: Path, rng: Generator) -> None:
     """Change a world in shards, and let `world.json` tell the digests that its files have now."""
     spoil(folder, rng)
-    with suppress(OSError, RecursionError, LookupError, TypeError, ValueError, AttributeError):
-        told = json.loads((folder / "world.json").read_bytes())
+    senseless = OSError, RecursionError, LookupError, TypeError, ValueError, AttributeError
+    with suppress(InputError, *senseless):
+        told = json.loads(regular(folder / "world.json").read_bytes())
         for entry in (told["words"], *told["shards"]):
-            entry["digest"] = (folder / entry["file"]).read_bytes()[-DIGEST:].hex()
+            entry["digest"] = regular(folder / entry["file"]).read_bytes()[-DIGEST:].hex()
         (folder / "world.json").write_text(json.dumps(told), "utf-8")
 
 

@@ -150,6 +150,7 @@ def _inside(path: Path, name: str, i: int) -> Path:
     """File by its name, which must not lead out of the folder."""
     file = path / name
     try:
+        file.exists()  # a name may be longer than any
         inside = file.resolve().is_relative_to(path.resolve())
     except (OSError, ValueError, RuntimeError):
         inside = False

@@ -99,7 +99,10 @@ def _read_camera(path: Path) -> tuple[Camera, NDArray[np.float64]]:
     content = read_json(path)
     if not isinstance(content, dict):
         raise InputError(f"{path} must be a JSON object with fx, fy, cx, cy and t_00 to t_23.")
-    width, height = (int(number(path, content, name)) for name in ("width", "height"))
+    try:
+        width, height = (int(number(path, content, name)) for name in ("width", "height"))
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{path}: width and height are whole numbers of pixels.") from error
     intrinsics = [number(path, content, name) for name in ("fx", "fy", "cx", "cy")]
     rows = [number(path, content, f"t_{i}{j}") for i in range(3) for j in range(4)]
     pose = MAP_FROM_Y_UP @ exact_pose(rows, str(path)) @ ARKIT_FROM_OPENCV
