@@ -3,7 +3,10 @@
 import bz2
 import gzip
 import os
+import subprocess
+import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import osmium
@@ -445,6 +448,18 @@ def test_where_no_process_can_be_started_files_are_read_as_they_are(tmp_path, mo
 def test_the_file_that_was_found(shared):
     with pytest.raises(InputError, match=r"segv\.osm\.pbf is damaged"):
         list(read_osm(shared / "repro" / "segv.osm.pbf", KEYS))
+
+
+def test_tags_outside_of_their_table_end_another_process():
+    file = Path(__file__).with_name("data") / "tags_outside.osm.pbf"
+    read = (
+        "from placegraph.formats.place.osm import read_osm\n"
+        "from placegraph.outdoor.language.vocabulary import Vocabulary\n"
+        "from placegraph.outdoor.map.extract import keys_read\n"
+        f"list(read_osm({str(file)!r}, keys_read(Vocabulary.default())))"
+    )
+    ended = subprocess.run([sys.executable, "-c", read], check=False, capture_output=True)  # noqa: S603
+    assert ended.returncode >= 0
 
 
 def test_a_file_with_history_is_refused(tmp_path):
