@@ -120,6 +120,7 @@ def test_a_camera_as_plain_numbers():
         ({"fx": math.nan}, "greater than 0"),
         ({"fx": math.inf}, "greater than 0"),
         ({"width": 10**400}, "greater than 0"),
+        ({"fy": 1e98}, "below 1e9"),
         ({"cx": -(10**400)}, "not a number"),
         ({"cx": math.inf}, "not a number"),
         ({"distortion": (0.1, math.nan, 0, 0)}, "not a number"),

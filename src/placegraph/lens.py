@@ -47,7 +47,7 @@ class Camera:
         sizes = (self.width, self.height, self.fx, self.fy)
         if not all(_is_number(v) and v > 0 for v in sizes):
             raise OptionError(
-                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0."
+                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0, and below 1e9."
             )
         if not all(map(_is_number, (self.cx, self.cy, *self.distortion))):
             raise OptionError("camera: cx, cy or the distortion is not a number.")
@@ -181,5 +181,5 @@ def _reach(distortion: tuple[float, ...]) -> float:
 
 
 def _is_number(value: float) -> bool:
-    """Whether a value is finite; a whole number may be beyond all that a float holds."""
-    return abs(value) < 1e300
+    """Whether a value is a number that a camera may have: squares of larger ones are beyond all bounds."""
+    return abs(value) < 1e9
