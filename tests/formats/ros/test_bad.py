@@ -103,6 +103,9 @@ def test_a_folder_that_is_not_whole(bag):
     (file,) = path.glob("*.db3")
     moved = file.rename(path / "renamed.db3")
     fails(path, "db3 does not exist, but metadata.yaml lists it")
+    told = path / "metadata.yaml"
+    told.write_text(told.read_text().replace(file.name, 300 * "a" + file.name))
+    fails(path, "db3 does not exist, but metadata.yaml lists it")
     moved.rename(f"{file}.zstd")
     (path / "metadata.yaml").unlink()
     fails(path, "unpack it once: `zstd -d")
