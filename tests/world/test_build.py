@@ -1,6 +1,7 @@
 """A world of shards: the same bytes however often it was killed, and by however many it was built."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -119,6 +120,16 @@ def test_another_build_in_the_same_folder(extract, tmp_path):
     extract.write_text(extract.read_text().replace("bench", "clock"))
     with pytest.raises(OptionError, match="begun with other extracts"):
         build_world([extract], tmp_path / "w", SMALL)
+
+
+def test_a_world_of_elsewhere_is_left_alone(extract, tmp_path):
+    folder = tmp_path / "w"
+    build_world([extract], folder, SMALL)
+    shutil.rmtree(folder / ".build")
+    shards = sorted(folder.glob("shards/*"))
+    with pytest.raises(OptionError, match="holds a world already"):
+        build_world([extract], folder, SMALL)
+    assert sorted(folder.glob("shards/*")) == shards
 
 
 def test_a_worker_that_is_killed_is_replaced(extract, tmp_path, monkeypatch):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -25,7 +24,7 @@ from placegraph.outdoor.map.split import Split, split, spread_large
 from placegraph.outdoor.map.tile import TileDone, TileJob, build_tile
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
-from placegraph.world.journal import Journal, told
+from placegraph.world.journal import Journal, digest_of, told
 from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.workers import done
@@ -192,8 +191,12 @@ class _Build:
                 if known.get(what) != plan[what]:
                     raise OptionError(
                         f"{self.target} was begun with other {what}; build with the same, into another "
-                        f"folder, or remove {self.work} to begin anew."
+                        f"folder, or remove {self.target} to begin anew."
                     )
+        elif (self.target / "world.json").exists():
+            raise OptionError(
+                f"{self.target} holds a world already; build into another folder, or remove it."
+            )
         else:  # what was built by another plan is none of ours
             for shard in (self.target / "shards").glob("*.city"):
                 shard.unlink()
@@ -288,13 +291,7 @@ def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
         for path in sorted(options.vocabulary.iterdir()):
             words.update(path.name.encode() + path.read_bytes())
     return {
-        "extracts": [[path.name, path.stat().st_size, _digest(path)] for path in extracts],
+        "extracts": [[path.name, path.stat().st_size, digest_of(path)] for path in extracts],
         "options": known,
         "vocabulary": words.hexdigest(),
     }
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-        return hashlib.file_digest(file, "sha256").hexdigest()

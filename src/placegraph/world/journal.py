@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from dataclasses import asdict
@@ -24,6 +25,13 @@ def told(path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise MapError(f"{path} is damaged; remove {path.parent}, and run the same command again.")
     return found
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class Journal:

@@ -22,7 +22,8 @@ def read_through(path: str, ending: str, storage: str, keys: list[str]) -> None:
     with suppress(RuntimeError, OSError, ValueError):
         file = osmium.FileProcessor(osmium.io.File(path, ending)).with_locations(storage)
         wanted = osmium.filter.KeyFilter(*keys)  # looks at all tags, which may be damaged, too
-        for _ in file.with_areas(wanted).with_filter(wanted).with_filter(osmium.filter.IdFilter([])):
+        nothing = osmium.filter.IdFilter([])
+        for _ in file.with_areas(wanted).with_filter(wanted).with_filter(nothing):
             pass
 
 
