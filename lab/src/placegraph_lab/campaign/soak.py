@@ -5,6 +5,7 @@ Each load runs in a process of its own for a share of the time; what is before i
 
 from __future__ import annotations
 
+import gc
 import os
 from array import array
 from concurrent.futures import ProcessPoolExecutor
@@ -134,6 +135,7 @@ def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:
         ask()
         took.append(process_time() - start)
         if len(took) % SEEN == 1:
+            gc.collect()  # what nobody refers to but itself is not held
             memory.append(held(os.getpid()))
             files.append(len(list(Path("/proc/self/fd").iterdir())))
     return Worn.of(took, memory, files)
