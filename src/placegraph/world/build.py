@@ -24,7 +24,7 @@ from placegraph.outdoor.map.split import Split, split, spread_large
 from placegraph.outdoor.map.tile import TileDone, TileJob, build_tile
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
-from placegraph.world.journal import Journal, digest_of, told
+from placegraph.world.journal import Journal, sha256_of, told
 from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.workers import done
@@ -291,7 +291,7 @@ def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
         for path in sorted(options.vocabulary.iterdir()):
             words.update(path.name.encode() + path.read_bytes())
     return {
-        "extracts": [[path.name, path.stat().st_size, digest_of(path)] for path in extracts],
+        "extracts": [[path.name, path.stat().st_size, sha256_of(path)] for path in extracts],
         "options": known,
         "vocabulary": words.hexdigest(),
     }

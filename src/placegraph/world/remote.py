@@ -68,7 +68,7 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
     InputError
         There is no world, or a file of it is missing.
     MapError
-        The folder cannot be written, or `world.json` is none.
+        Something cannot be read there or written here, or `world.json` is none.
     MissingExtraError, OptionError
         fsspec is not installed; or knows no such URL.
 
@@ -90,7 +90,9 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
             f"{url}: {error.filename or error} is not there; build the world, or bring it again."
         ) from error
     except OSError as error:
-        raise files.cannot_write(folder, error) from error
+        raise MapError(
+            f"{url} cannot be fetched to {folder}: {error}. The same command goes on."
+        ) from error
     return folder
 
 

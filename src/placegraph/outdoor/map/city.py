@@ -86,7 +86,7 @@ class City(Portable):
         """Write the map file (atomically, with checksums).
 
         `index`: with the index of its viewpoints, which makes the first question quick; None: where
-        the map is large. `quick`: 4 % larger, and written in a fifth of the time.
+        the map is large. `quick`: a little larger, and written much sooner.
         """
         objects, cells = self.objects, self.cells
         meta = {
