@@ -1,6 +1,7 @@
 """Work without end: memory flat, the slowest hundredth no slower, and no file left open.
 
-Each load runs in a process of its own for a share of the time; what is before its first quarter warms up.
+Each load runs in a process of its own, as many at once as there are processors, until its share of
+the time is over or its count is reached; what is before its first quarter warms up.
 """
 
 from __future__ import annotations
@@ -8,8 +9,9 @@ from __future__ import annotations
 import gc
 import os
 from array import array
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from math import inf
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter, process_time
@@ -17,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.threads import processors
 from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Row
 from placegraph_lab.campaign.writings import prepare
@@ -32,11 +35,14 @@ ROUGH = 4e6
 """And by so much at least: what allocators move to and fro [bytes]."""
 SLOWER = 1.5
 """So much slower may the slowest hundredth of the last quarter be than that of the second."""
-SEEN = 10
-"""Memory and files are looked at once in so many answers."""
+TRANSIENT = 3
+"""So many more files than before may be open for a moment: a connection, a page."""
+SEEN = 0.5
+"""Memory and files are looked at after so many seconds."""
 FEW = 200
 """From so many answers a quarter on its slowest hundredth is told."""
-LOADS = ("sentences", "localizations", "tracker frames", "a server")
+LOADS = {"sentences": 1e6, "localizations": 2e4, "tracker frames": 2e5, "a server": inf}
+"""After so many answers a load has borne enough."""
 WORDS = (
     "bakery",
     "church",
@@ -66,15 +72,23 @@ class Worn:
     """Open files, most in the second and in the last quarter."""
     enough: bool
     """Whether there were answers enough for the slowest hundredth."""
+    seconds: float = 0.0
+    """Wall time of all."""
 
     @classmethod
-    def of(cls, took: Sequence[float], memory: Sequence[float], files: Sequence[int]) -> Worn:
+    def of(
+        cls,
+        took: Sequence[float],
+        memory: Sequence[float],
+        files: Sequence[int],
+        seconds: float = 0.0,
+    ) -> Worn:
         """Figures of each answer [s], and of memory and open files from time to time."""
         late = [1e3 * float(np.percentile(part, 99)) for part in _quarters(took)]
         held, there = ([max(part) for part in _quarters(each)] for each in (memory, files))
         return cls(
             len(took), (late[0], late[1]), (held[0], held[1]), (int(there[0]), int(there[1])),
-            len(took) >= 4 * FEW,
+            len(took) >= 4 * FEW, seconds,
         )  # fmt: skip
 
     @property
@@ -85,7 +99,7 @@ class Worn:
             found.append("memory")
         if self.enough and self.milliseconds[1] > SLOWER * self.milliseconds[0]:
             found.append("slower")
-        if self.files[1] > self.files[0]:
+        if self.files[1] > self.files[0] + TRANSIENT:
             found.append("files")
         return found
 
@@ -100,25 +114,37 @@ class Worn:
 
 def rows(effort: Effort) -> Iterator[Row]:
     """Rows of this part."""
-    inputs = prepare(effort.folder / "inputs")
-    share = effort.seconds / len(LOADS)
-    for load in LOADS:
-        start = perf_counter()
-        if load == "a server":
-            worn, wrong = asked(inputs, effort, share)
-        else:
-            with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-                worn, wrong = pool.submit(lived, load, inputs, share, effort.seed).result(), 0
-        effort.say(f"{load}: {worn.count:,}, {worn}; {', '.join(worn.faults)}")
-        grown = int(bool({"memory", "files"} & set(worn.faults)))
-        late = int("slower" in worn.faults)
-        counts = {
-            "accepted": max(0, worn.count - wrong - grown - late),
-            "untyped": wrong,
-            "hang": late,
-            "memory": grown,
+    prepare(effort.folder / "inputs")
+    at_once = min(processors(), len(LOADS))
+    share = effort.seconds * at_once / len(LOADS)
+    with ProcessPoolExecutor(at_once, get_context("spawn"), max_tasks_per_child=1) as pool:
+        started = {
+            pool.submit(borne, load, effort.folder, share, effort.seed): load for load in LOADS
         }
-        yield Row.counted("soak", load, counts, effort.seed, perf_counter() - start, str(worn))
+        for ended in as_completed(started):
+            yield told(started[ended], *ended.result(), effort)
+
+
+def told(load: str, worn: Worn, wrong: int, effort: Effort) -> Row:
+    """Row of how a load was borne, and of how many answers were wrong."""
+    effort.say(f"{load}: {worn.count:,}, {worn}; {', '.join(worn.faults)}")
+    grown = int(bool({"memory", "files"} & set(worn.faults)))
+    late = int("slower" in worn.faults)
+    counts = {
+        "accepted": max(0, worn.count - wrong - grown - late),
+        "untyped": wrong,
+        "hang": late,
+        "memory": grown,
+    }
+    return Row.counted("soak", load, counts, effort.seed, worn.seconds, str(worn))
+
+
+def borne(load: str, folder: Path, seconds: float, seed: int) -> tuple[Worn, int]:
+    """How a load was borne for so long, in this process; and how many answers were wrong."""
+    inputs = folder / "inputs"
+    if load == "a server":
+        return asked(inputs, folder, seconds, seed)
+    return lived(load, inputs, seconds, seed), 0
 
 
 def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:
@@ -129,16 +155,17 @@ def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:
     for _ in range(3):  # what is compiled and kept at first
         ask()
     took, memory, files = array("f"), array("d"), array("l")
-    end = perf_counter() + seconds
-    while perf_counter() < end:
+    seen, begun = 0.0, perf_counter()
+    while perf_counter() < begun + seconds and len(took) < LOADS[load]:
         start = process_time()
         ask()
         took.append(process_time() - start)
-        if len(took) % SEEN == 1:
+        if perf_counter() > seen + SEEN:
             gc.collect()  # what nobody refers to but itself is not held
             memory.append(held(os.getpid()))
             files.append(len(list(Path("/proc/self/fd").iterdir())))
-    return Worn.of(took, memory, files)
+            seen = perf_counter()
+    return Worn.of(took, memory, files, perf_counter() - begun)
 
 
 def sentences(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
@@ -196,22 +223,21 @@ def frames(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
     return ask
 
 
-def asked(inputs: Path, effort: Effort, seconds: float) -> tuple[Worn, int]:
+def asked(inputs: Path, at: Path, seconds: float, seed: int) -> tuple[Worn, int]:
     """Ask a server for sentences, maps, pages and nonsense; also how many answers were wrong."""
     import json
     import shutil
 
-    folder = effort.folder / "served"
-    room = effort.folder / "serving"
+    folder, room = at / "served", at / "serving"
     for each in (folder, room):
         each.mkdir()
     shutil.copy(inputs / "town.city", folder)
-    rng, server = np.random.default_rng(effort.seed), Server.start(folder, room)
+    rng, server = np.random.default_rng(seed), Server.start(folder, room)
     took, memory, files, wrong = array("f"), array("d"), array("l"), 0
     try:
         own = [server.process.pid, *server.workers()]
-        end = perf_counter() + seconds
-        while perf_counter() < end:
+        seen, begun = 0.0, perf_counter()
+        while perf_counter() < begun + seconds:
             kind = int(rng.integers(8))
             text = drawn(rng) if kind < 5 else ""
             body = json.dumps({"text": text, "map": "town"}).encode()
@@ -223,12 +249,13 @@ def asked(inputs: Path, effort: Effort, seconds: float) -> tuple[Worn, int]:
                 wanted, (status, _) = 200, server.ask("GET", ("/v1/maps", "/")[kind - 6])
             took.append(perf_counter() - start)
             wrong += status != wanted and not (wanted == 422 and 400 <= status < 500)
-            if len(took) % SEEN == 1:
+            if perf_counter() > seen + SEEN:
                 memory.append(sum(map(held, own)))
                 files.append(sum(len(list(Path(f"/proc/{p}/fd").iterdir())) for p in own))
+                seen = perf_counter()
     finally:
         server.end()
-    return Worn.of(took, memory, files), wrong
+    return Worn.of(took, memory, files, perf_counter() - begun), wrong
 
 
 def _quarters(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
