@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from placegraph.outdoor.map.tile import build_tile
+from placegraph.world.tile import build_tile
 
 
 def once(job):

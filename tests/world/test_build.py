@@ -113,6 +113,32 @@ def test_a_shard_that_was_lost_is_built_again(extract, tmp_path):
     assert contents(tmp_path / "w") == before
 
 
+@pytest.mark.parametrize("counts", [None, b"", b"counts", "another's"])
+def test_words_that_were_kept_and_are_lost_are_counted_again(
+    counts, extract, tmp_path, monkeypatch
+):
+    made = build_world([extract], tmp_path / "whole", SMALL)
+    real, again = module.finish, []
+
+    def losing(target, *given):
+        kept = sorted((target / ".build" / "counts").iterdir())
+        assert [path.name for path in kept] == [shard.key for shard in made.shards]
+        if counts is None:
+            kept[0].unlink()
+        else:
+            kept[0].write_bytes(kept[1].read_bytes() if counts == "another's" else counts)
+        return real(target, *given)
+
+    monkeypatch.setattr(module, "finish", losing)
+    steps = sys.modules["placegraph.world.shards.finish"]  # the package has a function of this name
+    count = steps.count
+    monkeypatch.setattr(steps, "count", lambda path: again.append(path.stem) or count(path))
+    build_world([extract], tmp_path / "w", SMALL)
+    assert again == [made.shards[0].key]
+    for name in ("words.table", "world.json"):
+        assert (tmp_path / "w" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
 def test_another_build_in_the_same_folder(extract, tmp_path):
     build_world([extract], tmp_path / "w", SMALL)
     with pytest.raises(OptionError, match="begun with other options"):

@@ -21,21 +21,25 @@ from placegraph.files import cannot_write, write_file
 from placegraph.formats.place.osm import checked_osm
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.split import Split, split, spread_large
-from placegraph.outdoor.map.tile import TileDone, TileJob, build_tile
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
 from placegraph.world.journal import Journal, sha256_of, told
 from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
+from placegraph.world.shards.folder import digest_of
+from placegraph.world.shards.table import kept
+from placegraph.world.tile import TileDone, TileJob, build_tile
 from placegraph.world.workers import done
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from os import PathLike
 
+    from placegraph.world.shards.table import Counted
+
     Progress = Callable[[str, int, int | None], None]
 
-WORK, PLAN = ".build", "plan.json"
+WORK, PLAN, COUNTS = ".build", "plan.json", "counts"
 OVERLAP = 500.0
 """Viewpoints near a rare thing are looked at up to 400 m from it, and things are in sight up to 38 m
 from a viewpoint: with this margin [m] a border changes neither."""
@@ -222,13 +226,17 @@ class _Build:
                 for n, _ in enumerate(parts, 1):
                     self.tell("splitting extracts", n, len(todo))
 
-    def each(self, work: Callable[[Path], Any], paths: list[Path]) -> list[Any]:
-        """Results of a function for all paths, in their order."""
-        made = done(work, paths, self.workers, self.options.scheduler)
-        return [result for _, result in sorted(made, key=lambda pair: pair[0])]
+    def each(self, work: Callable[[Path], Counted], paths: list[Path]) -> list[Counted]:
+        """Words of all shards, in their order: as kept when they were built, else counted by `work`."""
+        found = {path: kept(self._counts(path.stem), digest_of(path)) for path in paths}
+        lost = [path for path in paths if found[path] is None]
+        for n, counted in done(work, lost, self.workers, self.options.scheduler):
+            found[lost[n]] = counted
+        return [counted for counted in found.values() if counted is not None]
 
     def tiles(self) -> None:
         """Build the shards that are missing, each as soon as a worker is free."""
+        (self.work / COUNTS).mkdir(exist_ok=True)
         jobs = self._missing() if (self.work / "tiles.json").exists() else self._spread()
         total = len(jobs)
         with closing(done(build_tile, jobs, self.workers, self.options.scheduler)) as built:
@@ -240,9 +248,11 @@ class _Build:
 
     def clear(self) -> None:
         """Remove what is of no more use: a journal and a plan are left, and take no room."""
-        for name in ("things", "large"):
-            for folder in self._folders(name):
-                shutil.rmtree(folder, ignore_errors=True)
+        for folder in (*self._folders("things"), *self._folders("large"), self.work / COUNTS):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _counts(self, key: str) -> Path:
+        return self.work / COUNTS / key
 
     def _folders(self, name: str) -> list[Path]:
         return [self.work / f"{name}-{n}" for n in range(len(self.extracts))]
@@ -277,7 +287,8 @@ class _Build:
             if built is None or not built.stands(out):
                 named = tuple((path, size) for path, size in things)
                 margin, sizes = self.options.overlap, self.options.sizes
-                jobs.append(TileJob(key, named, str(out), margin, sizes, source))
+                counts = str(self._counts(key))
+                jobs.append(TileJob(key, named, str(out), margin, sizes, source, counts))
         return jobs
 
 

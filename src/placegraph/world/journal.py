@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import MapError
 from placegraph.outdoor.map.spill import no_room
-from placegraph.outdoor.map.tile import TileDone
+from placegraph.world.tile import TileDone
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -225,7 +225,7 @@ def test_same_map_same_index(harbour):
 
 
 def test_band_by_band_is_all_at_once(real_city):
-    once, banded = build(real_city.objects, 1 << 40), build(real_city.objects, 200)
+    once, banded = build(real_city.objects), build(real_city.objects, at_once=200)
     # postings stand band by band; runs say where
     for name in once.keys() - {"share"}:
         np.testing.assert_array_equal(once[name], banded[name], err_msg=name)

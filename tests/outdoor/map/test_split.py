@@ -14,8 +14,8 @@ from placegraph.outdoor.map import extract, spill
 from placegraph.outdoor.map import split as module
 from placegraph.outdoor.map.spill import things_of
 from placegraph.outdoor.map.split import LARGE, Split, split, spread_large
-from placegraph.outdoor.map.tile import TileJob, build_tile
 from placegraph.tiles import bounds, key_at
+from placegraph.world.tile import TileJob, build_tile
 
 ZOOM, MARGIN = 15, 100.0  # tiles of 780 m at 50 degrees
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}

@@ -14,7 +14,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex
-from placegraph.outdoor.map.index_build import tokens_of
+from placegraph.outdoor.map.index_build import grid_of, seen_from, tokens_of
 from placegraph.outdoor.map.index_file import MAPPED, WORTH, index_in, stored
 from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
@@ -182,6 +182,12 @@ class City(Portable):
     @cached_property
     def _views(self) -> ViewIndex:
         return self.index or ViewIndex.build(self.objects)
+
+    def look_around(self) -> Sightings:
+        """What is in sight of all the grid of `views`, which are derived of it and not looked for again."""
+        seen = seen_from(self.objects, grid_of(self.objects))
+        self.__dict__["_views"] = ViewIndex.build(self.objects, seen)
+        return seen
 
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:
         """What is in sight of viewpoints `rows` (K,) of `views`, which are its `points`."""

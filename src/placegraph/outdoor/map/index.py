@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from placegraph.files import Watch
     from placegraph.outdoor.map.objects import CityObjects
+    from placegraph.outdoor.map.raster import Sightings
 
 POINT, AREA = 0, 2
 STRIDE = index_build.STRIDE
@@ -101,10 +102,10 @@ class ViewIndex:
     """Of the map file that columns are windows on."""
 
     @classmethod
-    def build(cls, objects: CityObjects) -> Self:
-        """Index of a map that has none yet."""
+    def build(cls, objects: CityObjects, seen: Sightings | None = None) -> Self:
+        """Index of a map that has none yet; `seen` is all that its grid has in sight, where known."""
         grid = grid_of(objects)
-        return cls.of(build(objects), (grid.east, grid.north, grid.columns // SIDE))
+        return cls.of(build(objects, seen), (grid.east, grid.north, grid.columns // SIDE))
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], grid: tuple[float, float, int]) -> Self:

@@ -81,12 +81,17 @@ def grid_of(objects: CityObjects) -> Grid:
     return Grid(float(low[0]), float(low[1]), STRIDE, columns, rows)
 
 
-def build(objects: CityObjects, at_once: int = AT_ONCE) -> dict[str, NDArray[Any]]:
-    """Columns of a `ViewIndex`; memory grows with what is in sight of a band, time with the map."""
+def build(
+    objects: CityObjects, all_seen: Sightings | None = None, at_once: int = AT_ONCE
+) -> dict[str, NDArray[Any]]:
+    """Columns of a `ViewIndex`; memory grows with what is in sight of a band, time with the map.
+
+    `all_seen` is what `seen_from` gives of the whole grid, where it is known.
+    """
     grid, tokens = grid_of(objects), tokens_of(objects)
     n_tokens = len(objects.labels) + len(objects.names)
-    bands = _bands(objects, grid, at_once)
-    seen = [_seen(objects, grid, band) for band in bands[:1]] if len(bands) == 1 else []
+    bands = _bands(objects, grid, len(objects) if all_seen else at_once)
+    seen = [all_seen or _seen(objects, grid, bands[0])] if len(bands) == 1 else []
     found = np.zeros(len(objects), np.bool_)
     for i, band in enumerate(bands):
         now = seen[i] if seen else _seen(objects, grid, band)

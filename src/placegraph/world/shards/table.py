@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
+from sys import intern
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
+from placegraph.errors import PlacegraphError
 from placegraph.outdoor.map.index_build import STRIDE, fade, grid_of, seen_from
 from placegraph.outdoor.map.objects import AREA
 from placegraph.outdoor.map.things import spans
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.map.raster import Sightings
 
 KIND, VERSION = "words", 1
 Number = TypeVar("Number", np.int64, np.float64)
@@ -51,14 +54,35 @@ class Counted(NamedTuple):
     viewpoints: int
 
 
-def counted(city: City, key: str) -> Counted:
-    """Count the words of a shard in its core."""
+def keep(found: Counted, path: Path, digest: str) -> None:
+    """Put aside what was counted of the shard with this digest; `MapError` where that fails."""
+    told = {name: value for name, value in found._asdict().items() if np.ndim(value) == 0}
+    arrays = {"labels": pack_strings(found.labels), "names": pack_strings(found.names)}
+    arrays |= {name: getattr(found, name) for name in _OF_A_SHARD}
+    write_map(path, "counts", VERSION, told | {"digest": digest}, arrays, quick=True)
+
+
+def kept(path: Path, digest: str) -> Counted | None:
+    """What `keep` put aside of the shard with this digest; None where it did not, or it is damaged."""
+    try:
+        file = read_map(path, "counts", VERSION)
+        found: dict[str, Any] = {
+            n: tuple(map(intern, file.strings(n))) for n in ("labels", "names")
+        }
+    except PlacegraphError:
+        return None
+    found |= {name: file.arrays[name] for name in _OF_A_SHARD} | file.meta
+    return Counted(**found) if found.pop("digest") == digest else None
+
+
+def counted(city: City, key: str, around: Sightings | None = None) -> Counted:
+    """Count the words of a shard in its core; `around` is what `City.look_around` gives, where known."""
     from placegraph.tiles import held
 
     views, objects = city.views, city.objects
     n, n_labels = len(objects.labels) + len(objects.names), len(objects.labels)
     inside = np.flatnonzero(held(city.plane.to_lonlat(views.positions.astype(np.float64)), key))
-    bounds, seen, offsets = _in_sight(city, inside)
+    bounds, seen, offsets = _in_sight(city, inside, around)
     sight = fade(np.hypot(*offsets.T))
     view = np.repeat(np.arange(len(inside)), np.diff(bounds))
     stood_in = (objects.kind[seen] == AREA) & ~offsets.any(axis=1)
@@ -80,7 +104,7 @@ def counted(city: City, key: str) -> Counted:
 
 
 def _in_sight(
-    city: City, rows: NDArray[np.int64]
+    city: City, rows: NDArray[np.int64], around: Sightings | None
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
     """What viewpoints (K,) have in sight: bounds (K + 1,), objects, and their offsets [m].
 
@@ -89,7 +113,7 @@ def _in_sight(
     grid = grid_of(city.objects)
     at = (city.views.positions[rows].astype(np.float64) - (grid.east, grid.north)) / STRIDE
     points = np.rint(at).astype(np.int64) @ (1, grid.columns)
-    seen = seen_from(city.objects, grid)
+    seen = around or seen_from(city.objects, grid)
     bounds, entries = spans(seen.starts, np.searchsorted(seen.points, points))
     return bounds, seen.objects[entries], seen.offsets[entries]
 
@@ -202,6 +226,7 @@ class WordTable:
         )
 
 
+_OF_A_SHARD = ("objects", "mass", "peak")
 _COLUMNS = {
     "shards": "<i4", "objects": "<i4", "mass": "<f4", "peak": "<f4",
     "viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8",

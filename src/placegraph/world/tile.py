@@ -1,4 +1,8 @@
-"""One tile of a split extract becomes a city: its core, and what lies within a margin of it."""
+"""One tile of a split extract becomes a city: its core, and what lies within a margin of it.
+
+What is in sight of its grid is worked out once: for the index of viewpoints, and for the words that
+the world counts.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,7 @@ from placegraph.outdoor.map.extract import objects_of, without_largest
 from placegraph.outdoor.map.spill import things_of
 from placegraph.outdoor.map.things import Things, once
 from placegraph.tiles import bounds
+from placegraph.world.shards.table import counted, keep
 
 if TYPE_CHECKING:
     from placegraph.tiles import Box
@@ -40,6 +45,8 @@ class TileJob:
     """Cells, their distance, and how far edges reach [m]."""
     source: str
     """What the city says it was made from."""
+    counts: str = ""
+    """File for the words that were counted in it; none where it is empty."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +92,12 @@ def build_tile(job: TileJob) -> TileDone:
         plane, objects_of(things, plane), cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, source=job.source, left_out=dict(left_out.counts),
     )  # fmt: skip
+    seen = city.look_around()
     city.save(out, quick=True)
-    return TileDone(job.key, _digest(out), out.stat().st_size, len(city.objects), len(city.cells))
+    made = TileDone(job.key, _digest(out), out.stat().st_size, len(city.objects), len(city.cells))
+    if job.counts:
+        keep(counted(city, job.key, seen), Path(job.counts), made.digest)
+    return made
 
 
 def _within(things: Things, box: Box) -> Things | None:
