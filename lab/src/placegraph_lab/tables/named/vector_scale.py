@@ -228,7 +228,9 @@ def vector_scale(
             run.save({"rows": [asdict(r) for r in rows]})  # a server may never answer
     print(printed(rows))
     words: list[dict[str, Any]] = []
-    if city and find_spec("milvus_lite"):
+    if city and not find_spec("milvus_lite"):
+        run.say("milvus-lite is not installed: words beside vectors are left out")
+    elif city:
         told = make_queries(run.osm / EXTRACTS[city], n=queries, seed=seed)
         with TemporaryDirectory(dir=run.cache, ignore_cleanup_errors=True) as folder:
             words = hybrid(open_city(city, run.osm, run.cache), told, Path(folder))
