@@ -104,6 +104,8 @@ def test_what_is_no_run(tmp_path, room):
         ("mode_poses", np.full((2, 4), np.nan)),
         ("mode_covariances", np.full((2, 36), np.inf)),
         ("mode_matrices", np.full((2, 16), 1e30)),
+        ("mode_probabilities", np.array([0.9, 0.9])),
+        ("mode_probabilities", np.array([0.5, np.nan])),
         ("particles", np.zeros((9, 3), np.int32)),
         ("trajectory", None),
     ],

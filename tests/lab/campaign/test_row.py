@@ -1,11 +1,12 @@
 """Rows of the campaign: counted, summed, written down and read again."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from placegraph_lab.campaign.row import OUTCOMES, Row, mend, merged, total
+from placegraph_lab.campaign.row import OUTCOMES, Effort, Row, mend, merged, total
 from placegraph_lab.tables.named import reliability as module
 from placegraph_lab.tables.run import LAB, Run
 
@@ -49,6 +50,12 @@ def test_what_is_mended_is_open_no_longer_until_it_is_found_again():
     assert merged([mended], [row]) == [row]
     with pytest.raises(KeyError, match="fuzz/GLB/8"):
         mend([row], ["fuzz/GLB/8"])
+
+
+def test_rows_are_asked_for_by_name(tmp_path):
+    asked = Effort(0.0, 7, tmp_path, tmp_path, print, {"GLB"})
+    assert [asked.wants("GLB"), asked.wants(".run")] == [True, False]
+    assert replace(asked, names=()).wants(".run")
 
 
 class Parts:

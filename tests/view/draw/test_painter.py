@@ -92,3 +92,10 @@ def test_a_frame_shows_its_bounds(west, south, width, height):
     assert n >= south + 80.0 - 1e-6
     corner = frame.to_px(np.array([w, n]))
     assert np.allclose(corner, 0.0, atol=1e-6)
+
+
+def test_of_a_dashed_line_beyond_the_picture_only_what_is_seen_is_cut():
+    line = Stroke(np.array([(-1e12, 0.0), (1e12, 0.0)]), "for", 3.0, (5.0, 4.0))
+    image = paint_picture([line], FRAME)
+    row = [at(image, x, 0.0) == color("for") for x in np.linspace(-49.0, 49.0, 200)]
+    assert 0.4 < np.mean(row) < 0.7

@@ -20,7 +20,7 @@ from placegraph.view.draw.lettering import Taken, covering
 from placegraph.view.draw.painter import SUPERSAMPLE, paint_picture
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.plan_layout import CAPTION, FOOT, HEAD, Layout, evenly
-from placegraph.view.scene.pose_items import core, levels, swarm, wedge, witnesses
+from placegraph.view.scene.pose_items import MOST_FRAMES, core, levels, swarm, way, wedge, witnesses
 from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.room_style import ROOM_PAINTS, plain_words, room_paint
@@ -379,6 +379,11 @@ def test_the_way_is_drawn_where_it_went(scene, tmp_path):
         assert share(image[row - 4 : row + 5, column - 4 : column + 5], "mode", 40) > 4
     flipped = HEAD + frame.height - round(y0)
     assert share(image[flipped - 4 : flipped + 5, round(x0) - 4 : round(x0) + 5], "mode", 40) == 0
+
+
+def test_a_long_way_is_thinned():
+    marks = way(np.broadcast_to(np.eye(4), (3 * MOST_FRAMES, 4, 4)), "mode")
+    assert len(marks) == 1 + MOST_FRAMES
 
 
 def test_the_truth_has_a_colour_of_its_own(scene, tmp_path):

@@ -186,7 +186,8 @@ def tallies(
 def rows(effort: Effort) -> Iterator[Row]:
     """A row a format; a sound seed that is refused counts as untyped."""
     most = max(LEAST, int(A_MINUTE * effort.seconds / 60.0))
-    for name, tally in tallies(effort, sorted(TARGETS, key=lambda n: TARGETS[n].slow), most):
+    wanted = sorted(filter(effort.wants, TARGETS), key=lambda n: TARGETS[n].slow)
+    for name, tally in tallies(effort, wanted, most):
         tally.counts["untyped"] += len(tally.refused)
         yield Row.counted("fuzz", name, tally.counts, effort.seed, tally.seconds)
 

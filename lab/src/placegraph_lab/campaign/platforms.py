@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 PART = "platforms"
 SOURCE = Path(placegraph.__file__).parents[1]
 TURKISH = ("tr_TR.UTF-8", "tr_TR.ISO-8859-9")
+TWINE = "wheel and sdist, twine check"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 NUMPY = {"oldest": "numpy==1.26.0", "newest": "numpy"}
 """The oldest that pyproject allows, on the oldest Python, and the newest that all others take."""
@@ -164,12 +165,14 @@ def rows(effort: Effort) -> Iterator[Row]:
     first = told()
     (effort.folder / "locales").mkdir(parents=True)
     start = monotonic()
-    for platform in quick(effort.folder / "locales"):
+    for platform in (p for p in quick(effort.folder / "locales") if effort.wants(p.name)):
         yield _row(platform.name, lambda p=platform: agrees(p, first), effort)  # type: ignore[misc]
     dist = effort.folder / "dist"
-    if find_spec("twine"):
-        yield _row("wheel and sdist, twine check", lambda: _checked(dist), effort)
+    if find_spec("twine") and effort.wants(TWINE):
+        yield _row(TWINE, lambda: _checked(dist), effort)
     for number, (name, python, what) in enumerate(installations(dist)):
+        if not effort.wants(name):
+            continue
         if monotonic() - start > effort.seconds:
             effort.say(f"{name}: left out, the time is over")
             continue

@@ -34,6 +34,12 @@ class Effort:
     """Recordings, as of `Run.data`; may be missing, and then the part says what it left out."""
     say: Callable[[str], None]
     """Tells the person who waits."""
+    names: Collection[str] = ()
+    """Of the rows that are wanted, as the table has them; none: all."""
+
+    def wants(self, name: str) -> bool:
+        """Whether a row of this name is asked for."""
+        return not self.names or name in self.names
 
 
 @dataclass(frozen=True, slots=True)

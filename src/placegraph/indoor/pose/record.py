@@ -27,6 +27,8 @@ STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-4])
 _FULL = 65535
 _FARTHEST = 1e7
 """Beyond it nothing lies on a map, in metres or their squares."""
+_ROUNDING = 1e-6
+"""Of probabilities that add up to one."""
 
 
 def write_run(path: str | PathLike[str], estimate: PoseEstimate, *, source: str = "") -> None:
@@ -121,11 +123,14 @@ def _numbers(file: MapFile, name: str, shape: tuple[int, ...]) -> Floats:
 
 def _modes(file: MapFile) -> tuple[PoseMode, ...]:
     scenes = [str(name) for name in file.meta["scenes"]]
+    probabilities = file.array("mode_probabilities", "<f8")
+    if not ((probabilities >= 0.0).all() and probabilities.sum() <= 1.0 + _ROUNDING):
+        raise ValueError("the probabilities of its modes are none")
     rows = zip(
         _matrices(file, "mode_matrices", len(scenes)),
         _numbers(file, "mode_poses", (len(scenes), 4)),
         _numbers(file, "mode_covariances", (len(scenes), 6, 6)),
-        file.array("mode_probabilities", "<f8").tolist(),
+        probabilities.tolist(),
         scenes,
         _matrices(file, "mode_scene_matrices", len(scenes)),
         strict=True,

@@ -23,7 +23,7 @@ from placegraph.view.draw.canvas import (
     Text,
     in_painters_order,
 )
-from placegraph.view.draw.clip import dashes
+from placegraph.view.draw.clip import clip_line, dashes
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.style import CASED, PAINTS, PALETTE, Paint
 
@@ -155,7 +155,8 @@ class _Painter:
         dash: tuple[float, float] | None = None,
     ) -> None:
         if dash and min(dash) >= SUPERSAMPLE:
-            for piece in dashes(points, *dash):
+            seen = (0.0, 0.0, float(self.frame.width), float(self.frame.height))
+            for piece in (p for part in clip_line(points, seen) for p in dashes(part, *dash)):
                 self.draw.line(piece.ravel().tolist(), color, round(width))
             return
         self.draw.line(points.ravel().tolist(), color, round(width), joint="curve")

@@ -10,6 +10,7 @@ import numpy as np
 from placegraph.estimate import Status
 from placegraph.view.city.estimate_items import SIGMAS
 from placegraph.view.draw.canvas import Disc, Item, Mark, Stroke, Swarm, Text
+from placegraph.view.scene.plan_layout import evenly
 
 if TYPE_CHECKING:
     from placegraph.estimate import PoseEstimate, PoseMode
@@ -31,6 +32,8 @@ VERDICTS = ("for", "against")
 """Verdicts that are drawn; each is also the name of its colour."""
 OPENING = 1.1
 """Horizontal field of view where the camera is not known [rad]."""
+MOST_FRAMES = 5000
+"""Of a longer way some are left out."""
 
 
 def levels(poses: Floats, weights: Floats) -> Floats:
@@ -116,9 +119,10 @@ def way(
     map_from_camera: Floats, color: str, *, width: float = 2.0, looks: float = 0.0
 ) -> list[Mark]:
     """A way (T, 4, 4) through the map: a line with a dot, and where it looks `looks` [m], a frame."""
-    at = map_from_camera[:, :2, 3]
+    shown = map_from_camera[evenly(len(map_from_camera), MOST_FRAMES)]
+    at = shown[:, :2, 3]
     marks: list[Mark] = [Stroke(at, color, width)] if len(at) > 1 else []
-    for matrix in map_from_camera:
+    for matrix in shown:
         forward = matrix[:2, 2] / max(float(np.hypot(*matrix[:2, 2])), 1e-6)
         if looks:
             ends = np.stack([matrix[:2, 3], matrix[:2, 3] + looks * forward])

@@ -2,6 +2,7 @@
 
     placegraph-lab table reliability --minutes 5
     placegraph-lab table reliability --only fuzz --minutes 240 --seed 7
+    placegraph-lab table reliability --only fuzz,platforms --names ".run; one core"
     placegraph-lab table reliability --minutes 0 --also elsewhere.json
     placegraph-lab table reliability --minutes 0 --mended "fuzz/glTF/3; fuzz/.run/8"
 
@@ -48,6 +49,9 @@ def reliability(
         str,
         option("Rows whose faults are mended, each with a test; with semicolons: PART/WHAT/SEED."),
     ] = "",
+    names: Annotated[
+        str, option("Rows of fuzz and platforms that are wanted, with semicolons; all by default.")
+    ] = "",
     *,
     quick: Quick = False,
     fresh: Annotated[bool, option("Forget what was written down of these parts.")] = False,
@@ -56,12 +60,12 @@ def reliability(
     wanted, path = known(parts(only), PARTS, "part"), run.out or LAB / "results/reliability.json"
     now = [row for name in parts(also) for row in written(Path(name))]
     dropped = set(wanted) if fresh else set()
-    names = {name.strip() for name in mended.split(";")} - {""}
+    healed, asked = ({n.strip() for n in told.split(";")} - {""} for told in (mended, names))
 
     def save() -> None:
         rows = merged(written(path), now, dropped)  # others may have written meanwhile
         try:
-            rows = mend(rows, names)
+            rows = mend(rows, healed)
         except KeyError as error:
             raise BadParameter(f"{error} is no row with faults") from None
         run.save({"rows": [r.to_dict() for r in rows]})
@@ -71,11 +75,11 @@ def reliability(
     for part in wanted if seconds else ():
         with tempfile.TemporaryDirectory(prefix=f"placegraph-{part}-") as name:
             run.say(f"{part}, seed {seed}, {seconds / 60:g} minutes")
-            effort = Effort(seconds, seed, Path(name), run.data, run.say)
+            effort = Effort(seconds, seed, Path(name), run.data, run.say, asked)
             for row in import_module(f"placegraph_lab.campaign.{part}").rows(effort):
                 now.append(row)
                 save()
-    if (now or names) and not seconds:
+    if (now or healed) and not seconds:
         save()
     rows = written(path)
     if run.out is None and not quick:
