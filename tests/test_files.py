@@ -8,6 +8,10 @@ import pytest
 from placegraph import files, locks
 from placegraph.errors import InputError, MapError, MapLockedError
 from placegraph.files import put, regular, write_file
+from placegraph.indoor.encode.confusion import Confusion
+from placegraph.indoor.encode.network import ImageNetwork
+from placegraph.indoor.encode.scenegraphloc.features import read_attributes
+from placegraph.indoor.library.scenes import digest_of
 
 
 def test_a_file_takes_the_place_of_the_old_one(tmp_path):
@@ -118,3 +122,15 @@ def test_a_folder_that_is_lost_meanwhile_leaves_the_first_error(tmp_path, monkey
     monkeypatch.undo()
     write_file(path, [b"new"])
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_no_reader_of_weights_words_or_maps_reads_a_device(tmp_path):
+    for read, ending in (
+        (read_attributes, ".txt"),
+        (Confusion.open, ".csv"),
+        (ImageNetwork, ".tflite"),
+        (digest_of, ".scene"),
+    ):
+        (tmp_path / f"a{ending}").symlink_to("/dev/null")  # as /dev/zero, but it ends
+        with pytest.raises(InputError, match="is not a plain file"):
+            read(tmp_path / f"a{ending}")

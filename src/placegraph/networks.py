@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +46,7 @@ def load_file(torch: Any, path: Path) -> Any:  # noqa: ANN401
     All of it is read, and nothing mapped: another process that cuts the file short would end this one.
     Raises whatever PyTorch's parsers do.
     """
-    return torch.load(path, map_location="cpu", weights_only=True)
+    return torch.load(regular(path), map_location="cpu", weights_only=True)
 
 
 def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: ANN401

@@ -163,13 +163,44 @@ def test_no_shards(tmp_path):
     ],
 )
 def test_a_head_that_is_forged(shards, tmp_path, change, told):
-    folder = shards.shards[0].folder
-    for file in folder.glob("*.shard"):
-        (tmp_path / file.name).write_bytes(file.read_bytes())
+    folder = copied(shards, tmp_path)
     head = store.read_map(folder / "usual.shard", "shard", 1)
     store.write_map(tmp_path / "usual.shard", "shard", 1, head.meta | change, head.arrays)
     with pytest.raises(MapError, match=told):
         SceneShards.open(tmp_path)
+
+
+@pytest.mark.parametrize("value", [-1e30, np.nan, np.inf])
+@pytest.mark.parametrize("column", ["text_much", "text_label_counts"])
+def test_usual_texts_that_are_forged(column, value, shards, tmp_path):
+    folder = copied(shards, tmp_path)
+    head = store.read_map(folder / "usual.shard", "shard", 1)
+    numbers = head.arrays[column].copy()
+    numbers[0] = value
+    store.write_map(folder / "usual.shard", "shard", 1, head.meta, head.arrays | {column: numbers})
+    with pytest.raises(MapError, match="contradict"):
+        SceneShards.open(folder)
+
+
+@pytest.mark.parametrize(
+    ("column", "told"),
+    [("earth", b"[{"), ("earth", b'[{"a": 1}]'), ("earth", b"1"), ("paths", b"a\0b")],
+)
+def test_what_a_shard_tells_of_a_scene_may_be_forged(column, told, shards, tmp_path):
+    folder = copied(shards, tmp_path)
+    path = folder / "00000.shard"
+    held = store.read_map(path, "shard", 1)
+    starts = np.minimum(np.arange(SCENES + 1), 1) * len(told)
+    forged = {column: np.frombuffer(told, np.uint8), f"{column}_starts": starts}
+    store.write_map(path, "shard", 1, held.meta, held.arrays | forged)
+    with pytest.raises(MapError):
+        getattr(SceneShards.open(folder), column.rstrip("s"))(0)
+
+
+def copied(shards, folder):
+    for file in shards.shards[0].folder.glob("*.shard"):
+        (folder / file.name).write_bytes(file.read_bytes())
+    return folder
 
 
 def test_two_scenes_of_one_name_and_an_older_write(signatures, tmp_path):

@@ -3,12 +3,21 @@
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
-from placegraph.errors import InputError
-from placegraph.view.draw.sheet import Sheet
+from placegraph.errors import InputError, OptionError
+from placegraph.view.draw.sheet import Sheet, write_image
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full: a disk without room")
 def test_a_full_disk_is_told_with_the_name_of_the_file():
     with pytest.raises(InputError, match="/dev/full"):
         Sheet(40, 30).save("/dev/full")
+
+
+@pytest.mark.parametrize(("name", "form"), [("plan.JPG", "PNG"), ("plan.png", "GIF")])
+def test_the_ending_of_another_kind_of_picture_is_refused(name, form, tmp_path):
+    with pytest.raises(OptionError, match=f"{name}.* end in .{form.lower()}"):
+        write_image(Image.new("RGB", (4, 3)), tmp_path / name, form)
+    assert not list(tmp_path.iterdir())
+    write_image(Image.new("RGB", (4, 3)), tmp_path / "plan", form)

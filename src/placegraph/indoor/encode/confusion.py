@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.files import put
+from placegraph.files import put, regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.indoor.encode.words import spelled
 
@@ -201,7 +201,8 @@ def _from_json(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
 
 def _from_csv(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
     try:
-        rows = [row for row in csv.reader(path.read_text(encoding="utf-8-sig").splitlines()) if row]
+        text = regular(path).read_text(encoding="utf-8-sig")
+        rows = [row for row in csv.reader(text.splitlines()) if row]
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; name a .csv or .json file.") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from placegraph.errors import InputError, MissingExtraError
+from placegraph.files import regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -144,7 +145,7 @@ class ImageNetwork:
 
 def _loaded(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpreter
     try:
-        content = path.read_bytes()
+        content = regular(path).read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; name a .tflite file.") from error
     except OSError as error:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import InputError, MapError, OptionError
+from placegraph.files import regular
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import TextIndex
 from placegraph.indoor.library.answer import evidence
@@ -290,7 +291,7 @@ class Scenes:
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal; `InputError` where they cannot be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return hashlib.sha256(regular(path).read_bytes()).hexdigest()
     except OSError as error:
         raise InputError(
             f"{path} cannot be read any more ({error.strerror}); bring it back."

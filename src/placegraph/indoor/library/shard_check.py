@@ -96,6 +96,14 @@ def _check_texts(c: Columns) -> None:
     ascending = np.array_equal(np.unique(c.scene), np.arange(c.scenes))
     if lengths != {0} or not ascending or (np.diff(c.scene) < 0).any():
         raise ValueError("columns of texts are of different lengths")
+    for numbers, least in (
+        (c.of_labels.counts, 0),
+        (c.of_triples.counts, 0),
+        (c.much, 1),
+        (c.rooms, 0),
+    ):
+        if not ((numbers >= least) & (numbers < np.inf)).all():
+            raise ValueError("numbers of texts")
     for name, rows, many in zip(
         ("subjects", "relations", "targets"), c.triples.T,
         (len(c.labels), len(c.relations), len(c.labels)), strict=True,

@@ -21,6 +21,7 @@ import numpy as np
 
 from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
+from placegraph.files import real_path
 from placegraph.indoor.language import score
 from placegraph.indoor.language.score import compared, of_scenes
 from placegraph.indoor.library.answer import evidence
@@ -153,12 +154,13 @@ class SceneShards(Asked):
     def path(self, row: int) -> Path | None:
         """Map file of a scene, None where there is none."""
         told, (shard, _) = self._string(row, "paths"), self._at(row)
-        return (shard.folder / told).resolve() if told else None
+        return real_path(shard.folder / told) if told else None
 
     def earth(self, row: int) -> tuple[EarthPose, ...]:
         """Where a scene stands: one a candidate, likeliest first."""
-        told = json.loads(self._string(row, "earth") or "[]")
-        return tuple(EarthPose.from_dict(p) for p in told)
+        with sound(self._at(row)[0].folder, MEND):
+            told = json.loads(self._string(row, "earth") or "[]")
+            return tuple(EarthPose.from_dict(p) for p in told)
 
     def map(self, row: int) -> SceneMap:
         """Map of a scene; raises as `Scenes.scene`."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
+from placegraph.errors import OptionError
 from placegraph.files import put
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.painter import SUPERSAMPLE, heat, likely
@@ -15,11 +17,11 @@ from placegraph.view.draw.style import PALETTE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     from placegraph.geometry import Floats
 
 XY = tuple[float, float]
+FORMS = {".png", ".gif", ".jpg", ".jpeg", ".webp"}
 
 
 class Sheet:
@@ -195,7 +197,13 @@ class Sheet:
 
 
 def write_image(image: Image.Image, path: str | Path, form: str, **options: Any) -> Path:  # noqa: ANN401  # Pillow's
-    """Write a picture, whole or not at all; `InputError` where it cannot be written."""
+    """Write a picture, whole or not at all.
+
+    Raises `InputError` where it cannot be written, `OptionError` where it is named as of another form.
+    """
+    own = f".{form.lower()}"
+    if Path(path).suffix.lower() in FORMS - {own}:
+        raise OptionError(f"{path} would hold a {form}; let its name end in {own}.")
     written = BytesIO()
     image.save(written, form, **options)
     return put(path, written.getvalue())

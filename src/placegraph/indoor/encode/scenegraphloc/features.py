@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import regular
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
 
 if TYPE_CHECKING:
@@ -159,9 +160,9 @@ def read_attributes(path: str | PathLike[str]) -> tuple[str, ...]:
     or names a word twice.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = regular(Path(path)).read_text(encoding="utf-8")
         listed = json.loads(text) if text.lstrip().startswith("[") else text.splitlines()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: no list of attributes ({str(error)[:100]}); give a text file, a word a line."
         ) from error

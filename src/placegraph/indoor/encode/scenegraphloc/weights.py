@@ -18,7 +18,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from placegraph.errors import InputError, OptionError
-from placegraph.files import write_file
+from placegraph.files import regular, write_file
 from placegraph.indoor.encode.scenegraphloc.network import SceneGraphLoc
 from placegraph.indoor.encode.scenegraphloc.widths import Widths
 from placegraph.networks import load_file
@@ -68,7 +68,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
 def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
     try:
-        path.open("rb").close()
+        regular(path).open("rb").close()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; {mend}.") from error
     if path.suffix == ".safetensors":
