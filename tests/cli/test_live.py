@@ -12,8 +12,7 @@ import pytest
 from tests.ros.world import FRAMES, START, made
 
 import placegraph as pg
-from placegraph.cli.keys import ending, keys
-from placegraph.cli.live import live
+from placegraph.cli.live import ending, keys, live
 from placegraph.errors import InputError
 from placegraph.formats.ros.files.bag import open_bag
 from placegraph.ros.pace import Pace

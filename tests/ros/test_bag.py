@@ -11,11 +11,11 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.formats.mesh.glb import read_glb
 from placegraph.geometry import Camera
 from placegraph.ros.bag import BagWriter
-from placegraph.ros.estimate import estimate_messages
 from placegraph.ros.image import image_messages
 from placegraph.ros.map import map_messages
 from placegraph.ros.message import Message
 from placegraph.ros.pose import rig_message
+from placegraph.ros.telling import estimate_messages
 
 HEAD = {"header": {"stamp": {"sec": 3}, "frame_id": "here"}}
 EMPTY = Message("empty", "std_msgs/msg/Header", 3.0, HEAD["header"])

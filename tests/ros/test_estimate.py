@@ -3,8 +3,8 @@ import pytest
 
 from placegraph.estimate import PassRecord, PoseEstimate, Status
 from placegraph.geometry import rotation_from_quaternion, vector_from_rotation
-from placegraph.ros.estimate import estimate_messages, particles
 from placegraph.ros.pose import UPRIGHT_BASE, based
+from placegraph.ros.telling import estimate_messages, particles
 
 
 def by_topic(messages):

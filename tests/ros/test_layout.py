@@ -30,8 +30,8 @@ def test_every_setting_is_one_that_foxglove_knows():
 
 
 def test_every_topic_is_one_that_is_written(estimate, scene):
-    from placegraph.ros.estimate import estimate_messages
     from placegraph.ros.map import map_messages
+    from placegraph.ros.telling import estimate_messages
 
     written = [*map_messages(scene, 1.0), *estimate_messages(estimate(), 1.0)]
     topics = {f"/{message.topic}" for message in written}

@@ -16,8 +16,7 @@ from placegraph.formats.ros.types import typestore
 from placegraph.ros import node as ros_node
 from placegraph.ros.inbox import NEWEST, Inbox
 from placegraph.ros.localizer import Localizer
-from placegraph.ros.node import LocalizerNode, Ros, main
-from placegraph.ros.node_options import PARAMETERS
+from placegraph.ros.node import PARAMETERS, LocalizerNode, Ros, main
 from placegraph.ros.sources import bag_source
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros" / "placegraph_ros"

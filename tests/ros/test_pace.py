@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from placegraph.cli.keys import pressed
+from placegraph.cli.live import pressed
 from placegraph.errors import OptionError
 from placegraph.ros.pace import Pace
 from placegraph.ros.sources import Patience

@@ -5,11 +5,11 @@ from placegraph.errors import OptionError
 from placegraph.estimate import Status
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
-from placegraph.ros.estimate import estimate_messages
 from placegraph.ros.image import image_messages
 from placegraph.ros.map import map_messages
 from placegraph.ros.pose import rig_message
 from placegraph.ros.rerun import RerunWriter
+from placegraph.ros.telling import estimate_messages
 
 pytest.importorskip("rerun", reason="needs the extra rerun, 163 MB")
 

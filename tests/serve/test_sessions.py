@@ -8,7 +8,7 @@ import pytest
 from placegraph.errors import RequestError
 from placegraph.serve.options import ServeOptions
 from placegraph.serve.schema import Begin, Step
-from placegraph.serve.sessions import Sessions
+from placegraph.serve.server import Sessions
 
 SAID = "A bakery is north of me. The church is east of the bakery."
 

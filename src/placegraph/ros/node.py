@@ -9,24 +9,27 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import MissingExtraError, OptionError, PlacegraphError
 from placegraph.formats.ros.discovery import WANTED
 from placegraph.formats.ros.packets import Packet, is_static
+from placegraph.formats.ros.wishes import wishes_of
 from placegraph.maps import open_rooms
 from placegraph.ros.encode import cdr
 from placegraph.ros.inbox import Inbox
 from placegraph.ros.localizer import Localizer
 from placegraph.ros.loop import run
-from placegraph.ros.node_options import PARAMETERS, beside, options_of, wishes_of_parameters
 from placegraph.ros.node_services import Services
+from placegraph.ros.options import LiveOptions, mode_of
 from placegraph.ros.telling import STATUS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from placegraph.formats.ros.wishes import Wishes
     from placegraph.ros.message import Message
 
 NAME = "placegraph_localizer"
@@ -243,3 +246,48 @@ def main(args: Sequence[str] | None = None) -> int:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+TOPICS = ("colour", "depth", "camera", "depth_camera", "odometry", "imu", "frame")
+PARAMETERS: dict[str, Any] = {
+    "map": "",
+    "mode": "continuous",
+    "map_frame": "map",
+    "base_frame": "",
+    "transform_tolerance": 0.1,
+    "publish_tf": True,
+    "topics": "",
+    **dict.fromkeys(TOPICS, ""),
+    "seed": 0,
+    "device": "auto",
+}
+"""`config/localizer.yaml` of the package says what each means."""
+
+
+def options_of(given: Mapping[str, Any]) -> LiveOptions:
+    """How the localizer works by the parameters; `OptionError` where one is out of its range."""
+    tolerance = given["transform_tolerance"]
+    if type(tolerance) not in {int, float}:
+        raise OptionError(f"transform_tolerance is {tolerance!r}; it is seconds, such as 0.1.")
+    return LiveOptions(
+        mode=mode_of(given["mode"]),
+        map_frame=given["map_frame"].lstrip("/"),
+        base_frame=given["base_frame"].lstrip("/"),
+        tolerance=tolerance,
+        whole=False,
+        seed=given["seed"],
+    )
+
+
+def beside(given: Mapping[str, Any], name: str) -> Path:
+    """What the stream is called: the file `topics` without its ending, or a name."""
+    return Path(given["topics"].removesuffix(".json") or name)
+
+
+def wishes_of_parameters(given: Mapping[str, Any], name: str) -> Wishes:
+    """What is said of topics, by the parameters and by the file `topics` (NAME.json if not given).
+
+    The file is as one beside a bag; empty parameters say nothing. Raises `InputError` of its content.
+    """
+    said = {role: given[role] for role in TOPICS if given[role]}
+    return wishes_of(beside(given, name), said)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+from html import escape
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response, WebSocket
-from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from starlette.routing import WebSocketRoute
+from starlette.websockets import WebSocketDisconnect, WebSocketState
 
+from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve import metrics
-from placegraph.serve.listing import listing
-from placegraph.serve.live import live
 from placegraph.serve.oscp import version_of
-from placegraph.serve.schema import Begin, Localize, Locate, Step
+from placegraph.serve.problem import problem
+from placegraph.serve.schema import Begin, Live, Localize, Locate, Step
 from placegraph.serve.server import response_of
 from placegraph.serve.uploads import uploaded
+from placegraph.serve.worker import dumped
 
 if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+    from placegraph.serve.lanes import Lane
     from placegraph.serve.server import Server
 
 _FORM = {
@@ -151,3 +160,112 @@ def _add_sessions(app: FastAPI, server: Server) -> None:
     async def follow(socket: WebSocket, session: str) -> None:
         """The steps of a session: messages as bodies of POST, answered one after the other."""
         await sessions.follow(socket, session)
+
+
+_HEAD = """<!doctype html><html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width"><title>placegraph: what can be asked</title>
+<style>:root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;
+margin:2rem auto;padding:0 1rem}table{border-collapse:collapse}td,th{text-align:left;vertical-align:top;
+padding:.2rem 1rem .2rem 0;border-bottom:1px solid #8884}code{font-size:.9em}</style>
+<h1>What can be asked</h1><p>The same for programs: <a href="openapi.json">openapi.json</a>. Errors are
+<code>application/problem+json</code> (RFC 9457) with <code>detail</code>, <code>mend</code> and
+<code>code</code>. Where the server has keys, send <code>Authorization: Bearer KEY</code>.</p>
+"""
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'",
+}
+
+
+def listing(app: FastAPI) -> HTMLResponse:
+    """The page, of the routes that the application has."""
+    told = app.openapi()
+    schemas = told.get("components", {}).get("schemas", {})
+    parts = [_HEAD]
+    for path, methods in told["paths"].items():
+        for method, what in methods.items():
+            parts += [f"<h2><code>{method.upper()} {escape(path)}</code></h2>"]
+            parts += [f"<p>{escape(what.get('description') or what.get('summary', ''))}</p>"]
+            parts += _fields(what, schemas)
+    for route in app.routes:
+        if isinstance(route, WebSocketRoute):
+            said = (route.endpoint.__doc__ or "").strip()
+            parts += [f"<h2><code>WS {escape(route.path)}</code></h2><p>{escape(said)}</p>"]
+    return HTMLResponse("".join(parts), headers=_HEADERS)
+
+
+def _fields(what: dict[str, Any], schemas: dict[str, Any]) -> list[str]:
+    """Tables of the parameters, and of the body by its type."""
+    rows = {
+        p["name"]: p["schema"] | {"description": p.get("description", "")}
+        for p in what.get("parameters", [])
+    }
+    out = [_table(f"in the {what['parameters'][0]['in']}", rows)] if rows else []
+    for kind, content in what.get("requestBody", {}).get("content", {}).items():
+        schema = _resolved(content["schema"], schemas)
+        out.append(_table(f"body, {kind}", schema.get("properties", {})))
+        form = schema.get("properties", {}).get("request", {}).get("properties")
+        out += [_table("its field request, JSON", form)] if form else []
+    return out
+
+
+def _table(title: str, fields: dict[str, Any]) -> str:
+    rows = "".join(
+        f"<tr><td><code>{escape(name)}</code></td><td>{escape(_kind(schema))}</td>"
+        f"<td>{escape(schema.get('description', ''))}</td></tr>"
+        for name, schema in fields.items()
+    )
+    return f"<table><tr><th>{escape(title)}</th><th>type</th><th></th></tr>{rows}</table>"
+
+
+def _kind(schema: dict[str, Any]) -> str:
+    some = schema.get("anyOf") or [schema]
+    kinds = (s.get("type") or s.get("$ref", "").rpartition("/")[2] for s in some)
+    return " or ".join(kind for kind in kinds if kind != "null")
+
+
+def _resolved(schema: dict[str, Any], schemas: dict[str, Any]) -> dict[str, Any]:
+    name = schema.get("$ref", "").rpartition("/")[2]
+    found: dict[str, Any] = schemas.get(name, schema)
+    return found
+
+
+LONGEST = 1 << 16
+"""Characters of a message."""
+
+
+async def live(socket: WebSocket, lane: Lane) -> None:
+    """Answer what is typed until the socket is closed."""
+    await socket.accept()
+    running: asyncio.Task[None] | None = None
+    try:
+        while True:
+            text = await socket.receive_text()
+            if running is not None:
+                running.cancel()
+            running = asyncio.create_task(_answer(socket, lane, text))
+    except (WebSocketDisconnect, KeyError):  # gone, or bytes, which nothing here sends
+        pass
+    finally:
+        if running is not None:
+            running.cancel()
+
+
+async def _answer(socket: WebSocket, lane: Lane, text: str) -> None:
+    number: int | str | None = None
+    try:
+        asked = _asked(text)
+        number = asked.id
+        body, trouble = await lane.ask("locate", asked.model_dump(exclude={"id"}))
+    except PlacegraphError as error:
+        body, trouble = None, problem(error)
+    head = json.dumps(number)
+    told = f'"result":{body.decode()}' if body else f'"problem":{dumped(trouble).decode()}'
+    if socket.client_state is WebSocketState.CONNECTED:
+        await socket.send_text(f'{{"id":{head},{told}}}')
+
+
+def _asked(text: str) -> Live:
+    if len(text) > LONGEST:
+        raise RequestError(f"message: {len(text)} characters; send at most {LONGEST}.", status=413)
+    return Live.read(text, "message")

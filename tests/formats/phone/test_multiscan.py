@@ -10,7 +10,7 @@ import pytest
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.phone.deflated import Deflated
+from placegraph.formats.phone.multiscan import Deflated
 from placegraph.geometry import Camera
 
 write_video = pytest.importorskip("tests.formats.video", reason="needs OpenCV").write_video

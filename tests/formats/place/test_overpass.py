@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
-from placegraph.formats.place import nominatim, overpass, overpass_answer, services
+from placegraph.formats.place import nominatim, overpass, services
 from placegraph.formats.place.osm import AREA, NODE, POINT, RELATION, WAY, read_osm
 from placegraph.formats.place.overpass import FetchSummary
 from placegraph.outdoor.city import build_city
@@ -250,7 +250,7 @@ def test_progress_is_told(servers, out):
     steps = []
     servers.answers = [(429, b""), (200, TOWN)]
     fetch_osm("Mühlenend", out, progress=lambda *step: steps.append(step))
-    assert steps == [("finding", 0), ("downloading", 0), ("waiting", overpass_answer.PAUSES[0]),
+    assert steps == [("finding", 0), ("downloading", 0), ("waiting", overpass.PAUSES[0]),
                      ("downloading", 0), ("downloading", len(TOWN)), ("writing", 0)]  # fmt: skip
 
 
@@ -264,9 +264,7 @@ def test_old_file_is_replaced(out):
 def test_a_busy_server_is_asked_again(servers, out):
     servers.answers = [(429, HTML), (504, HTML), (200, TOWN)]
     fetch_osm("Mühlenend", out)
-    assert [p for p in servers.pauses if p in overpass_answer.PAUSES] == list(
-        overpass_answer.PAUSES
-    )
+    assert [p for p in servers.pauses if p in overpass.PAUSES] == list(overpass.PAUSES)
     assert len(raw(out)) == 31
 
 
@@ -277,7 +275,7 @@ def test_a_server_that_stays_busy(servers, out):
     assert "Dispatcher_Client" in said
     assert "--overpass-url" in said
     assert "<" not in said
-    assert len(servers.asked) == 2 + len(overpass_answer.PAUSES)
+    assert len(servers.asked) == 2 + len(overpass.PAUSES)
 
 
 @pytest.mark.parametrize(
@@ -334,7 +332,7 @@ def test_server_does_not_answer(out, service, monkeypatch):
     import osmnx as ox
 
     monkeypatch.setattr(ox.settings, "requests_timeout", 0.2)
-    monkeypatch.setattr(overpass_answer, "SLOT", 0)
+    monkeypatch.setattr(overpass, "SLOT", 0)
     with socket.create_server(("127.0.0.1", 0)) as mute:  # accepts, and says nothing
         setattr(ox.settings, f"{service}_url", f"http://127.0.0.1:{mute.getsockname()[1]}")
         said = failure(ServiceError, out)
@@ -483,7 +481,7 @@ def test_any_tags_and_ids_survive(tmp_path_factory, nodes, ways):
     folder = tmp_path_factory.mktemp("copy")
     answer, target = folder / "answer.osm", folder / "town.osm.pbf"
     answer.write_bytes(HEAD + "\n".join(lines).encode() + b"\n</osm>\n")
-    counts = overpass_answer.copied(answer, target, lambda _step, _n: None)
+    counts = overpass.copied(answer, target, lambda _step, _n: None)
     assert dict(counts) == {k: len(v) for k, v in (("n", nodes), ("w", ways)) if v}
     assert raw(target) == {
         **{("n", n): (tags, (-9.7654321, 47.1234567)) for n, tags in nodes.items()},

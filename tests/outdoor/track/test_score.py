@@ -6,7 +6,7 @@ from tests.outdoor.search.test_viewpoints import QUERIES
 
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.viewpoints import FINE
-from placegraph.outdoor.track.score import MOST_SCORED, score
+from placegraph.outdoor.track.stop import MOST_SCORED, score
 
 
 @pytest.mark.parametrize("name", QUERIES)

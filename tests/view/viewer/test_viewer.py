@@ -11,7 +11,7 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.view.viewer import viewer_run
+from placegraph.view.viewer import viewer as showing
 from placegraph.view.viewer.viewer import open_viewer
 
 pytest.importorskip("viser", reason="needs viser: pip install 'placegraph[view]'")
@@ -149,14 +149,14 @@ def test_the_slider_goes_through_frames_and_passes(viewer, run):
 
 
 def test_play_ends_with_the_last_step(viewer, monkeypatch):
-    monkeypatch.setattr(viewer_run, "PAUSE", 0.0)
+    monkeypatch.setattr(showing, "PAUSE", 0.0)
     viewer.run.play()
     assert viewer.run.slider.value == 5
     assert "pass 2 of 2, stride 8, frame 2" in viewer.run.said.content
 
 
 def test_many_particles_are_thinned(scene, monkeypatch, run):
-    monkeypatch.setattr(viewer_run, "MOST", 10)
+    monkeypatch.setattr(showing, "MOST", 10)
     with open_viewer(scene, run=run, port=free_port()) as opened:
         assert len(opened.run.cloud.points) == 10
 

@@ -290,7 +290,7 @@ def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
     """Download an answer of Overpass, and write it as PBF."""
     import osmnx as ox
 
-    from placegraph.formats.place.overpass_answer import copied, download
+    from placegraph.formats.place.overpass import copied, download
     from placegraph_lab.campaign.answers import answering
 
     answer = bench.file("answer.osm")

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import bz2
 import os
 import re
+import sqlite3
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from placegraph.errors import InputError, MissingExtraError
-from placegraph.formats.ros.files.databases import read_database
+from placegraph.files import regular
 from placegraph.formats.ros.files.mcap import read_mcap
-from placegraph.formats.ros.files.rosbag1 import read_rosbag1
-from placegraph.formats.ros.files.storage import Topic, joined
+from placegraph.formats.ros.files.storage import Chunk, File, Messages, Part, Topic, joined
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from rosbags.rosbag1 import Reader
 
 ENDINGS = (".mcap", ".db3", ".bag")
 _OF_FOLDERS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -150,3 +155,73 @@ def _metadata(path: Path) -> dict[str, Any]:
     if not isinstance(said, dict):
         raise InputError(f"{path} is damaged; run `ros2 bag reindex`.")
     return said
+
+
+def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list[Part]:
+    """Messages of a database by topic; `packed`: each is compressed by zstd.
+
+    Where it is damaged it is read as far as it goes, of which `notes` is told. Raises `InputError`
+    where it is no such database, or holds no message.
+    """
+    base = Messages(path, packed=packed)
+    try:
+        topics = base.select("id, name, type, serialization_format", "topics").fetchall()
+    except (sqlite3.Error, ValueError) as error:
+        raise InputError(f"{path} is no rosbag2 database ({error}); copy the bag again.") from error
+    rows: list[tuple[int, int, int]] = []
+    whole = "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
+    try:
+        rows.extend(base.select("topic_id, timestamp, id", "messages", whole))
+    except (sqlite3.Error, ValueError) as error:
+        notes.append(
+            f"{path.name}: the database is damaged ({error}); it is read as far as it goes."
+        )
+    if not rows:
+        raise InputError(f"{path} holds no message; record again.")
+    table = np.array(rows, np.int64)
+    parts = []
+    for number, name, kind, encoding in topics:
+        mine = table[table[:, 0] == number]
+        zeros = np.zeros(len(mine), np.int64)
+        parts.append(
+            Part(str(name), str(kind), str(encoding), mine[:, 1], (base,), zeros, mine[:, 2])
+        )
+    return parts
+
+
+def read_rosbag1(path: Path) -> list[Part]:
+    """Messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
+    from rosbags.rosbag1 import Reader
+
+    regular(path)
+    try:
+        with Reader(path) as reader:
+            parts = _parts(path, reader)
+    except Exception as error:  # at damaged bytes it raises whatever they lead to, assertions too
+        why = str(error) or "its index is damaged"
+        raise InputError(
+            f"{path} cannot be read as a bag of ROS 1 ({why}); `rosbag reindex` mends one that was not "
+            "closed, else copy it again."
+        ) from error
+    if not any(len(part.times) for part in parts):
+        raise InputError(f"{path} holds no message; record again.")
+    return parts
+
+
+def _parts(path: Path, reader: Reader) -> list[Part]:
+    from lz4.frame import decompress as lz4
+
+    file, packings = File(path), {bz2.decompress: "bz2", lz4: "lz4"}
+    chunks = tuple(
+        Chunk(file, c.datapos, c.datasize, packings.get(c.decompressor, ""), rosbag1=True)
+        for c in reader.chunks.values()
+    )
+    row_of = {pos: row for row, pos in enumerate(reader.chunks)}
+    parts = []
+    for connection in reader.connections:
+        index = reader.indexes[connection.id]
+        rows = np.array([(e.time, row_of[e.chunk_pos], e.offset) for e in index], np.int64)
+        times, which, offsets = rows.reshape(-1, 3).T
+        name, kind = connection.topic, connection.msgtype
+        parts.append(Part(name, kind, "ros1", times, chunks, which, offsets))
+    return parts
