@@ -44,16 +44,6 @@ def test_the_same_estimate_gives_the_same_bytes(city, sure, tmp_path):
     assert one == write_picture(city, sure, tmp_path / "two.png", size=(400, 400)).read_bytes()
 
 
-def test_a_dark_picture_is_dark(city, sure, tmp_path):
-    brightness = []
-    for dark in (False, True):
-        path = write_picture(city, sure, tmp_path / "here.png", size=(400, 400), dark=dark)
-        with Image.open(path) as image:
-            brightness.append(np.asarray(image.convert("L")).mean())
-    assert brightness[0] > 180
-    assert brightness[1] < 90
-
-
 def test_names_that_no_face_draws_do_no_harm(tmp_path):
     town = Town.parse("[drawing]\nB\n[legend]\nB: shop=bakery name=\U00012000\U00012001\n")
     city = build_city(town.write_osm(tmp_path / "one.osm"), tmp_path / "one.city")

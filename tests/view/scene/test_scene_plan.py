@@ -414,13 +414,6 @@ def test_the_same_estimate_gives_the_same_bytes(scene, tmp_path):
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-def test_a_dark_picture_is_dark(scene, tmp_path):
-    path = write_plan(
-        scene, CASES["coarse"], tmp_path / "a.png", dark=True, title="walk", width=400
-    )
-    assert pixels(path).mean() < 90
-
-
 def test_witnesses_are_things(plan):
     assert witnesses(plan, BEST) == [(5, "for"), (6, "against")], "walls are everywhere"
     stranger = mode(0, 0, 0, 1.0, evidence=refs((99, "for", 3.0), (5, "silent", 1.0)))

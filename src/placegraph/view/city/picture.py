@@ -46,7 +46,6 @@ def draw_city(
     *,
     size: tuple[int, int] = (1200, 900),
     bounds: Bounds | None = None,
-    dark: bool = False,
 ) -> Path:
     """Draw a city, or a rectangle of it, as a PNG.
 
@@ -60,8 +59,6 @@ def draw_city(
         Width and height [px].
     bounds
         West, south, east, north of what to show [m]; the whole city where not given.
-    dark
-        Whether to draw it for a dark page.
 
     Raises
     ------
@@ -71,8 +68,8 @@ def draw_city(
     """
     width, height = _checked(size)
     frame = Frame.around(bounds or city_bounds(city.objects), width, height - FOOT)
-    sheet = Sheet(width, height, dark=dark)
-    sheet.paste(paint_picture(_map(city, frame), frame, dark=dark, reduce=False), (0, 0))
+    sheet = Sheet(width, height)
+    sheet.paste(paint_picture(_map(city, frame), frame, reduce=False), (0, 0))
     _furniture(sheet, frame, (0, 0))
     sheet.text((12, height - FOOT / 2), city.source, 12, "soft-ink")
     sheet.text((width - 12, height - FOOT / 2), CREDIT, 12, "soft-ink", anchor="r")
@@ -85,7 +82,6 @@ def write_picture(
     path: str | Path,
     *,
     size: tuple[int, int] = (1200, 900),
-    dark: bool = False,
 ) -> Path:
     """Draw an estimate as a PNG: the best mode's surroundings, or the rivals where it is ambiguous.
 
@@ -99,8 +95,6 @@ def write_picture(
         Where to write.
     size
         Width and height [px].
-    dark
-        Whether to draw it for a dark page.
 
     Raises
     ------
@@ -109,7 +103,7 @@ def write_picture(
 
     """
     width, height = _checked(size)
-    sheet = Sheet(width, height, dark=dark)
+    sheet = Sheet(width, height)
     ambiguous = estimate.status is Status.AMBIGUOUS
     shown: list[Place | None] = list(rivals(estimate, MOST_PANELS if ambiguous else 1))
     if len(shown) in (0, 3):
@@ -121,7 +115,7 @@ def write_picture(
         left, right = (round((k % columns + side) * width / columns) for side in (0, 1))
         top, bottom = (round((k // columns + side) * room / rows) for side in (0, 1))
         right, bottom = right - 2 * (right < width), bottom - 2 * (bottom < room)
-        _panel(sheet, city, estimate, mode, (left, HEAD + top, right, HEAD + bottom), dark=dark)
+        _panel(sheet, city, estimate, mode, (left, HEAD + top, right, HEAD + bottom))
     _head(sheet, estimate, width)
     _foot(sheet, height)
     return sheet.save(path)
@@ -151,8 +145,6 @@ def _panel(
     estimate: CityEstimate,
     mode: Place | None,
     box: tuple[int, int, int, int],
-    *,
-    dark: bool,
 ) -> None:
     """Draw a mode and its surroundings, or the whole city."""
     left, top, right, bottom = box
@@ -163,7 +155,7 @@ def _panel(
     items = [*_map(city, frame, taken, skip), *marks]
     if heat := heat_of(city, estimate, frame.bounds, 2.0 / frame.scale):
         items.insert(0, heat)  # marks are laid in order: below the lettering
-    sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), (left, top))
+    sheet.paste(paint_picture(items, frame, reduce=False), (left, top))
     _furniture(sheet, frame, (left, top))
     if mode and estimate.status is Status.AMBIGUOUS:
         number = 1 + next(k for k, other in enumerate(estimate.modes) if other is mode)

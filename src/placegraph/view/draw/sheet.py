@@ -27,8 +27,8 @@ FORMS = {".png", ".gif", ".jpg", ".jpeg", ".webp"}
 class Sheet:
     """A sheet of paper to lay maps and their furniture on; drawn large and reduced when saved."""
 
-    def __init__(self, width: int, height: int, *, dark: bool = False) -> None:
-        self.width, self.height, self.dark = width, height, dark
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = width, height
         size = width * SUPERSAMPLE, height * SUPERSAMPLE
         self.image = Image.new("RGB", size, self._color("paper"))
         self.draw = ImageDraw.Draw(self.image, "RGBA")
@@ -192,7 +192,7 @@ class Sheet:
         self.draw.rounded_rectangle(large, radius, (*self._color("paper"), 235), width=0)
 
     def _color(self, name: str) -> tuple[int, int, int]:
-        red, green, blue = ImageColor.getrgb(PALETTE[name][self.dark])[:3]
+        red, green, blue = ImageColor.getrgb(PALETTE[name][0])[:3]
         return red, green, blue
 
 

@@ -42,7 +42,6 @@ def draw_anchors(
     footprints: Sequence[Footprint] = (),
     *,
     width: int = 1200,
-    dark: bool = False,
 ) -> Path:
     """Draw a map of one scene where it stands, as a PNG with north at the top.
 
@@ -71,9 +70,9 @@ def draw_anchors(
     bounds = _around(plan.bounds, marks)
     layout = Layout.of(bounds, [], width=width)
     frame = Frame.around(bounds, *layout.large)
-    sheet = Sheet(layout.width, layout.height, dark=dark)
-    room: list[Item] = [paint_room(plan, frame, dark=dark), *names(plan, frame, Taken())]
-    sheet.paste(paint_picture([*room, *marks], frame, dark=dark, reduce=False), (0, HEAD))
+    sheet = Sheet(layout.width, layout.height)
+    room: list[Item] = [paint_room(plan, frame), *names(plan, frame, Taken())]
+    sheet.paste(paint_picture([*room, *marks], frame, reduce=False), (0, HEAD))
     _told(sheet, scene.anchors)
     sheet.north((layout.width - 26.0, HEAD + 28.0))
     x, y = 14.0, sheet.height - FOOT / 2

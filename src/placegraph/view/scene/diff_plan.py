@@ -37,7 +37,6 @@ def write_diff(
     *,
     which: int = 0,
     width: int = 1200,
-    dark: bool = False,
 ) -> Path:
     """Draw what changed on the plan of the earlier map as a PNG.
 
@@ -56,8 +55,6 @@ def write_diff(
         Number of the scene in a merged map.
     width
         Of the picture [px].
-    dark
-        Whether to draw it for a dark page.
 
     Raises
     ------
@@ -67,17 +64,17 @@ def write_diff(
     """
     plan = RoomPlan(scene, which)
     layout = Layout.of(plan.bounds, [], width=width)
-    sheet = Sheet(layout.width, layout.height, dark=dark)
+    sheet = Sheet(layout.width, layout.height)
     frame = Frame.around(plan.bounds, *layout.large)
     rows = {id_: i for i, id_ in enumerate(scene.graph.ids)}
     marked = {rows[c.id]: COLOR[c.kind] for c in diff if c.id in rows and c.kind != "appeared"}
     marks = [mark for change in reversed(diff.changes) for mark in marks_of(plan, change, rows)]
     items: list[Item] = [
-        paint_room(plan, frame, dark=dark),
+        paint_room(plan, frame),
         *names(plan, frame, Taken(), marked),
         *marks,
     ]
-    sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), layout.large_corner)
+    sheet.paste(paint_picture(items, frame, reduce=False), layout.large_corner)
     counts = {kind: len(diff.of(kind)) for kind in ("moved", "appeared", "vanished", "relabelled")}
     said = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
     sheet.text((14, 22), said or "nothing changed", 14, "ink", room=sheet.width - 28)

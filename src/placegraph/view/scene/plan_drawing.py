@@ -60,8 +60,6 @@ class Drawing:
         truth: Floats | None,
         title: str | None,
         camera: Camera | None,
-        *,
-        dark: bool,
     ) -> None:
         best = estimate.best
         which = scene.scenes.index(best.scene) if best and best.scene in scene.scenes else 0
@@ -70,7 +68,6 @@ class Drawing:
         self.title = title
         self.truth = None if truth is None else np.asarray(truth, np.float64).reshape(-1, 4, 4)
         self.opening = opening_of(camera)
-        self.dark = dark
 
     def passes(self, sheet: Sheet, layout: Layout) -> None:
         """A row of panels for each pass; late passes are seen from nearer by."""
@@ -78,7 +75,7 @@ class Drawing:
             record = self.estimate.history[k]
             steps = evenly(len(record.steps), layout.columns)
             frame = self.near(record, layout.small)
-            room = paint_room(self.plan, frame, dark=self.dark)
+            room = paint_room(self.plan, frame)
             for column, step in enumerate(steps):
                 left, top = layout.corner(row, column)
                 sheet.paste(self.step(room, frame, record, step), (left, top))
@@ -111,7 +108,7 @@ class Drawing:
         if self.truth is not None:
             for matrix in self.truth[np.flatnonzero(self.estimate.frames == index)[:1]]:
                 items += ring(matrix, TRUTH, 9.0 / frame.scale)
-        return paint_picture(items, frame, dark=self.dark, reduce=False)
+        return paint_picture(items, frame, reduce=False)
 
     def result(self, frame: Frame) -> Image.Image:
         """Modes, the objects that spoke for or against the best one, and the way that was gone."""
@@ -136,9 +133,9 @@ class Drawing:
             marks += way(estimate.trajectory, color, width=2.4)
         for k in reversed(shown):
             marks += mode_marks(estimate, k, numbered=len(shown) > 1)
-        room = paint_room(self.plan, frame, dark=self.dark)
+        room = paint_room(self.plan, frame)
         items = [room, *names(self.plan, frame, taken, marked), *marks]
-        return paint_picture(items, frame, dark=self.dark, reduce=False)
+        return paint_picture(items, frame, reduce=False)
 
     @property
     def name(self) -> str:
@@ -187,7 +184,7 @@ class Drawing:
         """Pictures of an animation."""
         layout = Layout.of(self.plan.bounds, [], width=width)
         frame = Frame.around(self.plan.bounds, *layout.large)
-        room = paint_room(self.plan, frame, dark=self.dark)
+        room = paint_room(self.plan, frame)
         steps = [
             (k, step)
             for k, record in enumerate(self.estimate.history)
@@ -197,14 +194,14 @@ class Drawing:
         for k, step in (steps[i] for i in evenly(len(steps), MOST_MOVES)):
             record = self.estimate.history[k]
             index, poses, _ = record.steps[step]
-            sheet = Sheet(layout.width, layout.height, dark=self.dark)
+            sheet = Sheet(layout.width, layout.height)
             sheet.paste(self.step(room, frame, record, step), layout.large_corner)
             words = f"pass {k + 1} of {len(self.estimate.history)}, stride {record.stride:g}"
             sheet.text((14, 22), words, 14, "ink")
             sheet.text((14, 47), f"frame {index}, {len(poses):,} particles", 13, "soft-ink")
             self.foot(sheet, frame, particles=True, result=False)
             pictures.append(sheet.image.reduce(SUPERSAMPLE))
-        sheet = Sheet(layout.width, layout.height, dark=self.dark)
+        sheet = Sheet(layout.width, layout.height)
         sheet.paste(self.result(frame), layout.large_corner)
         self.head(sheet)
         self.foot(sheet, frame, particles=False)

@@ -48,7 +48,6 @@ def write_plan(
     title: str | None = None,
     camera: Camera | None = None,
     width: int | None = None,
-    dark: bool = False,
 ) -> Path:
     """Draw an estimate on the plan of its scene as a PNG.
 
@@ -72,8 +71,6 @@ def write_plan(
         Whose field of view is drawn; 63 degrees where not given.
     width
         Of the picture [px]; 1600 with several passes, else 1200 where not given.
-    dark
-        Whether to draw it for a dark page.
 
     Raises
     ------
@@ -81,10 +78,10 @@ def write_plan(
         The width is no width of a picture.
 
     """
-    drawing = Drawing(scene, estimate, truth, title, camera, dark=dark)
+    drawing = Drawing(scene, estimate, truth, title, camera)
     steps = [len(record.steps) for record in estimate.history]
     layout = Layout.of(drawing.plan.bounds, steps, width=width)
-    sheet = Sheet(layout.width, layout.height, dark=dark)
+    sheet = Sheet(layout.width, layout.height)
     drawing.passes(sheet, layout)
     frame = Frame.around(drawing.plan.bounds, *layout.large)
     sheet.paste(drawing.result(frame), layout.large_corner)
@@ -102,7 +99,6 @@ def write_plan_animation(
     title: str | None = None,
     camera: Camera | None = None,
     width: int = MOVING_WIDTH,
-    dark: bool = False,
 ) -> Path:
     """Draw the particles of every pass and frame as an animated GIF that ends with the result.
 
@@ -118,7 +114,7 @@ def write_plan_animation(
         raise OptionError(
             "The estimate has no history to animate; localize with FilterOptions(record=True)."
         )
-    drawing = Drawing(scene, estimate, truth, title, camera, dark=dark)
+    drawing = Drawing(scene, estimate, truth, title, camera)
     pictures = drawing.moves(width)
     # one palette for all, so that what stands still costs nothing
     few = [pictures[k] for k in evenly(len(pictures), 4)]
@@ -133,19 +129,17 @@ def write_plan_animation(
     return write_image(flat[0], path, "GIF", **moving)
 
 
-def draw_scene(
-    scene: SceneMap, path: str | Path, *, which: int = 0, width: int = 1200, dark: bool = False
-) -> Path:
+def draw_scene(scene: SceneMap, path: str | Path, *, which: int = 0, width: int = 1200) -> Path:
     """Draw the plan of a scene, or of scene number `which` of a merged map, as a PNG."""
     plan = RoomPlan(scene, which)
     layout = Layout.of(plan.bounds, [], width=width)
-    sheet = Sheet(layout.width, layout.height - HEAD, dark=dark)
+    sheet = Sheet(layout.width, layout.height - HEAD)
     frame = Frame.around(plan.bounds, *layout.large)
     items: list[Item] = [
-        paint_room(plan, frame, dark=dark),
+        paint_room(plan, frame),
         *names(plan, frame, Taken(), small=True),
     ]
-    sheet.paste(paint_picture(items, frame, dark=dark, reduce=False), (0, 0))
+    sheet.paste(paint_picture(items, frame, reduce=False), (0, 0))
     measures(sheet, frame)
     count = len(plan.rows)
     rooms = len({room for row in plan.rows if (room := scene.attributes[row].get("room"))})
