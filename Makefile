@@ -63,13 +63,15 @@ $(CORE): pyproject.toml $(BIN)/python
 
 # PyTorch is pinned here and nowhere else; kornia and timm, which would bring another one, come with
 # it. Without them, training, the matcher XFeat and timm's backbones are left out, and their tests.
+# The browser is fetched meanwhile: pip keeps one processor busy.
 $(TOOLS): pyproject.toml lab/pyproject.toml $(BIN)/python
+	@{ $(CHROMIUM); } >/dev/null 2>&1 & browser=$$!; \
 	$(PIP) torch==2.13.0 'kornia>=0.9' \
-	  || echo "PyTorch 2.13.0 cannot be had: tests of training and of XFeat will be skipped" >&2
+	  || echo "PyTorch 2.13.0 cannot be had: tests of training and of XFeat will be skipped" >&2; \
 	$(PIP) torch==2.13.0 torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
-	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2
-	$(PIP) --editable '.[dev,docs]' --editable ./lab
-	@{ $(CHROMIUM); } >/dev/null 2>&1 || echo "No chromium: tests of pages will be skipped" >&2
+	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2; \
+	$(PIP) --editable '.[dev,docs]' --editable ./lab || exit 1; \
+	wait $$browser || echo "No chromium: tests of pages will be skipped" >&2
 	@touch $(CORE) $@
 
 # Debian ships venv apart from Python: fall back on virtualenv, or say what to install.
