@@ -6,6 +6,7 @@ import pytest
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
+from placegraph.view.draw.fonts import Face
 from placegraph.view.draw.sheet import Sheet, write_image
 
 
@@ -21,3 +22,13 @@ def test_the_ending_of_another_kind_of_picture_is_refused(name, form, tmp_path):
         write_image(Image.new("RGB", (4, 3)), tmp_path / name, form)
     assert not list(tmp_path.iterdir())
     write_image(Image.new("RGB", (4, 3)), tmp_path / "plan", form)
+
+
+def test_a_line_is_cut_to_its_room_by_few_looks_at_it(monkeypatch):
+    sheet, looks, width = Sheet(400, 30), [], Face.width
+    monkeypatch.setattr(Face, "width", lambda *given: looks.append(given) or width(*given))
+    short, whole = (
+        sheet.text((0, 9), t, 12.0, "ink", room=300.0) for t in ("word " * 6, "word " * 9999)
+    )
+    assert short < 280.0 < whole <= 300.0
+    assert len(looks) < 40

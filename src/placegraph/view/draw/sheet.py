@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,9 +57,10 @@ class Sheet:
         face = face_for([text])
         text = face.drawable(text)
         if room is not None and face.width(text, size) > room:
-            while text and face.width(text + "...", size) > room:
-                text = text[:-1]
-            text = text.rstrip() + "..."
+            fits = bisect_right(
+                range(len(text)), room, key=lambda count: face.width(text[:count] + "...", size)
+            )
+            text = text[: max(fits - 1, 0)].rstrip() + "..."
         font = face.font(size * SUPERSAMPLE)
         self.draw.text(_up(at), text, self._color(color), font, anchor=f"{anchor}m")
         return at[0] + face.width(text, size)
