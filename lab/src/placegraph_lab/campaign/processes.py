@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 PROGRAM = str(specimen.__file__)
 FRAMES = 4
-PATIENCE = 600.0
+PATIENCE = 1800.0
 """A process is given up after so long [s]; the first compiles."""
 CLOSE = 0.01
 """So far apart may numbers of two matrices of poses be where rays are cast by another program."""
