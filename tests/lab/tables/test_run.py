@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from placegraph_lab.cli.lab import app
 from placegraph_lab.tables.run import Run, known, load, names
+from placegraph_lab.tables.scene import told
 from placegraph_lab.worlds.town.town import Town
 
 
@@ -66,7 +67,10 @@ def test_a_drawn_town(measure, tmp_path):
     assert all(f"{row['bytes'] * 1e-6:.3f}" in result.stdout for row in rows)
 
 
-def test_drawn_homes(measure, tmp_path):
+def test_drawn_homes(measure, tmp_path, monkeypatch):
+    described = told.told()[:20]  # of few homes
+    monkeypatch.setattr(told, "told", lambda: described)
+    monkeypatch.setattr(told, "OTHERS", 2)
     options = ("--quick", "--data", tmp_path, "--out", tmp_path / "rows.json")
     result = measure("scene_sentences", *options)
     assert result.exit_code == 0, result.output
