@@ -16,6 +16,7 @@ from placegraph.geometry import cross_matrix, rotation_from_vector
 from placegraph.indoor.refine.equations import POINTS, READINGS
 from placegraph.indoor.refine.lag import twists, usual_lag
 from placegraph.indoor.refine.solve import add_beliefs, leaning
+from placegraph.threads import product
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +91,7 @@ def calibrate(
             at = np.r_[6 * t : 6 * t + 6, size : size + COUNT]
             for rows in _seen(scene, problem, t, pose, ways[t], values, width):
                 weighted = rows.derivatives.T * rows.weights
-                h[np.ix_(at, at)] += weighted @ rows.derivatives
+                h[np.ix_(at, at)] += product(weighted, rows.derivatives)
                 g[at] += weighted @ rows.residuals
                 costs.append(rows.cost)
         upright = replace(problem, gravity=turned_gravity(problem.gravity, values))
