@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
-from placegraph_lab.tables.calibration import expected_calibration_error, reliability
+from placegraph_lab.tables.calibration import reliability
 
 
 def test_sure_and_right_or_sure_and_wrong():
-    assert expected_calibration_error(np.ones(50), np.ones(50, bool)) == 0.0
-    assert expected_calibration_error(np.ones(50), np.zeros(50, bool)) == 1.0
-    assert expected_calibration_error(np.full(50, 0.8), np.zeros(50, bool)) == pytest.approx(0.8)
+    assert reliability(np.ones(50), np.ones(50, bool)).error == 0.0
+    assert reliability(np.ones(50), np.zeros(50, bool)).error == 1.0
+    assert reliability(np.full(50, 0.8), np.zeros(50, bool)).error == pytest.approx(0.8)
 
 
 def test_two_bins_by_hand():

@@ -68,8 +68,3 @@ def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reli
         confidence=np.array([sure[part].mean() for part in parts]),
         accuracy=np.array([true[part].mean() for part in parts]),
     )
-
-
-def expected_calibration_error(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> float:
-    """Mean of |accuracy - confidence| over bins of equal mass; see `reliability`."""
-    return reliability(confidence, right, bins).error

@@ -12,10 +12,11 @@ from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.scan3r_rooms import read_rooms
+from placegraph_lab.tables.indoor.windows import drifting_windows
 from placegraph_lab.tables.pairs.scan3r import (
     candidates,
     cross_temporal_pairs,
-    pair_windows,
+    recorded,
     scan_folder,
     split_rooms,
 )
@@ -178,7 +179,9 @@ def test_windows(rooms, tmp_path):
     poses[3] = np.full((4, 4), -np.inf)
     write_sequence(tmp_path / "scenes" / "c1-x" / "sequence", poses)
     (pair,) = (p for p in cross_temporal_pairs(rooms.rooms) if p.query == "c1-x")
-    windows = pair_windows(tmp_path, pair, 5, np.random.default_rng(0), every=2)
+    windows = drifting_windows(
+        pair.name, *recorded(tmp_path, pair, every=2), 5, np.random.default_rng(0)
+    )
     assert [[f.index for f in w.capture] for w in windows] == [
         [0, 2, 4, 6, 8],
         [10, 12, 14, 16, 18],
@@ -187,10 +190,9 @@ def test_windows(rooms, tmp_path):
         last = window.capture[-1].index
         assert np.allclose(window.truth[:3, 3], (transform(1.0, 1, -1) @ poses[last])[:3, 3])
         assert np.allclose(window.capture[0].odometry[:3, 3], 0)  # nothing of the truth is left
-        assert window.changed is False
         moved = window.capture[-1].odometry[:3, 3] - window.capture[0].odometry[:3, 3]
         assert np.linalg.norm(moved) == pytest.approx(1.6, abs=0.2)
     with pytest.raises(OptionError, match="every"):
-        pair_windows(tmp_path, pair, 5, np.random.default_rng(0), every=0)
+        recorded(tmp_path, pair, every=0)
     with pytest.raises(InputError, match="holds no scan c0-x"):
         scan_folder(tmp_path, "c0-x")

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.sens import read_sens
 from placegraph.geometry import rotation_z
-from placegraph_lab.tables.indoor.windows import sampled
+from placegraph_lab.tables.indoor.windows import drifting_windows, sampled
 from placegraph_lab.tables.pairs.scannet import (
     ScanPair,
     derive_pairs,
-    pair_windows,
     read_pairs,
+    recorded,
     scans_in,
     true_poses,
 )
@@ -140,7 +140,7 @@ def test_the_truth_is_that_of_the_aligned_map(scans, scannet_world):
 
 
 def test_windows_hold_no_truth(scans, rng):
-    windows = pair_windows(scans.folder.parent, PAIR, 5, rng, every=2)
+    windows = drifting_windows(PAIR.name, *recorded(scans.folder.parent, PAIR, every=2), 5, rng)
     assert [w.name for w in windows] == [
         "scene0001_01 in scene0001_00 0:11:2", "scene0001_01 in scene0001_00 12:21:2",
     ]  # fmt: skip
@@ -158,6 +158,7 @@ def test_windows_hold_no_truth(scans, rng):
         np.testing.assert_array_equal(
             window.capture[0].rgb(), scans.recording.colour[window.capture[0].index]
         )
-    assert pair_windows(scans.folder.parent, PAIR, 5, rng) == []
+    alone = recorded(scans.folder.parent, PAIR)
+    assert drifting_windows(PAIR.name, *alone, 5, rng) == []
     with pytest.raises(OptionError, match="length is 0"):
-        pair_windows(scans.folder.parent, PAIR, 0, rng)
+        drifting_windows(PAIR.name, *alone, 0, rng)

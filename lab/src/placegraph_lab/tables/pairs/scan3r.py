@@ -21,7 +21,7 @@ import numpy as np
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.scan3r_sequence import read_scan3r_sequence
 from placegraph.formats.dataset.scannet_files import read_text
-from placegraph_lab.tables.indoor.windows import Window, drifting_windows, sampled
+from placegraph_lab.tables.indoor.windows import sampled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -256,36 +256,3 @@ def recorded(root: Path, pair: ScanPair, *, every: int = 1) -> tuple[Capture, Fl
     """
     capture = sampled(read_scan3r_sequence(scan_folder(root, pair.query)), every)
     return capture, pair.map_from_query @ capture.odometry
-
-
-def pair_windows(
-    root: Path, pair: ScanPair, length: int, rng: Generator, *, every: int = 1
-) -> list[Window]:
-    """Sequences of `length` images of a pair's query that do not overlap, with their truth.
-
-    A recording's own poses are its truth; the windows' captures have an odometry made of them, in a
-    frame of its own, that drifts as `worlds.flat.walks.drifted` says.
-
-    Parameters
-    ----------
-    root
-        Folder of the scans.
-    pair
-        Two of them.
-    length
-        Images of a sequence: `LENGTHS` in the paper.
-    rng
-        Draws the drift.
-    every
-        Images of the recording from one to the next.
-
-    Raises
-    ------
-    InputError
-        The recording is missing or broken.
-    OptionError
-        `length` or `every` is less than 1.
-
-    """
-    capture, truth = recorded(root, pair, every=every)
-    return drifting_windows(pair.name, capture, truth, length, rng, changed=pair.changed)

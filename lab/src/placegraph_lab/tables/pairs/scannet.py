@@ -24,13 +24,11 @@ import numpy as np
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.dataset.scannet_files import axis_alignment, is_rigid, read_text
-from placegraph_lab.tables.indoor.windows import Window, drifting_windows, sampled
+from placegraph_lab.tables.indoor.windows import sampled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from os import PathLike
-
-    from numpy.random import Generator
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.geometry import Floats
@@ -181,36 +179,3 @@ def recorded(folder: Path, pair: ScanPair, *, every: int = EVERY) -> tuple[Captu
     scan = folder / pair.query
     capture = sampled(open_capture(scan), every)
     return capture, true_poses(capture, scan, pair)
-
-
-def pair_windows(
-    folder: Path, pair: ScanPair, length: int, rng: Generator, *, every: int = EVERY
-) -> list[Window]:
-    """Sequences of `length` images, one in `every`, of a pair's query, that do not overlap.
-
-    A recording's own poses are its truth; the windows' captures have an odometry made of them, in a
-    frame of its own, that drifts as `worlds.flat.walks.drifted` says.
-
-    Parameters
-    ----------
-    folder
-        ScanNet's `scans/`.
-    pair
-        Scans of it, registered.
-    length
-        Images of a sequence: `LENGTHS` in the paper.
-    rng
-        Draws the drift.
-    every
-        Images of the recording from one to the next.
-
-    Raises
-    ------
-    InputError
-        The recording is missing or broken.
-    OptionError
-        The pair's scans are not registered, or `length` or `every` is less than 1.
-
-    """
-    capture, truth = recorded(folder, pair, every=every)
-    return drifting_windows(pair.name, capture, truth, length, rng)
