@@ -37,7 +37,7 @@ def test_an_upright_motion_is_found_again(tent, yaw, shift):
     off = inverse(truth) @ found.motion
     assert np.linalg.norm(moved(off, tent.points) - tent.points, axis=1).max() < 0.02
     assert found.share > 0.95
-    assert found.rms < 0.01
+    assert found.rms < 0.02
 
 
 def test_a_tilt_is_found_where_it_is_allowed(tent):
