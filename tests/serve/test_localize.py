@@ -13,10 +13,9 @@ from tests.serve.conftest import serving
 import placegraph as pg
 from placegraph.formats.capture.tum import read_tum
 from placegraph.indoor.pose.prior import Prior
-from placegraph.serve.desk import Desk
 from placegraph.serve.localize import in_radians
 from placegraph.serve.options import ServeOptions
-from placegraph.serve.places import Places
+from placegraph.serve.places import Desk, Places
 from placegraph.serve.schema import PriorPose
 from placegraph.serve.worker import answer
 

@@ -6,10 +6,9 @@ import pytest
 
 from placegraph.errors import InputError, MapError, RequestError
 from placegraph.maps import open_map
-from placegraph.serve.desk import Desk
 from placegraph.serve.locate import locate
 from placegraph.serve.options import ServeOptions
-from placegraph.serve.places import Places
+from placegraph.serve.places import Desk, Places
 
 
 def test_a_folder_is_listed_without_opening_a_map(maps):

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.geometry import Camera
-    from placegraph.serve.desk import Desk
     from placegraph.serve.options import ServeOptions
+    from placegraph.serve.places import Desk
 
 GUESS = 20.0
 """Accuracy of a position that does not say how good it is [m]."""

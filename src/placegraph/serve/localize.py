@@ -20,9 +20,8 @@ from placegraph.serve.unpack import capture_in
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
-    from placegraph.serve.desk import Desk
     from placegraph.serve.options import ServeOptions
-    from placegraph.serve.places import Places
+    from placegraph.serve.places import Desk, Places
 
 MOST_ALONE = 8
 """Images at most that no odometry joins."""

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.ask import Answer, Question
-    from placegraph.serve.desk import Desk
-    from placegraph.serve.places import Places
+    from placegraph.serve.places import Desk, Places
     from placegraph.world.estimate import WorldEstimate
 
 

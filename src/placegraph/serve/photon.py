@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from placegraph.outdoor.city import CityMap
-    from placegraph.serve.desk import Desk
+    from placegraph.serve.places import Desk
 
 CLOSE = 80.0
 """Similarity, of 100, from which a misspelt name is found."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
+    from placegraph.serve.options import ServeOptions
     from placegraph.world import World
 
 ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
@@ -230,3 +231,13 @@ def bounds_of(meta: dict[str, Any]) -> list[float]:
     corners = [[east, north], [east + stride * columns, north + stride * rows]]
     bounds: list[float] = LocalPlane(*meta["origin"]).to_lonlat(corners).ravel().tolist()
     return bounds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Desk:
+    """Maps, limits, and the trackers of the sessions that this process holds."""
+
+    places: Places
+    options: ServeOptions
+    trackers: dict[str, Any] = field(default_factory=dict)
+    """`CityTracker` or `Tracker` by session, with the name of its map: ``(name, tracker)``."""

@@ -14,7 +14,7 @@ from placegraph.serve.oscp import image_bytes
 from placegraph.serve.photo import Photo, check_focal, fitted, read_depth, read_photo
 
 if TYPE_CHECKING:
-    from placegraph.serve.desk import Desk
+    from placegraph.serve.places import Desk
 
 
 def begin(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import orjson
 
 from placegraph.errors import PlacegraphError, RequestError
-from placegraph.serve.desk import Desk
-from placegraph.serve.places import Places
+from placegraph.serve.places import Desk, Places
 from placegraph.serve.problem import problem
 
 if TYPE_CHECKING:

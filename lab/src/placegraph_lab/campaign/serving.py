@@ -13,9 +13,8 @@ from urllib.parse import quote
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.app import create_app
-from placegraph.serve.desk import Desk
 from placegraph.serve.options import ServeOptions
-from placegraph.serve.places import Places
+from placegraph.serve.places import Desk, Places
 from placegraph.serve.problem import problem
 from placegraph.serve.protocol import Patient
 from placegraph.serve.worker import VERBS, dumped
