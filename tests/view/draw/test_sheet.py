@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
-from placegraph.view.draw.fonts import Face
+from placegraph.view.draw.fonts import LONGEST, Face
 from placegraph.view.draw.sheet import Sheet, write_image
 
 
@@ -32,3 +32,9 @@ def test_a_line_is_cut_to_its_room_by_few_looks_at_it(monkeypatch):
     )
     assert short < 280.0 < whole <= 300.0
     assert len(looks) < 40
+
+
+def test_of_a_name_without_end_so_much_is_drawn_as_a_picture_has_room_for():
+    face = Face("")
+    assert face.drawable("a" * 100_000) == "a" * LONGEST
+    assert face.width("ä" * 100_000, 12.0) == face.width("ä" * LONGEST, 12.0)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 FACES = ("", "DejaVuSans.ttf", "NotoSans-Regular.ttf", "LiberationSans-Regular.ttf", "Arial.ttf")
 """Files by preference; the empty one is Pillow's built-in face, which knows little beyond ASCII."""
+LONGEST = 1000
+"""Letters of a text that are drawn."""
 
 _PLAIN = str.maketrans({"ß": "ss", "ı": "i", "ø": "o", "ł": "l", "đ": "d", "æ": "ae", "œ": "oe",
                         "Ø": "O", "Ł": "L", "Đ": "D", "–": "-", "—": "-", "’": "'", "“": '"',
@@ -39,7 +41,11 @@ class Face:
         return all(_has(self.file, letter) for letter in set(text) if not letter.isspace())
 
     def drawable(self, text: str) -> str:
-        """Return the text, without accents where the face lacks them; "" where that is no help."""
+        """Return the text, without accents where the face lacks them; "" where that is no help.
+
+        Of a longer text as many letters as the widest picture has room for: drawing costs by letters.
+        """
+        text = text[:LONGEST]
         if self.draws(text):
             return text
         apart = unicodedata.normalize("NFKD", text.translate(_PLAIN))
