@@ -66,14 +66,10 @@ def scan(
 
     Parameters
     ----------
-    text
-        The text.
     labels
         (start, end) of stretches that are one label each, in order.
     shortened
         Words that a full stop may shorten without ending the sentence: "St. Mary's".
-    begin
-        Where to begin.
     """
     sentences: list[list[Word]] = [[]]
     at = begin

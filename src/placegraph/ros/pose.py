@@ -55,8 +55,6 @@ def pose_messages(
         (4, 4), and (6, 6) of x, y, z [m] and a turn about the map's axes [rad], which is ROS's order.
     stamp
         When the camera was there [s].
-    frames
-        Names of the frames.
     map_from_odom
         (4, 4), map_from_camera @ inv(odom_from_camera) of one moment.
     base_from_camera

@@ -47,8 +47,6 @@ class Telling:
     ----------
     maps
         The map, or the library of which each scene is shown when the camera is in it.
-    frames
-        Names of the frames.
     tolerance
         The transform map -> odom holds so long after its stamp [s], which is set ahead by that.
     whole

@@ -98,8 +98,6 @@ class Frame(Portable):
         ----------
         rgb
             (H, W, 3) uint8, sRGB.
-        camera
-            Its intrinsics.
         depth
             (h, w) along the optical axis [m]; 0, negative or not finite: no reading.
         depth_camera
@@ -118,8 +116,6 @@ class Frame(Portable):
             (3,) direction of gravity in the camera's axes; -z of the odometry's frame if not given.
         stamp
             Seconds, or frame number.
-        index
-            Number of the frame.
 
         Raises
         ------

@@ -72,8 +72,6 @@ def read_scan3r(
 
     Parameters
     ----------
-    path
-        Folder.
     reference_frame
         Bring a rescan into the axes of its room's reference, by `3RScan.json`.
     undo_moves

@@ -38,8 +38,6 @@ def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model
 
     Parameters
     ----------
-    path
-        File.
     up
         Axis that points up in it: y by the standard; z for exporters that forgot to turn.
 

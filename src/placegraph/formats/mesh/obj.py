@@ -49,8 +49,6 @@ def read_obj(
 
     Parameters
     ----------
-    path
-        File.
     up
         Axis that points up in it.
     groups

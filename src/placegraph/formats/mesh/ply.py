@@ -45,8 +45,6 @@ def read_ply(
 
     Parameters
     ----------
-    path
-        File.
     up
         Axis that points up in it.
     object_property

@@ -32,8 +32,6 @@ def write_ply(
 
     Parameters
     ----------
-    path
-        File.
     vertices
         (V, 3) [m], written as float32.
     triangles

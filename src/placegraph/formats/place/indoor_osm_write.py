@@ -36,8 +36,6 @@ def encode_rooms(shapes: Sequence[IndoorShape], *, osmag: bool, generator: str) 
         Rooms, corridors, areas, and doors as lines of two ends; the rest is passed over.
     osmag
         Whether it is osmAG: rooms then need names that differ.
-    generator
-        Who writes it.
 
     """
     file = _File()

@@ -81,8 +81,6 @@ class TextIndex:
 
     Parameters
     ----------
-    graphs
-        Scene graphs.
     rooms
         Of each graph the names of its objects' rooms (`score`); of none if not given.
     """

@@ -159,8 +159,6 @@ class _Known:
 
     Parameters
     ----------
-    sentence
-        What was said.
     columns
         The units.
     library

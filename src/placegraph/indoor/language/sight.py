@@ -53,8 +53,6 @@ class Sight:
     ----------
     things
         Which objects are spoken of.
-    views
-        The table.
     """
 
     def __init__(self, things: Referents, views: VisibilityTable) -> None:

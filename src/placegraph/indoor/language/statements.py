@@ -44,13 +44,7 @@ _NOTHING = frozenset(
 
 
 class Statements:
-    """Collects the statements of a text.
-
-    Parameters
-    ----------
-    text
-        The text.
-    """
+    """Collects the statements of a text."""
 
     def __init__(self, text: str) -> None:
         self.text = text

@@ -77,8 +77,6 @@ def refined(
         each is by itself, as in the paper. Senses that were switched off for the filter are off here.
     estimate
         One that is `LOST` is returned as it is, except where a frame decides as in the paper.
-    refining
-        How.
     explained
         Find the evidence of the refined pose, too; else that of the coarse one stands.
 

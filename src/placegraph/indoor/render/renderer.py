@@ -105,8 +105,6 @@ def render(
 
     Parameters
     ----------
-    scene
-        The map.
     map_from_camera
         (4, 4) rigid, any six degrees of freedom [m]; camera axes x right, y down, z forward.
     camera

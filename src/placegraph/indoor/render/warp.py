@@ -22,8 +22,6 @@ class WarpRenderer:
 
     Parameters
     ----------
-    scene
-        The map.
     device
         ``cuda`` (the first), ``cuda:N``, or ``cpu``: one thread, meant for tests.
 

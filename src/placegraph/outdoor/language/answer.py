@@ -94,8 +94,6 @@ class Answer:
 
     Parameters
     ----------
-    json
-        The answer.
     service
         Address, for messages.
 

@@ -44,10 +44,6 @@ class Builder:
 
     Parameters
     ----------
-    text
-        The text.
-    language
-        In which it is.
     vocabulary
         To mend misspelt words.
     heading

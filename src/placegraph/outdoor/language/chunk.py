@@ -30,10 +30,6 @@ class Chunker:
 
     Parameters
     ----------
-    text
-        The text.
-    language
-        In which it is.
     vocabulary
         Common nouns.
     names

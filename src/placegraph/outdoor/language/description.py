@@ -144,8 +144,6 @@ def conflicts(
 
     Parameters
     ----------
-    statements
-        What was said.
     nouns
         Common noun of every mention.
     here

@@ -29,10 +29,6 @@ class Referents:
 
     Parameters
     ----------
-    text
-        The text.
-    language
-        In which it is.
     vocabulary
         To mend misspelt words.
     """

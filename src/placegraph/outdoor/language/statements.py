@@ -61,8 +61,6 @@ class Statements:
 
     Parameters
     ----------
-    refer
-        The mentions.
     heading
         Bearing in which the speaker faces [rad], or None.
     directive

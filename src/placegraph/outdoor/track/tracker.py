@@ -54,8 +54,6 @@ class CityTracker:
 
     Parameters
     ----------
-    city
-        The map.
     near
         Longitude and latitude [deg] the speaker is known to start near; a third number is the radius
         [m].

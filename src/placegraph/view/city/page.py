@@ -49,12 +49,6 @@ def write_page(
     ----------
     city
         The map the estimate was made on.
-    estimate
-        What to show.
-    path
-        Where to write.
-    title
-        Title of the page.
     question
         The question that would tell the modes apart, as of `CityEstimate.next_question`.
 

@@ -51,10 +51,6 @@ def draw_city(
 
     Parameters
     ----------
-    city
-        The map.
-    path
-        Where to write.
     size
         Width and height [px].
     bounds
@@ -89,10 +85,6 @@ def write_picture(
     ----------
     city
         The map the estimate was made on.
-    estimate
-        What to show.
-    path
-        Where to write.
     size
         Width and height [px].
 

@@ -49,8 +49,6 @@ def write_diff(
         The earlier map.
     diff
         From it to a later look.
-    path
-        Where to write.
     which
         Number of the scene in a merged map.
     width

@@ -69,12 +69,8 @@ def write_overlay(
     ----------
     scene
         The map the estimate was made on.
-    estimate
-        What to judge.
     capture
         Frames, among them the estimate's last.
-    path
-        Where to write.
     samples, device
         As of `scene.render`.
 

@@ -59,10 +59,6 @@ def write_plan(
     ----------
     scene
         The map the estimate was made on. Of merged scenes the best mode's is drawn.
-    estimate
-        What to show.
-    path
-        Where to write.
     truth
         (T, 4, 4) map_from_camera of the frames, where it is known.
     title

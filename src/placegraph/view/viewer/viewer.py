@@ -78,8 +78,6 @@ def open_viewer(
 
     Parameters
     ----------
-    scene
-        What to show.
     camera_paths
         Names and (T, 4, 4) map_from_camera.
     run

@@ -36,8 +36,6 @@ class DinoFeatures:
         What it is called, with its weights: goes into `key`.
     block
         Row of the block, counted from 0.
-    device
-        Where it runs.
 
     Raises
     ------

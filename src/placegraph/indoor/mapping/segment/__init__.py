@@ -59,8 +59,6 @@ def segment(
     frames, poses
         Frames with `labels()`: ids of labels with names, or ids of objects. Others are passed over.
         And (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not given.
-    options
-        How to cut.
     progress, left_out
         Are told a stage, how much of it is done, and of how much; what could not be used, by reason.
 
