@@ -18,7 +18,7 @@ from placegraph.view.city.estimate_items import (
     witnesses,
 )
 from placegraph.view.city.items import city_bounds, common_name, map_items
-from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Stroke, Text
+from placegraph.view.draw.canvas import Disc, Frame, Item, Stroke, Text
 from placegraph.view.draw.fonts import Face, face_for
 from placegraph.view.draw.lettering import Taken, covering, letter
 from placegraph.view.draw.painter import paint_picture
@@ -45,16 +45,13 @@ def draw_city(
     path: str | Path,
     *,
     size: tuple[int, int] = (1200, 900),
-    bounds: Bounds | None = None,
 ) -> Path:
-    """Draw a city, or a rectangle of it, as a PNG.
+    """Draw a city as a PNG.
 
     Parameters
     ----------
     size
         Width and height [px].
-    bounds
-        West, south, east, north of what to show [m]; the whole city where not given.
 
     Raises
     ------
@@ -63,7 +60,7 @@ def draw_city(
 
     """
     width, height = _checked(size)
-    frame = Frame.around(bounds or city_bounds(city.objects), width, height - FOOT)
+    frame = Frame.around(city_bounds(city.objects), width, height - FOOT)
     sheet = Sheet(width, height)
     sheet.paste(paint_picture(_map(city, frame), frame, reduce=False), (0, 0))
     _furniture(sheet, frame, (0, 0))

@@ -35,10 +35,9 @@ def write_diff(
     diff: SceneDiff,
     path: str | Path,
     *,
-    which: int = 0,
     width: int = 1200,
 ) -> Path:
-    """Draw what changed on the plan of the earlier map as a PNG.
+    """Draw what changed on the plan of the earlier map, or the first of merged ones, as a PNG.
 
     What moved is outlined where it was (dashed) and is now, with an arrow; what appeared is green,
     what vanished red.
@@ -49,8 +48,6 @@ def write_diff(
         The earlier map.
     diff
         From it to a later look.
-    which
-        Number of the scene in a merged map.
     width
         Of the picture [px].
 
@@ -60,7 +57,7 @@ def write_diff(
         The width is no width of a picture.
 
     """
-    plan = RoomPlan(scene, which)
+    plan = RoomPlan(scene)
     layout = Layout.of(plan.bounds, [], width=width)
     sheet = Sheet(layout.width, layout.height)
     frame = Frame.around(plan.bounds, *layout.large)
@@ -76,7 +73,7 @@ def write_diff(
     counts = {kind: len(diff.of(kind)) for kind in ("moved", "appeared", "vanished", "relabelled")}
     said = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
     sheet.text((14, 22), said or "nothing changed", 14, "ink", room=sheet.width - 28)
-    after = f"{diff.before or scene.scenes[which]} and {diff.after or 'a later look'}"
+    after = f"{diff.before or scene.scenes[0]} and {diff.after or 'a later look'}"
     words = f"{after}: {len(diff.same)} the same, {len(diff.unseen)} unseen"
     sheet.text((14, 47), words, 13, "soft-ink", room=sheet.width - 28)
     end, x, y = measures(sheet, frame), 14.0, sheet.height - FOOT / 2

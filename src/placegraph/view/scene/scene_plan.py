@@ -125,9 +125,9 @@ def write_plan_animation(
     return write_image(flat[0], path, "GIF", **moving)
 
 
-def draw_scene(scene: SceneMap, path: str | Path, *, which: int = 0, width: int = 1200) -> Path:
-    """Draw the plan of a scene, or of scene number `which` of a merged map, as a PNG."""
-    plan = RoomPlan(scene, which)
+def draw_scene(scene: SceneMap, path: str | Path, *, width: int = 1200) -> Path:
+    """Draw the plan of a scene, or of the first of a merged map, as a PNG."""
+    plan = RoomPlan(scene)
     layout = Layout.of(plan.bounds, [], width=width)
     sheet = Sheet(layout.width, layout.height - HEAD)
     frame = Frame.around(plan.bounds, *layout.large)
@@ -141,7 +141,7 @@ def draw_scene(scene: SceneMap, path: str | Path, *, which: int = 0, width: int 
     rooms = len({room for row in plan.rows if (room := scene.attributes[row].get("room"))})
     within = f" in {rooms} room{'s' * (rooms != 1)}" if rooms else ""
     things = f"{count:,} object{'s' * (count != 1)}{within}, {len(plan.triangles):,} triangles"
-    sheet.text((14, sheet.height - FOOT / 2), f"{scene.scenes[which]}: {things}", 12, "soft-ink")
+    sheet.text((14, sheet.height - FOOT / 2), f"{scene.scenes[0]}: {things}", 12, "soft-ink")
     return sheet.save(path)
 
 
