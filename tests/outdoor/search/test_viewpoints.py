@@ -28,10 +28,12 @@ QUERIES = {
 }
 
 
-def exhaustive(city, description, score):
-    """Positions around all viewpoints, and their scores."""
-    positions = (city.views.positions[:, None].astype(np.float64) + FINE).reshape(-1, 2)
-    return positions, score(city, description, positions)[0]
+@pytest.fixture(scope="module", params=QUERIES)
+def everywhere(request, harbour, said, score):
+    """A description, and positions around all viewpoints with their scores."""
+    description = said(*QUERIES[request.param])
+    positions = (harbour.views.positions[:, None].astype(np.float64) + FINE).reshape(-1, 2)
+    return description, positions, score(harbour, description, positions)[0]
 
 
 def smoothed(positions, scores, at, radius=25.0):
@@ -39,10 +41,8 @@ def smoothed(positions, scores, at, radius=25.0):
     return np.logaddexp.reduce(scores[near]) if near.any() else -np.inf
 
 
-@pytest.mark.parametrize("name", QUERIES)
-def test_search_finds_what_looking_everywhere_finds(name, harbour, said, score):
-    description = said(*QUERIES[name])
-    positions, scores = exhaustive(harbour, description, score)
+def test_search_finds_what_looking_everywhere_finds(everywhere, harbour):
+    description, positions, scores = everywhere
     found = search(Request(harbour, compile_query(description, harbour)))
     assert found.probabilities.sum() + found.elsewhere <= 1 + 1e-6
     best = modes(found, 1, 6.67)[0]
@@ -50,12 +50,10 @@ def test_search_finds_what_looking_everywhere_finds(name, harbour, said, score):
     assert smoothed(positions, scores, best.position) > highest - 0.7
 
 
-@pytest.mark.parametrize("name", QUERIES)
-def test_probabilities_are_those_of_looking_everywhere(name, harbour, said, score):
+def test_probabilities_are_those_of_looking_everywhere(everywhere, harbour):
     from placegraph.outdoor.search.posterior import ELSEWHERE
 
-    description = said(*QUERIES[name])
-    positions, scores = exhaustive(harbour, description, score)
+    description, positions, scores = everywhere
     weights = (1 - ELSEWHERE) * np.exp(scores.astype(np.float64)) / len(positions)
     weights /= weights.sum() + ELSEWHERE
     found = search(Request(harbour, compile_query(description, harbour)))
