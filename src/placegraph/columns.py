@@ -163,3 +163,17 @@ def _decompress(codec: str, block: memoryview, nbytes: int) -> bytes | memoryvie
     except (zlib.error, lzma.LZMAError, EOFError):
         return b""
     return block
+
+
+def starts(lengths: Sequence[int] | NDArray[np.integer]) -> NDArray[np.int64]:
+    """Bounds (N + 1,) of entries of these lengths (N,)."""
+    return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
+
+
+def spans(
+    bounds: NDArray[np.int64], rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Bounds (K + 1,) of the entries of `rows` (K,) set side by side, and which entries they are."""
+    lengths = bounds[rows + 1] - bounds[rows]
+    made = starts(lengths)
+    return made, np.repeat(bounds[rows] - made[:-1], lengths) + np.arange(made[-1])

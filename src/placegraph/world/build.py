@@ -7,13 +7,12 @@ when its `split.json` is there, a shard when the journal says so. Only whole sha
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from placegraph import locks
 from placegraph.errors import InputError, MapError, OptionError
@@ -23,7 +22,7 @@ from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.split import Split, split, spread_large
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
-from placegraph.world.journal import Journal, sha256_of, told
+from placegraph.world.journal import Journal, plan_of, told
 from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.shards.folder import digest_of
@@ -32,7 +31,7 @@ from placegraph.world.tile import TileDone, TileJob, build_tile
 from placegraph.world.workers import done
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
     from os import PathLike
 
     from placegraph.world.shards.table import Counted
@@ -188,7 +187,7 @@ class _Build:
         if not extracts:
             raise OptionError("No extract is given; name at least one.")
         self.extracts = sorted(extracts)
-        plan, path = _plan(self.extracts, self.options), self.work / PLAN
+        plan, path = plan_of(self.extracts, self.options), self.work / PLAN
         if path.exists():
             known = told(path)
             for what in plan:
@@ -208,8 +207,8 @@ class _Build:
         self.journal.read()
 
     def split(self) -> None:
-        """Split the extracts that are not, unless all tiles are built already."""
-        if (self.work / "tiles.json").exists() and not self._missing():
+        """Split the extracts that are not, unless what is left to be built lies there."""
+        if (self.work / "tiles.json").exists() and all(job.lies_there for job in self._missing()):
             return
         todo = [
             _SplitJob(str(path), str(folder), self.options)
@@ -240,8 +239,10 @@ class _Build:
         jobs = self._missing() if (self.work / "tiles.json").exists() else self._spread()
         total = len(jobs)
         with closing(done(build_tile, jobs, self.workers, self.options.scheduler)) as built:
-            for n, (_, made) in enumerate(built, 1):
+            for n, (row, made) in enumerate(built, 1):
                 self.journal.add(made)
+                for path, _ in jobs[row].things:
+                    Path(path).unlink(missing_ok=True)
                 self.tell("building tiles", n, total)
         if not any(made.digest for made in self.journal.done.values()):
             raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
@@ -290,19 +291,3 @@ class _Build:
                 counts = str(self._counts(key))
                 jobs.append(TileJob(key, named, str(out), margin, sizes, source, counts))
         return jobs
-
-
-def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
-    """What a build depends on; if any of it changes, it is another build."""
-    known = asdict(options)
-    for name in ("workers", "scheduler", "vocabulary", "work"):
-        del known[name]
-    words = hashlib.sha256()
-    if options.vocabulary is not None:
-        for path in sorted(options.vocabulary.iterdir()):
-            words.update(path.name.encode() + path.read_bytes())
-    return {
-        "extracts": [[path.name, path.stat().st_size, sha256_of(path)] for path in extracts],
-        "options": known,
-        "vocabulary": words.hexdigest(),
-    }

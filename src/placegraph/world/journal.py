@@ -13,7 +13,10 @@ from placegraph.outdoor.map.spill import no_room
 from placegraph.world.tile import TileDone
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
+
+    from placegraph.world.build import BuildOptions
 
 
 def told(path: Path) -> dict[str, Any]:
@@ -32,6 +35,22 @@ def sha256_of(path: Path) -> str:
     with path.open("rb") as file:
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def plan_of(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
+    """What a build depends on; if any of it changes, it is another build."""
+    known = asdict(options)
+    for name in ("workers", "scheduler", "vocabulary", "work"):
+        del known[name]
+    words = hashlib.sha256()
+    if options.vocabulary is not None:
+        for path in sorted(options.vocabulary.iterdir()):
+            words.update(path.name.encode() + path.read_bytes())
+    return {
+        "extracts": [[path.name, path.stat().st_size, sha256_of(path)] for path in extracts],
+        "options": known,
+        "vocabulary": words.hexdigest(),
+    }
 
 
 class Journal:

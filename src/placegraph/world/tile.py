@@ -48,6 +48,14 @@ class TileJob:
     counts: str = ""
     """File for the words that were counted in it; none where it is empty."""
 
+    @property
+    def lies_there(self) -> bool:
+        """Whether its things were put aside, and are there still."""
+        try:
+            return all(Path(path).stat().st_size >= size for path, size in self.things)
+        except OSError:
+            return False
+
 
 @dataclass(frozen=True)
 class TileDone:

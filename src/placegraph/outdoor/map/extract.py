@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.columns import spans, starts
 from placegraph.errors import InputError
-from placegraph.formats.place.osm import LINE, POINT, LeftOut, OsmElement, read_osm
+from placegraph.formats.place.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, read_columns
 from placegraph.formats.place.overture import Overture, read_overture
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
 from placegraph.outdoor.map.raster import EACH, MOST
-from placegraph.outdoor.map.things import Thing, Things, spans, starts, text_of, words_of
+from placegraph.outdoor.map.things import Thing, Things, text_of, words_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Generator, Iterable, Iterator, Mapping
     from os import PathLike
 
     from numpy.typing import NDArray
@@ -29,7 +30,7 @@ Progress = Callable[[str, int], None]
 """Called with the step's name and how many elements are done."""
 
 BATCH = 32_768
-"""Things that become columns at once: as Python's objects they take twenty times the memory."""
+"""Things that are handed on at once, or a block more."""
 TOLERANCE = 0.75
 """Outlines and lines are simplified to this error [m]: directions between things do not feel it."""
 LONGEST = 50_000.0
@@ -61,10 +62,10 @@ def read_extract(
     """
     vocabulary, left_out = vocabulary or Vocabulary.default(), LeftOut()
     if isinstance(path, Overture):
-        elements = read_overture(path, left_out)
+        blocks = _in_columns(read_overture(path, left_out))
     else:
-        elements = read_osm(path, keys_read(vocabulary), left_out)
-    tables = list(labelled(elements, vocabulary, progress or (lambda _step, _n: None)))
+        blocks = read_columns(path, keys_read(vocabulary), left_out)
+    tables = list(labelled(blocks, vocabulary, progress or (lambda _step, _n: None)))
     things = without_largest(Things.joined(tables), left_out) if tables else ()
     if not things:
         raise nothing_in(path, left_out)
@@ -86,24 +87,41 @@ def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
 
 
 def labelled(
-    elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Progress
-) -> Iterator[Things]:
-    """Elements that the vocabulary has a word for, or that have a name; many at a time."""
-    things = _things(elements, vocabulary, progress)
-    while batch := list(islice(things, BATCH)):
-        yield Things.of(batch)
+    blocks: Iterable[OsmColumns], vocabulary: Vocabulary, progress: Progress
+) -> Generator[Things]:
+    """Elements that the vocabulary has a word for, or that have a name; blocks of them at a time."""
+    waiting, seen = [], 0
+    for columns in blocks:
+        progress("reading", seen)
+        seen += len(columns.tags)
+        waiting.append(_labelled(columns, vocabulary))
+        if sum(map(len, waiting)) >= BATCH:
+            yield Things.joined(waiting)
+            waiting = []
+    if any(map(len, waiting)):
+        yield Things.joined(waiting)
 
 
-def _things(
-    elements: Iterable[OsmElement], vocabulary: Vocabulary, progress: Progress
-) -> Iterator[Thing]:
-    for n, element in enumerate(elements):
-        if n % 1000 == 0:
-            progress("reading", n)
-        osm_type, osm_id, kind, tags, parts = element
-        labels = vocabulary.labels_of(tags) or named_labels(element, vocabulary)
-        if labels:
-            yield Thing(osm_type, osm_id, kind, text_of(labels, names_of(tags)), parts)
+def _labelled(columns: OsmColumns, vocabulary: Vocabulary) -> Things:
+    """Things of a block; elements of the same tags are looked at once."""
+    known: dict[tuple[int, int], str] = {}
+    texts = []
+    for kind, tags in zip(columns.kind.tolist(), columns.tags, strict=True):
+        text = known.get((id(tags), kind))
+        if text is None:
+            labels = vocabulary.labels_of(tags) or named_labels(kind, tags, vocabulary)
+            text = text_of(labels, names_of(tags)) if labels else ""
+            known[id(tags), kind] = text
+        texts.append(text)
+    things = Things(*columns[:-1], texts)
+    return things.take(np.flatnonzero(np.array(texts, np.object_) != ""))
+
+
+def _in_columns(elements: Iterator[OsmElement]) -> Iterator[OsmColumns]:
+    while batch := list(islice(elements, BATCH)):
+        t = Things.of([Thing(e.osm_type, e.osm_id, e.kind, "", e.parts) for e in batch])
+        head = (t.osm_type, t.osm_id, t.kind, t.part_starts, t.point_starts, t.steps)
+        yield OsmColumns(*head, [element.tags for element in batch])
 
 
 def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
@@ -122,12 +140,11 @@ def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part for part in split if part))
 
 
-def named_labels(element: OsmElement, vocabulary: Vocabulary) -> tuple[str, ...]:
+def named_labels(kind: int, tags: Mapping[str, str], vocabulary: Vocabulary) -> tuple[str, ...]:
     """Labels of a thing known by its name alone; a name such as "parking lot" says what it is."""
-    tags = element.tags
-    if "name" not in tags or element.kind == LINE or not tags.keys().isdisjoint(NOT_THINGS):
+    if "name" not in tags or kind == LINE or not tags.keys().isdisjoint(NOT_THINGS):
         return ()
-    roads = {s.label for s in vocabulary.senses("road")} if element.kind == POINT else set()
+    roads = {s.label for s in vocabulary.senses("road")} if kind == POINT else set()
     best = [
         sense.label
         for sense in vocabulary.senses(tags["name"])

@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.columns import starts
 from placegraph.errors import InputError
 from placegraph.files import write_file
-from placegraph.formats.place.osm import LeftOut, read_osm
+from placegraph.formats.place.osm import LeftOut, read_columns
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.clip import clip
 from placegraph.outdoor.map.extract import keys_read, labelled, nothing_in
 from placegraph.outdoor.map.spill import Spills, no_room, things_of
-from placegraph.outdoor.map.things import Thing, Things, starts
+from placegraph.outdoor.map.things import Thing, Things
 from placegraph.tiles import bounds, key_of, reached
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Split:
     things: int
     left_out: dict[str, int]
     read: int
-    """Objects of the extract so far."""
+    """Blocks of the extract so far."""
     whole: bool = False
 
     def save(self, folder: Path) -> None:
@@ -93,13 +94,13 @@ def split(
 ) -> Split:
     """Put the things of an extract into a file a tile, in `folder`.
 
-    Memory does not grow with the extract, but for what osmium keeps of its relations; nodes of a
-    large one lie on disk, 16 bytes each. Killed and called again, it passes over what it had read.
+    Memory does not grow with the extract, but for the ways that its relations are made of; nodes of a
+    large one lie on disk, 12 bytes each. Killed and called again, it passes over what it had read.
 
     Parameters
     ----------
     path
-        Extract, see `read_osm`.
+        Extract, see `read_columns`.
     folder
         Is filled with ``KEY.things`` (`spill`).
     zoom, margin
@@ -135,20 +136,16 @@ def split(
         return found
 
     tables = labelled(
-        read_osm(path, keys_read(vocabulary), left_out, index),
+        read_columns(path, keys_read(vocabulary), left_out, index),
         vocabulary,
         progress or (lambda _step, _n: None),
     )
-    try:
+    with closing(tables):
         for things in tables:
             count += len(things)
             _spread(things, spills, populated, left_out.counts, (zoom, margin))
             if spills.full:
                 so_far()
-    finally:
-        if index is not None:
-            with suppress(OSError):
-                index.unlink(missing_ok=True)
     if _state(path) != state:
         (folder / DONE).unlink(missing_ok=True)
         raise InputError(f"{path} changed while it was read; build again when it is whole.")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
+from placegraph.columns import spans, starts
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -138,17 +140,3 @@ def once(things: Things) -> Things:
     if not same.any():
         return things
     return things.take(np.sort(order[np.concatenate(([True], ~same))]))
-
-
-def starts(lengths: Sequence[int] | NDArray[np.integer]) -> NDArray[np.int64]:
-    """Bounds (N + 1,) of entries of these lengths (N,)."""
-    return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
-
-
-def spans(
-    bounds: NDArray[np.int64], rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Bounds (K + 1,) of the entries of `rows` (K,) set side by side, and which entries they are."""
-    lengths = bounds[rows + 1] - bounds[rows]
-    made = starts(lengths)
-    return made, np.repeat(bounds[rows] - made[:-1], lengths) + np.arange(made[-1])

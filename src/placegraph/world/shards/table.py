@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
+from placegraph.columns import spans
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.map.index_build import STRIDE, fade, grid_of, seen_from
 from placegraph.outdoor.map.objects import AREA
-from placegraph.outdoor.map.things import spans
 from placegraph.store import pack_strings, read_map, sound, write_map
 from placegraph.world.shards.table_kernels import words_in_sight
 

@@ -1,11 +1,14 @@
 """How fast and in how much memory a world is built, and whether it survives being killed.
 
     placegraph-lab table world_build --copies 4,80 --workers 1,2
+    placegraph-lab table world_build --copies 956 --workers 2 --once
 
 Copies of the extracts side by side, their labels shuffled, are written as one extract and built. Peak
-memory is that of all processes of the build together: what they hold of their own (heaps), and with
-what they map of files. Every build is killed once, by ``kill -9`` of all its processes after some of
-its tiles, and taken up again; the shards are compared with those of the build before.
+memory is that of all processes of the build together: what they hold of their own (heaps), with their
+share of the pages of files (PSS), and with all of these as often as they are mapped. Every build is
+killed once, by ``kill -9`` of all its processes after some of its tiles, and taken up again; the shards
+are compared with those of the build before. With `--once` there is no other build: the row is of the one
+that was killed and taken up.
 """
 
 from __future__ import annotations
@@ -31,7 +34,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 CITIES = ("liechtenstein", "vancouver", "andorra", "ankara")
-EVERY = 0.2
+AFTER = 1000
+"""Tiles after which a build that is done once is killed."""
+EVERY = 0.5
 """Memory is looked at in steps of this time [s]."""
 
 
@@ -41,22 +46,29 @@ class Watch(Thread):
     def __init__(self, process: int) -> None:
         super().__init__(daemon=True)
         self.process, self.done = process, Event()
-        self.heaps, self.all = 0, 0
+        self.heaps, self.pss, self.all = 0, 0, 0
         self.cpu: dict[int, float] = {}
+
+    @property
+    def seconds(self) -> float:
+        """Processor time so far [s]."""
+        return sum(list(self.cpu.values()))
 
     def run(self) -> None:
         """Look at it again and again, until `done`."""
         while not self.done.wait(EVERY):
-            heaps = total = 0
+            heaps = pss = total = 0
             for pid in _family(self.process):
                 try:
-                    fields = _status(pid)
+                    fields = _sizes(f"/proc/{pid}/status")
+                    pss += _sizes(f"/proc/{pid}/smaps_rollup")["Pss"]
                     heaps += fields["RssAnon"]
                     total += fields["VmRSS"]
                     self.cpu[pid] = _seconds(pid)
                 except (OSError, KeyError, ValueError, IndexError):  # it has ended meanwhile
                     continue
-            self.heaps, self.all = max(self.heaps, heaps), max(self.all, total)
+            self.heaps, self.pss = max(self.heaps, heaps), max(self.pss, pss)
+            self.all = max(self.all, total)
 
 
 def _family(process: int) -> Iterator[int]:
@@ -70,8 +82,8 @@ def _family(process: int) -> Iterator[int]:
             yield from _family(int(child))
 
 
-def _status(pid: int) -> dict[str, int]:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+def _sizes(path: str) -> dict[str, int]:
+    lines = Path(path).read_text().splitlines()
     found = (line.partition(":") for line in lines if line.endswith(" kB"))
     return {name: 1024 * int(value.split()[0]) for name, _, value in found}
 
@@ -90,9 +102,12 @@ def build(osm: Path, world: Path, workers: int, kill_after: int = 0) -> dict[str
     )
     watch = Watch(process.pid)
     watch.start()
-    journal = world / ".build" / "journal.jsonl"
+    journal, tiles = (world / ".build" / name for name in ("journal.jsonl", "tiles.json"))
+    begun, split = tiles.exists(), None
     while process.poll() is None:
         time.sleep(EVERY)
+        if split is None and not begun and tiles.exists():
+            split = {"split_seconds": time.perf_counter() - start, "split_cpu_s": watch.seconds}
         if kill_after and journal.exists() and journal.read_bytes().count(b"\n") >= kill_after:
             os.killpg(process.pid, signal.SIGKILL)
     watch.done.set()
@@ -101,10 +116,20 @@ def build(osm: Path, world: Path, workers: int, kill_after: int = 0) -> dict[str
         raise RuntimeError(f"{osm} could not be built ({process.returncode})")
     return {
         "seconds": time.perf_counter() - start,
-        "cpu_s": sum(watch.cpu.values()),
+        "cpu_s": watch.seconds,
         "heaps_bytes": watch.heaps,
+        "pss_bytes": watch.pss,
         "resident_bytes": watch.all,
-    }
+    } | (split or {})
+
+
+def killed(osm: Path, world: Path, workers: int) -> dict[str, float]:
+    """A build that is killed after some tiles, and taken up again, as one."""
+    first = build(osm, world, workers, kill_after=AFTER)
+    again = build(osm, world, workers)
+    summed = ("seconds", "cpu_s")
+    both = {k: first[k] + again[k] if k in summed else max(first[k], again[k]) for k in again}
+    return first | both | {"killed_after_s": first["seconds"], "taken_up_s": again["seconds"]}
 
 
 def shards(world: Path) -> dict[str, bytes]:
@@ -119,6 +144,7 @@ def world_build(
     workers: Annotated[str, option("Numbers of processes with commas.")] = "1,2",
     seed: Seed = 0,
     *,
+    once: Annotated[bool, option("One build each, killed and taken up again.")] = False,
     quick: Quick = False,
 ) -> None:
     """How fast and in how much memory a world is built, and whether it survives being killed."""
@@ -128,9 +154,9 @@ def world_build(
     for n in map(int, parts(copies)):
         osm = run.cache / f"country_{n}.osm.pbf"
         nodes, before = written(run, osm, n, seed), None
+        world = run.cache / "world"
         for many in map(int, parts(workers)):
             run.say(f"{n} x: building with {many}")
-            world = run.cache / "world"
             shutil.rmtree(world, ignore_errors=True)
             row: dict[str, Any] = {
                 "copies": n,
@@ -138,19 +164,31 @@ def world_build(
                 "pbf_bytes": osm.stat().st_size,
                 "workers": many,
             }
-            row |= build(osm, world, many)
+            row |= killed(osm, world, many) if once else build(osm, world, many)
             made = shards(world)
             row |= {"shards": len(made), "same": before in {None, tuple(made.items())}}
             row["bytes"] = sum(path.stat().st_size for path in (world / "shards").glob("*"))
             before = tuple(made.items())
             rows.append(row)
-        run.say(f"{n} x: killed and taken up again")
+        if not once:
+            run.say(f"{n} x: killed and taken up again")
+            shutil.rmtree(world)
+            build(osm, world, many, kill_after=max(1, len(made) // 3))
+            build(osm, world, many)
+            rows[-1]["same_after_kill"] = shards(world) == made
         shutil.rmtree(world)
-        build(osm, world, many, kill_after=max(1, len(made) // 3))
-        build(osm, world, many)
-        rows[-1]["same_after_kill"] = shards(world) == made
-        shutil.rmtree(world)
-    header = ["copies", "nodes", "PBF", "workers", "wall", "CPU", "PBF a core", "heaps", "resident"]
+    header = [
+        "copies",
+        "nodes",
+        "PBF",
+        "workers",
+        "wall",
+        "CPU",
+        "PBF a core",
+        "heaps",
+        "PSS",
+        "resident",
+    ]
     header += ["shards", "shards of PBF", "same bytes", "after kill -9"]
     print(markdown(header, [line(row) for row in rows]))
     run.save({"extracts": CITIES, "load": float(np.mean(os.getloadavg())), "rows": rows})
@@ -179,6 +217,7 @@ def line(row: dict[str, Any]) -> list[str]:
         number(row["cpu_s"], 0, "s"),
         number(row["pbf_bytes"] * mega / row["cpu_s"], 2, "MB/s"),
         number(row["heaps_bytes"] * mega, 0, "MB"),
+        number(row["pss_bytes"] * mega, 0, "MB"),
         number(row["resident_bytes"] * mega, 0, "MB"),
         number(row["shards"]),
         number(row["bytes"] / row["pbf_bytes"], 2),
